@@ -1,0 +1,42 @@
+# `make demo` and `make test` are all a fresh machine needs: Python >= 3.11, git and make.
+PYTHON ?= python3
+BIN := .venv/bin
+RUN := $(BIN)/python -m
+INSTALLED := .venv/.installed
+
+.PHONY: demo test lint types imports unit slow
+
+demo: $(INSTALLED)
+	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 1 --out demo/session.zarr --overwrite
+	$(BIN)/coilcal calibrate demo/session.zarr --out demo/calibration --seed 1 --overwrite
+
+test: lint types imports unit
+
+lint: $(INSTALLED)
+	$(RUN) ruff check
+	$(RUN) ruff format --check
+
+types: $(INSTALLED)
+	$(RUN) mypy
+
+imports: $(INSTALLED)
+	$(BIN)/lint-imports
+
+unit: $(INSTALLED)
+	$(RUN) pytest -n 2 -m "not slow"
+
+# Long studies, minutes to hours each; `make test` leaves them out.
+
+slow: $(INSTALLED)
+	$(RUN) pytest -n 2 -m slow
+
+# Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the
+# environment; where the environment then sees a torch, that build is kept and no other is asked for.
+$(INSTALLED): pyproject.toml constraints.txt
+	if $(PYTHON) -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
+	then $(PYTHON) -m venv --system-site-packages .venv; \
+	else $(PYTHON) -m venv .venv; fi
+	if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
+	then $(RUN) pip install -e '.[dev]'; \
+	else $(RUN) pip install -c constraints.txt -e '.[dev]'; fi
+	touch $@

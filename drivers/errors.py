@@ -1,0 +1,22 @@
+"""What may go wrong with an instrument; the message names device, rule and value."""
+
+from __future__ import annotations
+
+
+class DriverError(Exception):
+    """An instrument did not do what was asked; the other classes say in which way."""
+
+
+class DeadlineExceeded(DriverError, TimeoutError):
+    """No answer within the time allowed; whether the device obeyed is unknown.
+
+    Examples:
+        >>> raise DeadlineExceeded("supply must answer within 0.5 s; nothing received (/dev/ttyUSB0)")
+        Traceback (most recent call last):
+        ...
+        drivers.errors.DeadlineExceeded: supply must answer within 0.5 s; nothing received (/dev/ttyUSB0)
+    """
+
+
+class DeviceFault(DriverError):
+    """The device answered with a fault of its own, refused the command, or is no longer there."""

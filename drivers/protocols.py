@@ -1,0 +1,146 @@
+"""What a coil rig asks of its instruments: a field sensor, a current source and a robot arm.
+
+Each call is given the time it may take, `timeout_s`, and raises `drivers.errors.DeadlineExceeded` when that
+is over or `DeviceFault` when the device says no; after either, the state of the device is unknown. A device
+has one owner: calls from several threads are not safe. Leaving its `with` block closes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Flag, auto
+from types import TracebackType
+from typing import Generic, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
+
+Value_co = TypeVar("Value_co", covariant=True)
+
+Vector: TypeAlias = tuple[float, float, float]
+
+
+class ReadingFlag(Flag):
+    """What is known to be wrong with a reading."""
+
+    NONE = 0
+    STALE = auto()
+    """The device repeated an old value instead of measuring a new one."""
+    OVER_RANGE = auto()
+    """The quantity left the range of the device; a component without a number is NaN."""
+    DROPPED = auto()
+    """Readings of the device were lost between the previous one and this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading(Generic[Value_co]):
+    """One value of one device, with what is known about when it was taken.
+
+    Attributes:
+        sequence: Count of the readings handed out by this device, from 0 and without gaps.
+        host_monotonic_s: `time.monotonic()` of the host when the value arrived.
+        device_time_s: Time stamp of the device on its own clock; None where it sends none.
+        value: The quantity in SI units.
+        flags: What is wrong with it; `ReadingFlag.NONE` where nothing is known to be.
+
+    Examples:
+        >>> reading = Reading(0, 12.5, None, (0.0, 0.0, 0.1), ReadingFlag.STALE | ReadingFlag.OVER_RANGE)
+        >>> ReadingFlag.OVER_RANGE in reading.flags, ReadingFlag.DROPPED in reading.flags
+        (True, False)
+    """
+
+    sequence: int
+    host_monotonic_s: float
+    device_time_s: float | None
+    value: Value_co
+    flags: ReadingFlag
+
+
+@dataclass(frozen=True, slots=True)
+class FlangePose:
+    """Where the flange of an arm is, in the frame of the arm's base (base_from_flange).
+
+    Attributes:
+        position_m: Origin of the flange.
+        rotation_vector_rad: Axis times angle, as Universal Robots reports it.
+    """
+
+    position_m: Vector
+    rotation_vector_rad: Vector
+
+
+@runtime_checkable
+class Device(Protocol):
+    """What all instruments share."""
+
+    def identify(self, *, timeout_s: float) -> str:
+        """Maker, model and serial number as the device itself gives them."""
+        ...
+
+    def close(self) -> None:
+        """Bring the device to rest (output off, motion stopped) and release it; a second call does nothing.
+
+        Raises:
+            DriverError: The device is released, but is not known to be at rest.
+        """
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+
+@runtime_checkable
+class FieldSensor(Device, Protocol):
+    """A magnetometer with three axes."""
+
+    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
+        """Field along the sensor's own axes; waits for a measurement newer than the previous reading."""
+        ...
+
+
+@runtime_checkable
+class CurrentSource(Device, Protocol):
+    """A power supply that drives one coil."""
+
+    def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
+        """Ask for a current and switch the output on; returns when the device has accepted the set-point.
+
+        Args:
+            current_A: Positive out of the positive terminal; a unipolar supply refuses what is negative.
+            timeout_s: Time the call may take.
+        """
+        ...
+
+    def read_current_A(self, *, timeout_s: float) -> Reading[float]:
+        """Current that the supply measures at its output, not the set-point."""
+        ...
+
+    def output_off(self, *, timeout_s: float) -> None:
+        """Ramp the current to zero, then switch the output off; returns when the device reports it off."""
+        ...
+
+
+@runtime_checkable
+class RobotArm(Device, Protocol):
+    """An arm that carries a coil or a sensor on its flange."""
+
+    def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
+        """Pose of the flange that the controller measures, also during a motion."""
+        ...
+
+    def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
+        """Move the flange on a straight line; returns when the controller reports arrival.
+
+        Args:
+            base_from_flange: Pose to reach.
+            speed_m_per_s: Highest speed of the flange's origin on the way.
+            timeout_s: Time the motion may take, from the call to arrival.
+
+        Raises:
+            DeadlineExceeded: The arm may still be moving; `stop` is what to call next.
+        """
+        ...
+
+    def stop(self, *, timeout_s: float) -> None:
+        """Brake; returns when the controller reports that the arm stands still."""
+        ...

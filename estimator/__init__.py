@@ -1,0 +1,42 @@
+"""coilcal: calibrate electromagnet coils from measured readings, with credible intervals.
+
+Examples:
+    >>> from estimator import load_plan, load_rig, Session, simulate
+    >>> rig = load_rig("configs/paper_simulation.yaml")
+    >>> readings = simulate(rig, load_plan("configs/plans/paper_grid.yaml", rig), {"coil1.radius_m": 0.051}, seed=1)
+    >>> session = Session(rig, readings, source="simulated")
+    >>> len(session.observations.calibration)
+    125
+"""
+
+from estimator.calibrate import Stage, calibrate
+from estimator.calibration import Calibration
+from estimator.config import load_rig
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.plan import Plan, load_plan
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.simulate import draw_truth, simulate
+from estimator.split import block_split
+from estimator.store.session import Session, load_session
+
+__all__ = [
+    "Calibration",
+    "CoilcalError",
+    "CorruptStore",
+    "InvalidInput",
+    "Observations",
+    "Plan",
+    "Rig",
+    "SamplerSettings",
+    "Session",
+    "Stage",
+    "block_split",
+    "calibrate",
+    "draw_truth",
+    "load_plan",
+    "load_rig",
+    "load_session",
+    "simulate",
+]

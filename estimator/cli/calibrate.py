@@ -1,0 +1,118 @@
+"""`coilcal calibrate`: the main job."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from estimator.calibrate import calibrate, remove_result
+from estimator.calibration import write_text
+from estimator.calibration_report import calibration_report
+from estimator.cli.output import (
+    EXIT_NOT_CONVERGED,
+    StageReporter,
+    explain_errors,
+    json_option,
+    overwrite_option,
+    show,
+)
+from estimator.config import load_rig
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.store.session import load_session
+
+
+@click.command("calibrate")
+@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for summary.json, posterior.zarr, report.html.",
+)
+@click.option(
+    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
+)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--ess",
+    type=click.FloatRange(min=10),
+    default=2000.0,
+    show_default=True,
+    help="Effective samples of every parameter.",
+)
+@click.option("--walkers", type=click.IntRange(min=8), default=64, show_default=True)
+@click.option("--max-steps", type=click.IntRange(min=1), default=20_000, show_default=True)
+@click.option(
+    "--counts",
+    type=click.Choice(["integer", "continuous"]),
+    default="integer",
+    show_default=True,
+    help="Free loop counts.",
+)
+@overwrite_option
+@json_option
+@explain_errors
+def calibrate_command(
+    session_path: Path,
+    out: Path,
+    rig_path: Path | None,
+    seed: int,
+    ess: float,
+    walkers: int,
+    max_steps: int,
+    counts: str,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Calibrate the rig of SESSION; run it again to continue a calibration that was interrupted."""
+    session = load_session(session_path)
+    rig = load_rig(rig_path) if rig_path else None
+    if out.exists() and not out.is_dir():
+        raise InvalidInput(f"output must be a folder; received {out}")
+    if overwrite:
+        remove_result(out)
+    settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
+    with StageReporter() as reporter:
+        calibration = calibrate(
+            session,
+            rig,
+            out=out,
+            seed=seed,
+            settings=settings,
+            has_integer_counts=counts == "integer",
+            on_stage=reporter,
+        )
+    command = f"coilcal calibrate {session_path} --out {out} --seed {seed}"
+    write_text(out / "report.html", calibration_report(calibration, command))
+    show(dict(calibration.record), _text(calibration.record, out), as_json)
+    if not calibration.record["is_converged"]:
+        click.echo(
+            f"coilcal: sampling did not converge in {max_steps} steps; intervals are provisional (continue with more --max-steps)",
+            err=True,
+        )
+        sys.exit(EXIT_NOT_CONVERGED)
+
+
+def _text(record: Any, out: Path) -> str:
+    lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
+    for name, p in record["parameters"].items():
+        low, high = p["ci90"]
+        lines.append(f"{name:38} {p['median']:12.6g} {low:13.6g} {high:13.6g}  {p['unit']}")
+    for entry in record["loop_counts"][:3]:
+        lines.append(
+            f"{entry['coil']}: {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.3f}"
+        )
+    for role, metrics in record["rmse"].items():
+        if metrics:
+            nominal = record["rmse_nominal"][role]
+            lines.append(
+                f"{role}: error {metrics['vector_T'] * 1e6:.4g} uT rms of the vector ({metrics['relative']:.3%} of the field), "
+                f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {record['coverage90'][role]:.1%}"
+            )
+    lines += [f"not determined by the data: {d['words']}" for d in record["undetermined"]]
+    lines.append(f"report: {out / 'report.html'}")
+    return "\n".join(lines)

@@ -1,0 +1,36 @@
+"""Entry point of the command `coilcal`."""
+
+from __future__ import annotations
+
+import os
+
+import click
+import torch
+
+from estimator.cli.calibrate import calibrate_command
+from estimator.cli.import_readings import import_command
+from estimator.cli.predict import predict_command
+from estimator.cli.report import report_command
+from estimator.cli.simulate import simulate_command
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="coilcal")
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Threads of one tensor operation.",
+)
+def main(threads: int) -> None:
+    """Calibrate electromagnet coils from measured readings, with credible intervals.
+
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge.
+    """
+    torch.set_num_threads(threads)
+    os.environ.setdefault("OMP_NUM_THREADS", str(threads))
+
+
+for command in (simulate_command, import_command, calibrate_command, predict_command, report_command):
+    main.add_command(command)

@@ -1,0 +1,91 @@
+"""What every command shares: results as text or JSON, progress on a terminal or in a pipe, errors in one sentence."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from estimator.calibrate import Stage
+from estimator.errors import CoilcalError, CorruptStore
+
+EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED = 2, 3, 4
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+
+
+def explain_errors(command: Callable[P, R]) -> Callable[P, R]:
+    """Turn faults that coilcal can explain into one sentence and an exit code."""
+
+    @wraps(command)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return command(*args, **kwargs)
+        except CoilcalError as error:
+            click.echo(f"coilcal: {error}", err=True)
+            sys.exit(EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT)
+
+    return wrapped
+
+
+def show(result: Mapping[str, Any], text: str, as_json: bool) -> None:
+    """Print a result for people or for programs."""
+    click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text)
+
+
+class StageReporter:
+    """Shows the stages of a calibration: a bar on a terminal, plain lines in a pipe; always on standard error."""
+
+    def __init__(self) -> None:
+        self._last = ""
+        console = Console(stderr=True)
+        self._bar: Progress | None = None
+        if console.is_terminal:
+            columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=console, transient=True)
+            self._task = self._bar.add_task("starting", total=None)
+
+    def __enter__(self) -> StageReporter:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, stage: Stage) -> None:
+        """Show one stage."""
+        lines = [] if stage.name == self._last else [stage.name]
+        self._last = stage.name
+        lines += [f"  not determined by the data: {direction.words}" for direction in stage.open_directions]
+        sampling = stage.sampling
+        detail = ""
+        if sampling is not None:
+            detail = f"step {sampling.step}, effective samples {sampling.smallest_ess:.0f} of {sampling.target_ess:.0f}"
+            detail += f", R-hat {sampling.largest_rhat:.4f}"
+        if self._bar is None:
+            for line in (*lines, *([f"  {detail}"] if detail else [])):
+                click.echo(line, err=True)
+            return
+        for line in lines:
+            self._bar.console.print(line)
+        if sampling is not None:
+            self._bar.update(
+                self._task,
+                description=detail,
+                total=sampling.target_ess,
+                completed=min(sampling.smallest_ess, sampling.target_ess),
+            )
+        else:
+            self._bar.update(self._task, description=stage.name, total=None)

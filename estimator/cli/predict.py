@@ -1,0 +1,131 @@
+"""`coilcal predict`: the calibrated field with credible intervals on a grid."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import click
+import numpy as np
+import torch
+
+from estimator.calibration import Calibration, write_text
+from estimator.cli.output import explain_errors, json_option, overwrite_option, show
+from estimator.errors import InvalidInput
+from estimator.units import split_unit
+
+HEADER = (
+    ["x_m", "y_m", "z_m"]
+    + [f"B{axis}_T" for axis in "xyz"]
+    + [f"B{axis}_{end}_T" for axis in "xyz" for end in ("lower", "upper")]
+    + ["inside_winding"]
+)
+
+
+@click.command("predict")
+@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.option(
+    "--grid",
+    "axes",
+    multiple=True,
+    required=True,
+    metavar="AXIS=FROM:TO:COUNT",
+    help="e.g. x_mm=-50:50:11; an axis left out is 0.",
+)
+@click.option(
+    "--current",
+    "currents",
+    multiple=True,
+    required=True,
+    metavar="COIL=AMPERE",
+    help="e.g. coil1=3; repeatable.",
+)
+@click.option(
+    "--motion",
+    "motions",
+    multiple=True,
+    metavar="MOVER=V1,..,V6",
+    help="Six numbers of a mover's columns, in SI.",
+)
+@click.option("--level", type=float, default=0.9, show_default=True, help="Probability inside the interval.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="CSV file to write.")
+@overwrite_option
+@json_option
+@explain_errors
+def predict_command(
+    folder: Path,
+    axes: tuple[str, ...],
+    currents: tuple[str, ...],
+    motions: tuple[str, ...],
+    level: float,
+    out: Path,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the field of a CALIBRATION with credible intervals on a grid of the world frame, as CSV."""
+    if out.exists() and not overwrite:
+        raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {out}")
+    calibration = Calibration.load(folder)
+    stops = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1)}
+    for text in axes:
+        name, values = _axis(text)
+        stops[name] = values
+    points_m = torch.from_numpy(np.stack(np.meshgrid(*stops.values(), indexing="ij"), axis=-1).reshape(-1, 3))
+    currents_A = {name: values[0] for name, values in (_numbers(text, "--current", 1) for text in currents)}
+    motion = {
+        name: torch.tensor(values) for name, values in (_numbers(text, "--motion", 6) for text in motions)
+    }
+    field = calibration.field(points_m, currents_A, motion)
+    lower, upper = calibration.field_interval(points_m, currents_A, level, motion)
+    inside = torch.isnan(field).any(dim=1)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(HEADER)
+    bounds = torch.stack((lower, upper), dim=-1).flatten(1)
+    for row in range(len(points_m)):
+        numbers = torch.cat((points_m[row], field[row], bounds[row])).tolist()
+        writer.writerow([f"{v:.9g}" if np.isfinite(v) else "" for v in numbers] + [int(inside[row])])
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_text(out, buffer.getvalue())
+    except OSError as error:
+        raise InvalidInput(f"output must be writable; {out} is not: {error}") from error
+    n_inside = int(inside.sum())
+    text = f"{len(points_m)} points written to {out}" + (
+        f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
+    )
+    show(
+        {"file": str(out), "points": len(points_m), "inside_winding": n_inside, "level": level}, text, as_json
+    )
+
+
+def _axis(text: str) -> tuple[str, np.ndarray]:
+    key, _, span = text.partition("=")
+    name, unit = split_unit(key)
+    parts = span.split(":")
+    try:
+        numbers = [float(part) for part in parts]
+        count = int(parts[2]) if len(parts) == 3 else 1
+    except ValueError:
+        numbers, count = [], 0
+    if (
+        unit is None
+        or unit.dimension != "length"
+        or name not in ("x", "y", "z")
+        or len(numbers) not in (1, 3)
+        or count < 1
+    ):
+        raise InvalidInput(f"--grid must look like x_mm=-50:50:11 or z_mm=20; received {text!r}")
+    return name, np.linspace(numbers[0], numbers[-2 if len(numbers) == 3 else 0], count) * unit.to_si
+
+
+def _numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
+    name, _, values = text.partition("=")
+    try:
+        numbers = [float(value) for value in values.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise InvalidInput(f"{option} must look like name={','.join(['1.0'] * count)}; received {text!r}")
+    return name, numbers

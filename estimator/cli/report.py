@@ -1,0 +1,30 @@
+"""`coilcal report`: the page of a stored calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from estimator.calibration import Calibration, write_text
+from estimator.calibration_report import calibration_report
+from estimator.cli.output import explain_errors, json_option, show
+from estimator.errors import InvalidInput
+
+
+@click.command("report")
+@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Page to write; report.html in the folder by default."
+)
+@json_option
+@explain_errors
+def report_command(folder: Path, out: Path | None, as_json: bool) -> None:
+    """Write the HTML report of a stored CALIBRATION (a folder that `coilcal calibrate` wrote)."""
+    path = out or folder / "report.html"
+    page = calibration_report(Calibration.load(folder), f"coilcal report {folder}")
+    try:
+        write_text(path, page)
+    except OSError as error:
+        raise InvalidInput(f"output must be writable; {path} is not: {error}") from error
+    show({"report": str(path)}, f"report: {path}", as_json)

@@ -1,0 +1,206 @@
+"""Between the vector a sampler moves and the numbers of a rig.
+
+A sampler sees coordinates in which a coil's posterior is close to normal (DESIGN decision 3): positive numbers as logarithms, the
+external radius through the mean radius, and wire radius and loop counts through turns, length and thickness, which the data determine
+separately. With `integer_counts` the free loop counts stand unchanged in the last columns and are whole numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.parameters import Parameter
+from estimator.rig import Rig
+
+Values = Mapping[str, Tensor]
+_Resolve = Callable[[str], Tensor]
+
+
+class Coordinates:
+    """The free parameters of a rig as one vector, and back.
+
+    Examples:
+        >>> from estimator.config import rig_from_text
+        >>> rig = rig_from_text('''
+        ... schema_version: 1
+        ... name: one loop
+        ... coils:
+        ...   coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1, world_from_coil: {z_mm:
+        ...     {prior: {normal: {mean: 0, sd: 2}}}}}
+        ... sensors: {hall: {noise_uT: 20}}
+        ... ''')
+        >>> coordinates = Coordinates(rig)
+        >>> coordinates.names
+        ('coil1.world_from_coil.z_m',)
+        >>> coordinates.values(torch.tensor([0.001]))["coil1.world_from_coil.z_m"]
+        tensor(0.0010)
+    """
+
+    def __init__(self, rig: Rig, integer_counts: bool = False) -> None:
+        self.rig = rig
+        self.integer_counts = integer_counts
+        free = rig.free
+        counts = [p for p in free if p.is_count] if integer_counts else []
+        self.parameters: tuple[Parameter, ...] = (*(p for p in free if p not in counts), *counts)
+        self.n_counts = len(counts)
+        self._column = {parameter.name: i for i, parameter in enumerate(self.parameters)}
+        self._is_log = [p.is_positive and p not in counts and not self._is_radius(p) for p in self.parameters]
+        self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
+        self._mix = self._natural_mix()
+        self._unmix = np.linalg.inv(self._mix)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the columns."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def n(self) -> int:
+        """Length of the vector, counts included."""
+        return len(self.parameters)
+
+    @property
+    def n_continuous(self) -> int:
+        """Columns before the whole-numbered counts."""
+        return self.n - self.n_counts
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each column holds, in words."""
+        words = []
+        for i, parameter in enumerate(self.parameters):
+            coil, _, quantity = parameter.name.partition(".")
+            if self._is_radius(parameter):
+                words.append(f"{coil} mean radius")
+            elif self._mix[i].sum() > 1.5:
+                natural = {
+                    "wire_radius_m": "winding thickness",
+                    "axial_loops": "turns",
+                    "radial_loops": "winding length",
+                }
+                words.append(f"{coil} {natural[quantity]}")
+            else:
+                words.append(parameter.name)
+        return tuple(words)
+
+    def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
+        """Every number of the rig; fixed ones without a batch."""
+        unmix = torch.as_tensor(self._unmix, dtype=vector.dtype, device=vector.device)
+        elementary = vector @ unmix.T if self.n else vector
+        resolved: dict[str, Tensor] = {}
+
+        def resolve(name: str) -> Tensor:
+            if name not in resolved:
+                resolved[name] = self._value(name, elementary, resolve)
+            return resolved[name]
+
+        for name in self.rig.parameters:
+            resolve(name)
+        return resolved
+
+    def vector(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
+        """The coordinates of given values of the free parameters (and of what they need of the others)."""
+        nominal = self.rig.nominal_values()
+        get = {
+            name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64)
+            for name in self.rig.parameters
+        }
+        for name in self.rig.parameters:
+            get[name] = self._follow_tie(name, get)
+        columns = []
+        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+            value = get[parameter.name]
+            if self._is_radius(parameter):
+                coil = parameter.name.partition(".")[0]
+                value = value - 0.5 * get[f"{coil}.radial_pitch_m"] * get[f"{coil}.radial_loops"]
+            columns.append(torch.log(value) if is_log else value)
+        if not columns:
+            return torch.zeros(0, dtype=torch.float64)
+        return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ torch.as_tensor(self._mix).T
+
+    def start(self) -> Float[Tensor, " coordinate"]:
+        """Coordinates of the nominal values."""
+        return self.vector({})
+
+    @property
+    def scale(self) -> Float[Tensor, " coordinate"]:
+        """Prior standard deviation of every coordinate, to first order."""
+        elementary = np.array(
+            [
+                _sd(p) / abs(p.prior.centre if p.prior and p.prior.centre else 1.0) if is_log else _sd(p)
+                for p, is_log in zip(self.parameters, self._is_log, strict=True)
+            ]
+        )
+        return torch.as_tensor(np.sqrt((self._mix**2) @ elementary**2) if self.n else elementary)
+
+    def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
+        """Log prior density of the coordinates (change of variables included), up to a constant."""
+        values = self.values(vector)
+        total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
+        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+            value = values[parameter.name]
+            assert parameter.prior is not None
+            total = total + parameter.prior.log_density(value)
+            if is_log:
+                total = total + torch.log(value)
+        return total
+
+    def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
+        """Draws from the prior, as coordinates; whole numbers for counts where they are integer."""
+        draws: dict[str, Tensor] = {}
+        for parameter in self.parameters:
+            assert parameter.prior is not None
+            draw = parameter.prior.sample(rng, size)
+            draws[parameter.name] = torch.as_tensor(
+                np.maximum(np.round(draw), 1.0) if parameter.is_count else draw
+            )
+        return self.vector(draws)
+
+    def _value(self, name: str, elementary: Tensor, resolve: _Resolve) -> Tensor:
+        parameter = self.rig.parameters[name]
+        if parameter.tie is not None:
+            return parameter.tie.factor * resolve(parameter.tie.to)
+        column = self._column.get(name)
+        if column is None:
+            return torch.tensor(parameter.value, dtype=elementary.dtype, device=elementary.device)
+        value = elementary[..., column]
+        if self._is_radius(parameter):
+            coil = name.partition(".")[0]
+            return value + 0.5 * resolve(f"{coil}.radial_pitch_m") * resolve(f"{coil}.radial_loops")
+        return torch.exp(value) if self._is_log[column] else value
+
+    def _follow_tie(self, name: str, values: Mapping[str, Tensor]) -> Tensor:
+        tie = self.rig.parameters[name].tie
+        return values[name] if tie is None else tie.factor * self._follow_tie(tie.to, values)
+
+    def _is_radius(self, parameter: Parameter) -> bool:
+        coil, _, quantity = parameter.name.partition(".")
+        return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
+
+    def _natural_mix(self) -> np.ndarray:
+        """Rows that turn (log R_w, log N_a, log N_r) into (log thickness, log turns, log length) where all three are free."""
+        mix = np.eye(self.n)
+        if self.integer_counts:
+            return mix
+        for coil in self.rig.coils:
+            names = [f"{coil.name}.{key}" for key in ("wire_radius_m", "axial_loops", "radial_loops")]
+            ties = [self.rig.parameters[f"{coil.name}.{pitch}_pitch_m"].tie for pitch in ("axial", "radial")]
+            if all(name in self._column for name in names) and all(
+                tie and tie.to == names[0] for tie in ties
+            ):
+                wire, axial, radial = (self._column[name] for name in names)
+                mix[wire, [wire, radial]] = 1.0
+                mix[axial, [axial, radial]] = 1.0
+                mix[radial] = 0.0
+                mix[radial, [wire, axial]] = 1.0
+        return mix
+
+
+def _sd(parameter: Parameter) -> float:
+    return parameter.prior.sd if parameter.prior else math.nan

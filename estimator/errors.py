@@ -1,0 +1,22 @@
+"""The few exceptions a caller of coilcal may see; everything else is a bug."""
+
+from __future__ import annotations
+
+
+class CoilcalError(Exception):
+    """A fault coilcal can explain in one sentence: thing, rule, value, place."""
+
+
+class InvalidInput(CoilcalError, ValueError):
+    """The caller's data or settings break a rule; the message names thing, rule, value and place.
+
+    Examples:
+        >>> raise InvalidInput("coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)")
+        Traceback (most recent call last):
+        ...
+        estimator.errors.InvalidInput: coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)
+    """
+
+
+class CorruptStore(CoilcalError):
+    """A file on disk is truncated, altered or of another schema version."""

@@ -1,0 +1,1 @@
+"""Magnetic field of coils, from one filamentary loop to windings summed over several coils."""

@@ -1,0 +1,144 @@
+"""Rigid transforms between the frames of a rig: world, base, flange, coil, sensor.
+
+First link of the chain: poses of robots and mounts become one `Transform`, which carries sensor positions
+into a coil's frame and fields back out of it. `a_from_b` maps coordinates in frame b to coordinates in frame
+a, so neighbours match: ``world_from_coil = world_from_flange @ flange_from_coil``. Everything broadcasts over
+leading axes, keeps dtype and device, and is differentiable, also at zero rotation, where fits start and where
+the usual axis-angle formulas give NaN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+# Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
+# digits there and are 0/0 at zero. The series stop at the first term below rounding.
+_SMALL_SQUARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Transform:
+    """A rigid transform `a_from_b`: rotate, then shift by `translation_m`, the origin of b seen from a.
+
+    Examples:
+        >>> position_m, quarter_turn = torch.tensor([[0.0, 0.0, 0.1], [0.0, 0.0, torch.pi / 2]]).double()
+        >>> flange_from_coil = Transform.from_pose(position_m, quarter_turn)
+        >>> flange_from_coil.apply(torch.tensor([1.0, 2.0, 0.0]).double()).round(decimals=6).tolist()
+        [-2.0, 1.0, 0.1]
+    """
+
+    rotation: Float[Tensor, "*batch 3 3"]
+    translation_m: Float[Tensor, "*batch 3"]
+
+    @classmethod
+    def identity(cls, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Transform:
+        """The transform of a frame to itself, without batch axes."""
+        return cls(torch.eye(3, dtype=dtype, device=device), torch.zeros(3, dtype=dtype, device=device))
+
+    @classmethod
+    def from_pose(
+        cls, translation_m: Float[Tensor, "*#batch 3"], rotation_vector_rad: Float[Tensor, "*#batch 3"]
+    ) -> Transform:
+        """Transform from a pose as Universal Robots report it: ``p[x, y, z, rx, ry, rz]``.
+
+        Args:
+            translation_m: Origin of the inner frame in the outer frame.
+            rotation_vector_rad: Axis times angle, see `rotation_from_vector`.
+        Returns: outer_from_inner, over the broadcast of both leading shapes.
+        """
+        rotation = rotation_from_vector(rotation_vector_rad)
+        translation_m = translation_m + torch.zeros_like(rotation_vector_rad)  # broadcasts
+        return cls(rotation.expand(*translation_m.shape, 3), translation_m)
+
+    def __matmul__(self, other: Transform) -> Transform:
+        """Chain ``a_from_b @ b_from_c = a_from_c``."""
+        return Transform(self.rotation @ other.rotation, self.apply(other.translation_m))
+
+    def inverse(self) -> Transform:
+        """b_from_a. Uses the transpose, so the rotation must be orthonormal."""
+        return Transform(self.rotation.mT, -self.unrotate(self.translation_m))
+
+    def apply(self, points_m: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
+        """Coordinates in a of points given in b."""
+        return self.rotate(points_m) + self.translation_m
+
+    def rotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
+        """Components in a of free vectors (fields, displacements) given in b."""
+        return (self.rotation @ vectors[..., None])[..., 0]
+
+    def unrotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
+        """Components in b of free vectors given in a: the transposed rotation."""
+        return (self.rotation.mT @ vectors[..., None])[..., 0]
+
+
+def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrix of a rotation vector v: turn by |v| about v, right-handed.
+
+    Args:
+        rotation_vector_rad: Axis times angle, of any length; (0, 0, 0) is no rotation and no singular point.
+    References: Rodrigues' formula R = cos(t) I + sin(t)/t [v]x + (1 - cos(t))/t^2 v v^T with t = |v|. The
+        vector is the one in a pose p[x, y, z, rx, ry, rz] of Universal Robots' script manual.
+    Examples:
+        >>> rotation_from_vector(torch.tensor([0.0, 0.0, torch.pi / 2])).round().int().tolist()
+        [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    """
+    # The coefficients are smooth in t^2, whereas t has a kink at 0.
+    square = rotation_vector_rad.square().sum(-1)
+    small = square < _SMALL_SQUARE
+    # where() also differentiates the side it does not take: that one must be finite, or the gradient is NaN.
+    angle = square.where(~small, 1.0).sqrt()
+    sinc = torch.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle)
+    versine = torch.where(
+        small,
+        (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2,
+        2 * ((angle / 2).sin() / angle).square(),  # (1 - cos(t))/t^2 without its cancellation
+    )
+    x, y, z = (sinc[..., None] * rotation_vector_rad).unbind(-1)
+    zero = torch.zeros_like(x)
+    cross = _square_matrix(zero, -z, y, z, zero, -x, -y, x, zero)
+    outer = rotation_vector_rad[..., :, None] * rotation_vector_rad[..., None, :]
+    eye = torch.eye(3, dtype=outer.dtype, device=outer.device)
+    return (1 - versine * square)[..., None, None] * eye + cross + versine[..., None, None] * outer
+
+
+def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Rotation vector of a rotation matrix: the inverse of `rotation_from_vector`, no longer than pi.
+
+    Args:
+        rotation: Orthonormal, determinant +1. A half turn about v is one about -v; either may be returned.
+    References: S. W. Shepperd, J. Guidance and Control 1 (1978) 223: sums of entries of R are the entries of
+        4 q q^T for its unit quaternion q. The largest row gives q with full accuracy, also at angles 0 and
+        pi, where the trace or the antisymmetric part alone fail.
+    Examples:
+        >>> vector_from_rotation(torch.diag(torch.tensor([1.0, -1.0, -1.0]).double()))
+        tensor([3.1416, 0.0000, 0.0000], dtype=torch.float64)
+    """
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation.flatten(-2).unbind(-1)
+    ww, xx, yy, zz = 1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22
+    wx, wy, wz = r21 - r12, r02 - r20, r10 - r01
+    xy, xz, yz = r01 + r10, r02 + r20, r12 + r21
+    products = _square_matrix(ww, wx, wy, wz, wx, xx, xy, xz, wy, xy, yy, yz, wz, xz, yz, zz)
+    largest = torch.stack([ww, xx, yy, zz], -1).argmax(-1)[..., None, None]
+    row = products.take_along_dim(largest, -2)[..., 0, :]
+    quaternion = row / row.square().sum(-1, keepdim=True).sqrt()
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)  # the short way round
+    cosine, imaginary = quaternion[..., 0], quaternion[..., 1:]  # cos(t/2) and the axis times sin(t/2)
+    square = imaginary.square().sum(-1)
+    small = square < _SMALL_SQUARE
+    sine = square.where(~small, 1.0).sqrt()
+    scale = torch.where(  # t / sin(t/2), its series being that of the arcsine
+        small,
+        2 + square / 3 * (1 + square * 9 / 20 * (1 + square * 25 / 42 * (1 + square * 49 / 72))),
+        2 * torch.atan2(sine, cosine) / sine,
+    )
+    return scale[..., None] * imaginary
+
+
+def _square_matrix(*entries: Tensor) -> Tensor:
+    """Matrix from its entries, row by row."""
+    size = round(len(entries) ** 0.5)
+    return torch.stack(entries, -1).reshape(*entries[0].shape, size, size)

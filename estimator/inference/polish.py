@@ -1,0 +1,158 @@
+"""Levenberg-Marquardt polish with exact Jacobians, many starts at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.func import hessian, jacfwd, jacrev, vmap
+
+from estimator.inference.likelihood import LogPosterior
+
+SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Where Levenberg-Marquardt stopped.
+
+    Attributes:
+        vector: Coordinates of the maxima.
+        log_posterior: Log posterior density there.
+        precision: Negative Hessian of the log posterior, Gauss-Newton for the data, exact for the prior.
+        information: The data's share of it (Fisher information).
+        is_converged: The predicted gain of a further step is below the tolerance.
+    """
+
+    vector: Float[Tensor, "start coordinate"]
+    log_posterior: Float[Tensor, " start"]
+    precision: Float[Tensor, "start coordinate coordinate"]
+    information: Float[Tensor, "start coordinate coordinate"]
+    is_converged: Bool[Tensor, " start"]
+    n_iterations: int
+
+    def rows(self, index: slice | Tensor) -> Polished:
+        """The chosen starts only."""
+        return Polished(
+            self.vector[index],
+            self.log_posterior[index],
+            self.precision[index],
+            self.information[index],
+            self.is_converged[index],
+            self.n_iterations,
+        )
+
+    @staticmethod
+    def together(fits: list[Polished]) -> Polished:
+        """Several fits as one."""
+        return Polished(
+            torch.cat([fit.vector for fit in fits]),
+            torch.cat([fit.log_posterior for fit in fits]),
+            torch.cat([fit.precision for fit in fits]),
+            torch.cat([fit.information for fit in fits]),
+            torch.cat([fit.is_converged for fit in fits]),
+            max(fit.n_iterations for fit in fits),
+        )
+
+
+def polish(
+    posterior: LogPosterior,
+    start: Float[Tensor, "start coordinate"],
+    max_iterations: int = 60,
+    tolerance: float = 1e-10,
+) -> Polished:
+    """Climb to the nearest maximum of the posterior from every start.
+
+    The noise is a coordinate like the others: its score and information follow from the whitened residuals, and its off-diagonal terms
+    with the other coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay where they are.
+
+    Args:
+        posterior: Density to climb.
+        start: Coordinates to start from, inside the prior.
+        max_iterations: Bound on the number of steps.
+        tolerance: Stop where a Newton step would gain less log density than this.
+    Returns: The maxima with their curvature, start by start.
+    References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
+    """
+    n = posterior.coordinates.n_continuous
+    vector = start.clone()
+    value = posterior(vector)
+    damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
+    growth = torch.full_like(damping, 2.0)
+    gradient, precision, information = _curvature(posterior, vector)
+    done = torch.zeros(len(vector), dtype=torch.bool)
+    iteration = 0
+    for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
+        newton = torch.linalg.solve(precision + 1e-14 * _diagonal(precision), gradient)
+        done = done | ((gradient * newton).sum(-1) < tolerance) | (damping > LARGEST_DAMPING)
+        active = (~done).nonzero().flatten()
+        if not len(active):
+            break
+        damped = precision[active] + damping[active, None, None] * _diagonal(precision[active])
+        step = torch.linalg.solve(damped, gradient[active])
+        trial = vector[active].clone()
+        trial[:, :n] += step
+        trial_value = posterior(trial)
+        expected = 0.5 * (
+            (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
+        ).sum(-1)
+        ratio = (trial_value - value[active]) / expected.clamp(min=1e-300)
+        better = trial_value > value[active]
+        shrink = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(min=1.0 / 3.0, max=2.0)
+        damping[active] = torch.where(better, damping[active] * shrink, damping[active] * growth[active])
+        growth[active] = torch.where(better, torch.full_like(ratio, 2.0), growth[active] * 2.0)
+        damping.clamp_(min=SMALLEST_DAMPING)
+        moved = active[better]
+        if len(moved):
+            vector[moved] = trial[better]
+            value[moved] = trial_value[better]
+            gradient[moved], precision[moved], information[moved] = _curvature(posterior, vector[moved])
+    newton = torch.linalg.solve(precision + 1e-14 * _diagonal(precision), gradient)
+    is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
+    return Polished(vector, value, precision, information, is_converged, iteration)
+
+
+def _curvature(
+    posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gradient of the log posterior, its negative Hessian, and the data's share of the latter."""
+    n = posterior.coordinates.n_continuous
+
+    def join(continuous: Tensor, counts: Tensor) -> Tensor:
+        return torch.cat((continuous, counts), dim=-1)
+
+    def residual_and_log_sigma(continuous: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+        whole = join(continuous, counts)
+        return posterior.predicted(whole), torch.log(posterior.sigma_T(whole))
+
+    continuous, counts = vector[:, :n], vector[:, n:]
+    predicted_jacobian, log_sigma_jacobian = vmap(jacfwd(residual_and_log_sigma))(continuous, counts)
+    sigma = posterior.sigma_T(vector)[:, posterior.sensor]
+    whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma
+    jacobian = predicted_jacobian / sigma[..., None]
+    chi2 = torch.zeros(len(vector), len(posterior.n_by_sensor), dtype=vector.dtype)
+    chi2.index_add_(1, posterior.sensor, whitened**2)
+    gradient = (jacobian.mT @ whitened[..., None])[..., 0]
+    gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - posterior.n_by_sensor)[..., None])[..., 0]
+    information = jacobian.mT @ jacobian
+    weight = torch.maximum(2.0 * chi2, 0.5 * posterior.n_by_sensor)[..., None]
+    information = information + log_sigma_jacobian.mT @ (weight * log_sigma_jacobian)
+
+    def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
+        return posterior.coordinates.log_prior(join(continuous, counts))
+
+    prior_gradient = vmap(jacrev(log_prior))(continuous, counts)
+    prior_precision = -vmap(hessian(log_prior))(continuous, counts)
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT))
+    prior_precision = vectors @ (eigenvalues.clamp(min=0.0)[..., None] * vectors.mT)
+    return gradient + prior_gradient, information + prior_precision, information
+
+
+def _diagonal_of(matrix: Tensor) -> Tensor:
+    return torch.diagonal(matrix, dim1=-2, dim2=-1)
+
+
+def _diagonal(matrix: Tensor) -> Tensor:
+    return torch.diag_embed(_diagonal_of(matrix))

@@ -1,0 +1,60 @@
+"""How far predictions are from readings, in the field's customary numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Error metrics over one set of readings; NaN where a set has no such readings.
+
+    Attributes:
+        paper_metric_T: Half the root mean square of the error vectors (eq 2, 3 with the 1/2 outside the root, as the paper computes).
+        vector_T: Root mean square length of the error vectors.
+        component_T: Root mean square over single components.
+        max_T: Largest length of an error vector.
+        relative: `vector_T` over the root mean square length of the measured vectors.
+        angular_deviation_rad: Mean angle between measured and predicted vector, over readings with all three components.
+    """
+
+    paper_metric_T: float
+    vector_T: float
+    component_T: float
+    max_T: float
+    relative: float
+    angular_deviation_rad: float
+
+
+def errors(measured_T: np.ndarray, predicted_T: np.ndarray) -> Errors:
+    """Metrics of readings by component; NaN components were not measured and do not count.
+
+    Examples:
+        >>> result = errors(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.1, 1.0]]))
+        >>> round(result.vector_T, 3), round(result.paper_metric_T, 3), round(result.angular_deviation_rad, 4)
+        (0.1, 0.05, 0.0997)
+    """
+    if not np.isfinite(measured_T).any():
+        return Errors(*[float("nan")] * 6)
+    difference = measured_T - predicted_T
+    squared = np.nansum(difference**2, axis=1)
+    vector_T = float(np.sqrt(squared.mean()))
+    field_T = float(np.sqrt(np.nansum(measured_T**2, axis=1).mean()))
+    return Errors(
+        0.5 * vector_T,
+        vector_T,
+        float(np.sqrt(np.nanmean(difference**2))),
+        float(np.sqrt(squared.max())),
+        vector_T / field_T if field_T > 0.0 else float("nan"),
+        float(np.nanmean(angular_deviation_rad(measured_T, predicted_T)))
+        if np.isfinite(measured_T).all(axis=1).any()
+        else float("nan"),
+    )
+
+
+def angular_deviation_rad(measured_T: np.ndarray, predicted_T: np.ndarray) -> np.ndarray:
+    """Angle between measured and predicted vectors, by atan2 so that small angles keep their digits; NaN for partial readings."""
+    cross = np.linalg.norm(np.cross(measured_T, predicted_T), axis=1)
+    return np.asarray(np.arctan2(cross, (measured_T * predicted_T).sum(axis=1)))

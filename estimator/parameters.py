@@ -1,0 +1,184 @@
+"""Parameters of a rig and the priors they may carry.
+
+A parameter is fixed (a value), free (a value and a prior) or tied to another parameter by a factor. Its name is the dotted place in
+the rig with the SI unit as suffix, `coil1.wire_radius_m`; loop counts and gains are pure numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy import stats
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+
+
+class Prior(ABC):
+    """What is known of a parameter before the data, as a probability density in its own unit."""
+
+    lower: float
+    upper: float
+
+    @property
+    @abstractmethod
+    def centre(self) -> float:
+        """A typical value, where a fit may start."""
+
+    @property
+    @abstractmethod
+    def sd(self) -> float:
+        """Width of the prior: its standard deviation, before truncation."""
+
+    @abstractmethod
+    def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        """Log density up to a constant; -inf outside the support."""
+
+    @abstractmethod
+    def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """Draws from the prior."""
+
+    def _inside(self, value: Tensor, log_density: Tensor) -> Tensor:
+        outside = (value < self.lower) | (value > self.upper)
+        return torch.where(outside, torch.full_like(log_density, -math.inf), log_density)
+
+
+@dataclass(frozen=True)
+class Normal(Prior):
+    """Normal prior, truncated where bounds are given.
+
+    Examples:
+        >>> Normal(48.0, 2.0).log_density(torch.tensor(50.0))
+        tensor(-0.5000)
+    """
+
+    mean: float
+    standard_deviation: float
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        _require(self.standard_deviation > 0.0, "normal.sd must be > 0", self.standard_deviation)
+        _require(self.lower < self.upper, "normal.lower must be below upper", (self.lower, self.upper))
+
+    @property
+    def centre(self) -> float:
+        return min(max(self.mean, self.lower), self.upper)
+
+    @property
+    def sd(self) -> float:
+        return self.standard_deviation
+
+    def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)
+
+    def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        low, high = ((bound - self.mean) / self.sd for bound in (self.lower, self.upper))
+        draws = stats.truncnorm.rvs(low, high, loc=self.mean, scale=self.sd, size=size, random_state=rng)
+        return np.asarray(draws)
+
+
+@dataclass(frozen=True)
+class LogNormal(Prior):
+    """Log-normal prior of a positive quantity, truncated where bounds are given."""
+
+    median: float
+    relative_sd: float
+    lower: float = 0.0
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        _require(self.median > 0.0, "log_normal.median must be > 0", self.median)
+        _require(self.relative_sd > 0.0, "log_normal.relative_sd must be > 0", self.relative_sd)
+        _require(
+            0.0 <= self.lower < self.upper, "log_normal.lower must be below upper", (self.lower, self.upper)
+        )
+
+    @property
+    def centre(self) -> float:
+        return min(max(self.median, self.lower), self.upper)
+
+    @property
+    def sd(self) -> float:
+        return self.median * self.relative_sd
+
+    def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        log_value = torch.log(value.clamp(min=1e-300))
+        density = -0.5 * ((log_value - math.log(self.median)) / self.relative_sd) ** 2 - log_value
+        return self._inside(value, density)
+
+    def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        bounds = [math.log(b) if b > 0.0 else -math.inf for b in (self.lower, self.upper)]
+        normal = Normal(math.log(self.median), self.relative_sd, *bounds)
+        return np.asarray(np.exp(normal.sample(rng, size)))
+
+
+@dataclass(frozen=True)
+class Uniform(Prior):
+    """Uniform prior between two bounds."""
+
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        _require(self.lower < self.upper, "uniform.lower must be below upper", (self.lower, self.upper))
+
+    @property
+    def centre(self) -> float:
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def sd(self) -> float:
+        return (self.upper - self.lower) / math.sqrt(12.0)
+
+    def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        return self._inside(value, torch.zeros_like(value))
+
+    def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        return rng.uniform(self.lower, self.upper, size)
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A parameter that follows another: value = factor x the other's value."""
+
+    to: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the rig.
+
+    Attributes:
+        name: Dotted place with SI unit, unique in the rig.
+        unit: SI unit; "1" for pure numbers.
+        value: Nominal value; a fit starts here. Ignored where the parameter is tied.
+        prior: Present where the parameter is free.
+        tie: Present where the parameter follows another.
+        is_positive: Fitted as a logarithm.
+        is_count: A whole number in truth (loop counts).
+    """
+
+    name: str
+    unit: str
+    value: float
+    prior: Prior | None = None
+    tie: Tie | None = None
+    is_positive: bool = False
+    is_count: bool = False
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the data may move this parameter."""
+        return self.prior is not None
+
+
+def _require(holds: bool, rule: str, value: object) -> None:
+    if not holds:
+        raise InvalidInput(f"{rule}; received {value}")

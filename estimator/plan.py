@@ -1,0 +1,148 @@
+"""Plans: which poses and currents to visit, in which order."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from estimator.errors import InvalidInput
+from estimator.records import Observations
+from estimator.rig import MotionKind, Rig
+from estimator.yaml_section import Section
+
+CARTESIAN = (
+    ("x", "length"),
+    ("y", "length"),
+    ("z", "length"),
+    ("rx", "angle"),
+    ("ry", "angle"),
+    ("rz", "angle"),
+)
+JOINTS = tuple((f"q{i}", "angle") for i in range(6))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Poses by role and the currents to set at each of them.
+
+    Attributes:
+        calibration, validation: Per pose and mover the six numbers of the mover's columns, in SI.
+        currents_A: Settings visited at every pose; coils that are not named are off.
+        is_random_order: Poses in random instead of file order.
+        repeats: Visits of every pose and setting.
+        settle_s: Time from one reading to the next.
+    """
+
+    name: str
+    calibration: tuple[Mapping[str, np.ndarray], ...]
+    validation: tuple[Mapping[str, np.ndarray], ...]
+    currents_A: tuple[Mapping[str, float], ...]
+    is_random_order: bool
+    repeats: int
+    settle_s: float
+
+
+def load_plan(path: Path | str, rig: Rig) -> Plan:
+    """Read a plan for a rig.
+
+    Raises:
+        InvalidInput: Unknown key, mover or coil, missing unit: with file, line, key, rule and value.
+    """
+    top = Section.from_file(Path(path))
+    if top.required("schema_version") != 1:
+        top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
+    poses = top.section("poses")
+    calibration = _poses(poses.section("calibration"), rig)
+    validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
+    poses.finish()
+    plan = Plan(
+        str(top.required("name")),
+        calibration,
+        validation,
+        _currents(top, rig),
+        top.choice("order", ("raster", "random"), "raster") == "random",
+        int(top.number("repeats", 1.0)),
+        top.number("settle_s", 1.0),
+    )
+    top.finish()
+    return plan
+
+
+def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observations:
+    """The plan as readings whose field is still NaN, one row per sensor and setting, in the order of the visit."""
+    rows: list[tuple[Mapping[str, np.ndarray], Mapping[str, float], bool, int]] = []
+    for is_validation, poses in ((False, plan.calibration), (True, plan.validation)):
+        for repeat in range(plan.repeats):
+            order = rng.permutation(len(poses)) if plan.is_random_order else np.arange(len(poses))
+            rows += [(poses[i], setting, is_validation, repeat) for i in order for setting in plan.currents_A]
+    n_sensors = len(rig.sensors)
+    times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
+    current_A = [[setting.get(coil.name, 0.0) for coil in rig.coils] for _, setting, _, _ in rows]
+    motion = {
+        mover.name: torch.from_numpy(np.repeat([pose[mover.name] for pose, *_ in rows], n_sensors, axis=0))
+        for mover in rig.movers
+    }
+    return Observations(
+        torch.tensor(times, dtype=torch.float64),
+        torch.arange(n_sensors).repeat(len(rows)),
+        torch.tensor(current_A, dtype=torch.float64).repeat_interleave(n_sensors, dim=0),
+        motion,
+        torch.full((len(times), 3), torch.nan, dtype=torch.float64),
+        torch.tensor([v for _, _, v, _ in rows]).repeat_interleave(n_sensors),
+        torch.tensor([r for _, _, _, r in rows]).repeat_interleave(n_sensors),
+        {},
+    )
+
+
+def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
+    names = [mover.name for mover in rig.movers]
+    for key in section:
+        if key not in names:
+            section.refuse(key, f"must be a mover of rig {rig.name!r} ({', '.join(names)})", "it")
+    axes: list[tuple[str, int, np.ndarray]] = []
+    for mover in rig.movers:
+        block = section.section(mover.name)
+        quantities = JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
+        axes += [(mover.name, i, _stops(block, *quantity)) for i, quantity in enumerate(quantities)]
+        block.finish()
+    section.finish()
+    poses = []
+    for values in itertools.product(*(stops for *_, stops in axes)):
+        pose = {name: np.zeros(6) for name in names}
+        for (name, i, _), value in zip(axes, values, strict=True):
+            pose[name][i] = value
+        poses.append(pose)
+    return tuple(poses)
+
+
+def _stops(section: Section, quantity: str, dimension: str) -> np.ndarray:
+    entry = section.key_with_unit(quantity, dimension)
+    if entry is None:
+        return np.zeros(1)
+    key, unit = entry
+    if not section.is_section(key):
+        return np.array([section.number(key) * unit.to_si])
+    span = section.section(key)
+    start, stop, count = span.number("from"), span.number("to"), span.number("count")
+    if count < 1 or count != int(count):
+        span.refuse("count", "must be a whole number of at least 1", f"{count:g}")
+    span.finish()
+    return np.linspace(start, stop, int(count)) * unit.to_si
+
+
+def _currents(top: Section, rig: Rig) -> tuple[Mapping[str, float], ...]:
+    settings = top.required("currents_A")
+    coils = [coil.name for coil in rig.coils]
+    if not isinstance(settings, list) or not settings:
+        top.refuse("currents_A", "must be a list of settings such as [{coil1: 3}]", repr(settings))
+    for setting in settings:
+        if not isinstance(setting, dict) or any(name not in coils for name in setting):
+            top.refuse("currents_A", f"must name coils of the rig ({', '.join(coils)})", repr(setting))
+        if any(not isinstance(current, int | float) for current in setting.values()):
+            raise InvalidInput(f"currents_A must be numbers; received {setting!r} ({top.file})")
+    return tuple({str(k): float(v) for k, v in setting.items()} for setting in settings)

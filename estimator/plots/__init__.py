@@ -1,0 +1,29 @@
+"""Pictures of a calibration.
+
+Every function draws into the Axes it is given or into a figure of its own, returns it, and never shows or saves.
+"""
+
+from estimator.plots.corner import corner
+from estimator.plots.field_map import angular_deviation_map, field_plane, relative_error_map, residual_map
+from estimator.plots.posterior import interval_summary, trace, traces
+from estimator.plots.residuals import (
+    predicted_against_measured,
+    residual_against,
+    residual_by_sensor,
+    residual_histogram,
+)
+
+__all__ = [
+    "angular_deviation_map",
+    "corner",
+    "field_plane",
+    "interval_summary",
+    "predicted_against_measured",
+    "relative_error_map",
+    "residual_against",
+    "residual_by_sensor",
+    "residual_histogram",
+    "residual_map",
+    "trace",
+    "traces",
+]

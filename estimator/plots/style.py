@@ -1,0 +1,144 @@
+"""What all plots share: colours by meaning, display units, short names, and figures that need no screen.
+
+Colours are Okabe and Ito's, which stay apart for every kind of colour vision; components differ by marker as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimator.units import UNITS, split_unit
+
+BLACK, GREY, PALE = "#000000", "#7f7f7f", "#e3e3e3"
+BLUE, ORANGE, GREEN, VERMILLION, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
+
+COMPONENT = {"x": VERMILLION, "y": GREEN, "z": BLUE}
+COMPONENT_MARKER = {"x": "o", "y": "s", "z": "^"}
+POSTERIOR = BLUE
+INSIDE_68, INSIDE_95, OUTSIDE = "#4c93c3", "#a6cae1", "#e3eef6"
+PRIOR = "#bdbdbd"
+TRUTH = VERMILLION
+POINT = BLACK
+NOISE = "#e6e6e6"
+WINDING, WINDING_EDGE = "#b3b3b3", "#595959"
+FIELD_MAP, ERROR_MAP, WIDTH_MAP = "viridis", "cividis", "magma"
+
+PROBABILITIES = (0.68, 0.95)
+QUANTILES_95_68_50 = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+RC: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "figure.titlesize": 11.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+}
+SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
+SIDE_AND_DATA = ("axes fraction", "data")
+DATA_AND_TOP = ("data", "axes fraction")
+
+styled = mpl.rc_context(RC)
+"""Decorator under which a plot function draws."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a parameter is shown: `words` name it, values are multiplied by `factor` to be in `unit`."""
+
+    words: str
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """Words and unit, for an axis."""
+        return f"{self.words} ({self.unit})" if self.unit else self.words
+
+
+def shown(names: Sequence[str]) -> dict[str, Shown]:
+    """Short words and display units of parameters: lengths in mm, angles in mrad, fields in µT.
+
+    A name is cut to its quantity where that alone tells it from the others.
+
+    Examples:
+        >>> shown(["coil1.radius_m", "coil1.world_from_coil.tilt_x_rad"])["coil1.radius_m"]
+        Shown(words='radius', unit='mm', factor=1000.0)
+        >>> [s.label for s in shown(["coil1.axial_loops", "hall.noise_T", "probe.noise_T"]).values()]
+        ['axial loops', 'hall noise (µT)', 'probe noise (µT)']
+    """
+    result = {}
+    for name in names:
+        quantity, unit = split_unit(name)
+        parts = quantity.split(".")
+        shorter = (parts[-1:], [parts[0], parts[-1]], parts)
+        others = [split_unit(other)[0].split(".") for other in names if other != name]
+        taken = [(other[-1:], [other[0], other[-1]], other) for other in others]
+        kept = next((cut for i, cut in enumerate(shorter) if all(cut != other[i] for other in taken)), parts)
+        symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
+        factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
+        words = plain(" ".join(kept).replace("_", " "))
+        result[name] = Shown(words, symbol.replace("u", "µ"), round(factor, 9))
+    return result
+
+
+def with_sd(value: float, sd: float) -> str:
+    """A value to the digit where its standard deviation has its second one.
+
+    Examples:
+        >>> with_sd(50.98123, 0.0312), with_sd(48.0, 0.0), with_sd(1234.5, 87.2)
+        ('50.981 ± 0.031', '48 (certain)', '1234 ± 87')
+    """
+    if not (math.isfinite(value) and math.isfinite(sd)):
+        return "not known"
+    if sd == 0.0:
+        return f"{value:.6g} (certain)"
+    digits = max(0, 1 - math.floor(math.log10(sd)))
+    return f"{value:.{digits}f} ± {sd:.{digits}f}"
+
+
+def plain(text: str) -> str:
+    """Text that a user chose, kept from being read as a formula."""
+    return text.replace("$", r"\$")
+
+
+def axes(ax: Axes | None, width_in: float = 5.6, height_in: float = 3.6) -> Axes:
+    """The Axes given, or those of a new figure."""
+    return ax if ax is not None else figure(width_in, height_in).add_subplot()
+
+
+def figure(width_in: float, height_in: float, title: str = "") -> Figure:
+    """An empty figure outside pyplot, so that nothing has to be closed and no screen is asked for."""
+    made = Figure(figsize=(width_in, height_in), layout="constrained")
+    if title:
+        made.suptitle(plain(title))
+    return made
+
+
+def sigma_unit(
+    sigma_T: float | Float[np.ndarray, "reading 3"],
+) -> tuple[Float[np.ndarray, "..."], float, str]:
+    """Divisor, half-width of the noise band and unit in which residuals are shown.
+
+    µT where the noise is one number; where it differs between readings, only multiples of sigma compare.
+
+    Examples:
+        >>> divisor, band, unit = sigma_unit(20e-6)
+        >>> round(float(divisor), 9), round(band, 6), unit
+        (1e-06, 20.0, 'µT')
+    """
+    sigma = np.asarray(sigma_T, dtype=float)
+    if np.ptp(sigma) <= 1e-6 * np.max(sigma):
+        return np.asarray(UNITS["uT"].to_si), float(np.max(sigma)) / UNITS["uT"].to_si, "µT"
+    return sigma, 1.0, "sigma"

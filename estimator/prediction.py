@@ -1,0 +1,105 @@
+"""Field of a rig's coils anywhere in the room, for one or many parameter sets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.func import jvp
+
+from estimator.chain import base_from_motion, winding_of, world_from_body
+from estimator.coordinates import Values
+from estimator.errors import InvalidInput
+from estimator.field.winding import (
+    DEFAULT_TOLERANCE,
+    Rule,
+    choose_rule,
+    distance_to_winding,
+    winding_field_per_ampere,
+)
+from estimator.frames import Transform
+from estimator.rig import Coil, Rig
+
+
+class RoomField:
+    """The coils of a rig at one stand of its movers, ready to give the field at fixed points of the room.
+
+    Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
+
+    Args:
+        rig: Coils and movers.
+        values: Numbers of the rig, no batch.
+        points_m: Points in the room (world frame).
+        motion: Per mover the six numbers of its columns; a mover that is not named stands at zeros (its reference configuration).
+        tolerance: Error of the winding sum relative to |B|.
+    Raises:
+        InvalidInput: A motion names no mover, or a mover that reports poses or joints has none.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        values: Values,
+        points_m: Float[Tensor, "point 3"],
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+        tolerance: float = DEFAULT_TOLERANCE,
+    ) -> None:
+        self.rig, self.points_m = rig, points_m
+        motion = motion or {}
+        names = [mover.name for mover in rig.movers]
+        unknown = [name for name in motion if name not in names]
+        if unknown:
+            raise InvalidInput(
+                f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {unknown[0]!r}"
+            )
+        zero = torch.zeros(6, dtype=points_m.dtype)
+        self.flange = {m.name: base_from_motion(m, motion.get(m.name, zero)[None]) for m in rig.movers}
+        self.rules: dict[str, Rule] = {}
+        inside = torch.zeros(len(points_m), dtype=torch.bool)
+        for coil in rig.coils:
+            points_coil_m = self._coil_from_world(coil, values).apply(points_m)
+            winding = winding_of(coil, values)
+            within = distance_to_winding(points_coil_m, winding) <= 0.0
+            inside |= within
+            if not within.all():
+                self.rules[coil.name] = choose_rule(winding, points_coil_m[~within], tolerance)
+        self.is_inside: Bool[Tensor, " point"] = inside
+
+    def field_T(
+        self,
+        values: Values,
+        current_A: Float[Tensor, "*#batch coil"],
+        points_m: Float[Tensor, "point 3"] | None = None,
+    ) -> Float[Tensor, "*batch point 3"]:
+        """Flux density in the world frame; NaN at points that lie inside a winding (`is_inside` says which)."""
+        points_m = self.points_m if points_m is None else points_m
+        total = torch.zeros_like(points_m)
+        for i, coil in enumerate(self.rig.coils):
+            if coil.name not in self.rules:
+                continue
+            coil_from_world = self._coil_from_world(coil, values)
+            per_ampere = winding_field_per_ampere(
+                coil_from_world.apply(points_m), winding_of(coil, values), self.rules[coil.name]
+            )
+            delivered_A = (values[f"{coil.name}.current_gain"] * current_A[..., i])[..., None, None]
+            total = total + delivered_A * coil_from_world.unrotate(per_ampere)
+        return torch.where(self.is_inside[:, None], torch.nan, total)
+
+    def gradient_T_per_m(
+        self, values: Values, current_A: Float[Tensor, "*#batch coil"]
+    ) -> Float[Tensor, "*batch point 3 3"]:
+        """dB_i / dx_j in the world frame, by forward differentiation: what forces on dipoles need."""
+        columns = []
+        for axis in range(3):
+            direction = torch.zeros_like(self.points_m)
+            direction[:, axis] = 1.0
+            columns.append(
+                jvp(lambda p: self.field_T(values, current_A, p), (self.points_m,), (direction,))[1]
+            )
+        gradient = torch.stack(columns, dim=-1)
+        return torch.where(self.is_inside[:, None, None], torch.nan, gradient)
+
+    def _coil_from_world(self, coil: Coil, values: Values) -> Transform:
+        return world_from_body(self.rig, coil, "coil", self.flange, values).inverse()

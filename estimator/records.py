@@ -1,0 +1,74 @@
+"""Frozen data passed between the parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Readings of a session as tensors; one row is one reading of one sensor.
+
+    Attributes:
+        time_s: Time of the reading since any fixed instant.
+        sensor: Index into the rig's sensors.
+        current_A: Commanded or measured current per coil, positive out of the red terminal.
+        motion: Per mover the six columns of `Mover.columns`.
+        field_sensor_T: Measured components in the sensor's frame; NaN where a component was not measured.
+        is_validation: Rows kept out of the fit.
+        repeat: Number of the repeat of one and the same setting; 0 where there are none.
+        temperature_C: Per sensor or coil name, where it was recorded.
+    """
+
+    time_s: Float[Tensor, " reading"]
+    sensor: Int[Tensor, " reading"]
+    current_A: Float[Tensor, "reading coil"]
+    motion: Mapping[str, Float[Tensor, "reading 6"]]
+    field_sensor_T: Float[Tensor, "reading 3"]
+    is_validation: Bool[Tensor, " reading"]
+    repeat: Int[Tensor, " reading"]
+    temperature_C: Mapping[str, Float[Tensor, " reading"]]
+
+    def __len__(self) -> int:
+        return self.time_s.shape[0]
+
+    def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
+        """The chosen readings only."""
+        return Observations(
+            self.time_s[index],
+            self.sensor[index],
+            self.current_A[index],
+            {name: motion[index] for name, motion in self.motion.items()},
+            self.field_sensor_T[index],
+            self.is_validation[index],
+            self.repeat[index],
+            {name: values[index] for name, values in self.temperature_C.items()},
+        )
+
+    @property
+    def calibration(self) -> Observations:
+        """The readings that a fit may see."""
+        return self.rows(~self.is_validation)
+
+    @property
+    def validation(self) -> Observations:
+        """The readings kept out of the fit; may be empty."""
+        return self.rows(self.is_validation)
+
+    @property
+    def is_measured(self) -> Bool[Tensor, "reading 3"]:
+        """Which components were measured."""
+        return ~torch.isnan(self.field_sensor_T)
+
+    def with_field(self, field_sensor_T: Float[Tensor, "reading 3"]) -> Observations:
+        """The same readings with other field values."""
+        return replace(self, field_sensor_T=field_sensor_T)
+
+    def with_validation(self, is_validation: Bool[Tensor, " reading"]) -> Observations:
+        """The same readings with another split."""
+        return replace(self, is_validation=is_validation)

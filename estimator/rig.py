@@ -1,0 +1,131 @@
+"""What stands in the laboratory: coils, sensors, and the movers that carry them, as frozen records.
+
+The records name things and say how they hang together; all numbers are `Parameter`s under dotted names such as
+`coil1.world_from_coil.x_m`. `estimator.config` reads them from YAML, `estimator.chain` predicts readings from them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from estimator.errors import InvalidInput
+from estimator.parameters import Parameter
+
+POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
+
+
+class MotionKind(StrEnum):
+    """What a mover's column in the session says."""
+
+    POSE = "pose"  # base_from_flange as position and rotation vector
+    DISPLACEMENT = "displacement"  # position relative to a reference configuration
+    UR3 = "UR3"  # six joint angles
+    UR3E = "UR3e"
+
+
+class DisplacementFrame(StrEnum):
+    """Axes in which a displacement is reported."""
+
+    END_EFFECTOR = "end_effector"
+    BASE = "base"
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A robot or stage; `motion` says what its readings mean.
+
+    `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
+    controller reports in the base frame into the end-effector frame.
+    """
+
+    name: str
+    motion: MotionKind
+    displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
+    reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of this mover's columns in a readings table."""
+        if self.motion in (MotionKind.UR3, MotionKind.UR3E):
+            return tuple(f"{self.name}_q{i}_rad" for i in range(6))
+        return tuple(f"{self.name}_{axis}" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
+
+
+@dataclass(frozen=True)
+class Body:
+    """A coil or a sensor: fixed in the world, or carried by a mover."""
+
+    name: str
+    carried_by: str | None = None
+
+
+class Coil(Body):
+    """A circular multi-layer winding."""
+
+
+class Sensor(Body):
+    """A three-axis magnetometer; single components may be missing in its readings."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A laboratory as the model sees it.
+
+    Attributes:
+        name: Shown in titles.
+        coils, sensors, movers: In the order of the session's columns.
+        parameters: Every number by its dotted name, in file order.
+        text: The YAML it was read from; its hash identifies the rig.
+    """
+
+    name: str
+    coils: tuple[Coil, ...]
+    sensors: tuple[Sensor, ...]
+    movers: tuple[Mover, ...]
+    parameters: Mapping[str, Parameter]
+    text: str = ""
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that a fit may move."""
+        return tuple(p for p in self.parameters.values() if p.is_free)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over the structure and every parameter."""
+        lines = [repr((self.name, self.coils, self.sensors, self.movers))]
+        lines += [repr(parameter) for parameter in self.parameters.values()]
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+    def mover(self, name: str) -> Mover:
+        """The mover of that name."""
+        return next(mover for mover in self.movers if mover.name == name)
+
+    def with_values(self, values: Mapping[str, float]) -> Rig:
+        """The same rig with other nominal values.
+
+        Raises:
+            InvalidInput: A name is not a parameter of the rig, or is tied to another.
+        """
+        parameters = dict(self.parameters)
+        for name, value in values.items():
+            if name not in parameters:
+                raise InvalidInput(
+                    f"rig {self.name!r} has no parameter {name!r}; it has {', '.join(parameters)}"
+                )
+            tie = parameters[name].tie
+            if tie is not None:
+                raise InvalidInput(f"{name} is tied to {tie.to} in rig {self.name!r}; set that one")
+            parameters[name] = replace(parameters[name], value=value)
+        return replace(self, parameters=parameters)
+
+    def nominal_values(self) -> dict[str, float]:
+        """Nominal value of every parameter, ties resolved."""
+        return {name: self._nominal(name) for name in self.parameters}
+
+    def _nominal(self, name: str) -> float:
+        parameter = self.parameters[name]
+        return parameter.tie.factor * self._nominal(parameter.tie.to) if parameter.tie else parameter.value

@@ -1,0 +1,49 @@
+"""Which readings are kept out of the fit, to judge it."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from scipy.cluster.vq import kmeans2
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+from estimator.records import Observations
+
+BLOCKS = 20
+
+
+def block_split(observations: Observations, share: float, seed: int) -> Bool[Tensor, " reading"]:
+    """Mark whole blocks of neighbouring places as validation, drawn with a seed.
+
+    Readings next to each other share whatever the model gets wrong, so single readings taken out at random would flatter it. Places
+    (sensor and pose together) are grouped into about 20 blocks by k-means; blocks are drawn until they hold the share.
+
+    Args:
+        observations: The readings.
+        share: Wanted share of the readings, 0 <= share < 1.
+        seed: Decides blocks and draw.
+    Returns: True where a reading is kept out.
+    """
+    if not 0.0 <= share < 1.0:
+        raise InvalidInput(f"validation share must be at least 0 and below 1; received {share:g}")
+    n = len(observations)
+    if share == 0.0 or n < 2:
+        return torch.zeros(n, dtype=torch.bool)
+    rng = np.random.default_rng(seed)
+    features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
+    places = torch.cat(features, dim=1).numpy()
+    spread = places.std(axis=0)
+    places = (places - places.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    _, block = (
+        kmeans2(places, min(BLOCKS, n), minit="++", rng=rng, missing="warn")
+        if spread.any()
+        else (None, np.arange(n))
+    )
+    is_validation = np.zeros(n, dtype=bool)
+    for chosen in rng.permutation(np.unique(block)):
+        if is_validation.sum() >= share * n:
+            break
+        is_validation |= block == chosen
+    return torch.from_numpy(is_validation)

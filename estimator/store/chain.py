@@ -1,0 +1,314 @@
+"""The emcee backend that keeps an ensemble chain in zarr, so that a killed run continues where it was.
+
+Every `checkpoint_steps` steps the new steps go to disk in two acts:
+
+1. New rows are written to the arrays: new chunk files, and longer arrays.
+2. The group's `zarr.json` is replaced atomically: this one replacement is the commit. Its attributes hold the
+   number of committed steps, a checksum of each array up to there and the random state.
+
+A kill between any two file operations leaves the old `zarr.json` in charge; rows beyond its count are ignored
+and later overwritten. The checksums find what zarr lets pass, such as a missing chunk file, which it reads as
+fill values.
+
+A continued run gives bitwise the chain of the uninterrupted one, because each checkpoint holds all that the
+sampler carries from step to step: positions, log-probabilities and the random state. Moves must therefore not
+adapt (`tune=True` changes a move in memory only). One process at a time may write to a store.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from emcee import State
+from emcee.backends import Backend
+from numpy.typing import NDArray
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from estimator.errors import CorruptStore, InvalidInput
+
+SCHEMA_VERSION = 1
+
+# Name -> dimensions and fill value, which also sets the type. No fill value is a possible row: zarr leaves
+# out chunks of fill values only, so every chunk is written, and a lost one does not match its checksum.
+_ARRAYS: dict[str, tuple[tuple[str, ...], np.generic]] = {
+    "chain": (("step", "walker", "coordinate"), np.float64(np.nan)),
+    "log_prob": (("step", "walker"), np.float64(np.nan)),
+    "checkpoint": (("checkpoint",), np.int64(-1)),  # steps committed by then; a coordinate in xarray
+    "accepted": (("checkpoint", "walker"), np.int64(-1)),  # proposals accepted since the first step
+}
+
+
+class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
+    """An emcee backend that checkpoints to a zarr group, made by `create` and found again by `open`.
+
+    As in emcee's own `Backend` the whole chain is also in memory, which serves `get_chain` and its kin. The
+    random state returns with `get_last_sample()`, so a run continues with
+    `sampler.sample(backend.get_last_sample(), ...)`; while `iteration` is 0 the caller starts it from its own
+    first ensemble and seed. Blobs are not supported.
+
+    References:
+        Foreman-Mackey et al., "emcee: The MCMC Hammer", PASP 125, 306 (2013); interface: emcee 3.1,
+        `backends/backend.py`.
+
+    Examples:
+        >>> import tempfile, emcee
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> path, made_from = Path(folder.name) / "chain.zarr", "session A, seed 1"
+        >>> backend = ZarrBackend.create(
+        ...     path, coordinate_names=["x"], n_walkers=4, checkpoint_steps=5, fingerprint=made_from
+        ... )
+        >>> def log_prob(x):
+        ...     return -0.5 * x[:, 0] ** 2
+        >>> sampler = emcee.EnsembleSampler(4, 1, log_prob, backend=backend, vectorize=True)
+        >>> _ = sampler.run_mcmc(np.array([[-1.0], [0.0], [0.5], [1.0]]), 12)
+        >>> ZarrBackend.open(path).iteration
+        10
+        >>> backend.flush()
+        >>> ZarrBackend.open(path, fingerprint=made_from).get_chain().shape
+        (12, 4, 1)
+        >>> folder.cleanup()
+    """
+
+    def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
+        """Load the committed steps; callers use `create` or `open`."""
+        super().__init__(dtype=np.float64)
+        self.path = path
+        self._committed = attributes
+        super().reset(attributes["n_walkers"], len(attributes["coordinate_names"]))
+        stored = {name: _read_rows(path, name, attributes) for name in _ARRAYS}
+        self.iteration = attributes["n_steps"]
+        self.chain, self.log_prob = stored["chain"], stored["log_prob"]
+        if self.iteration > 0:
+            self.accepted = stored["accepted"][-1].astype(np.float64)
+            generator, key, *others = attributes["random_state"]
+            self.random_state = (generator, np.array(key, dtype=np.uint32), *others)
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        *,
+        coordinate_names: Sequence[str],
+        n_walkers: int,
+        checkpoint_steps: int,
+        fingerprint: str,
+    ) -> ZarrBackend:
+        """Make an empty chain store.
+
+        Args:
+            path: Folder that does not exist yet; missing parents are made.
+            coordinate_names: One name per coordinate of a walker, kept as an attribute.
+            n_walkers: Walkers of the ensemble.
+            checkpoint_steps: Steps between commits, and the length of a chunk.
+            fingerprint: Hash of all that decides the chain (session, rig, settings, seed).
+
+        Raises:
+            InvalidInput: The path exists or cannot be written, or a count is below 1.
+        """
+        attributes = {
+            "schema_version": SCHEMA_VERSION,
+            "fingerprint": fingerprint,
+            "coordinate_names": list(coordinate_names),
+            "n_walkers": n_walkers,
+            "checkpoint_steps": checkpoint_steps,
+            "n_steps": 0,
+            "n_checkpoints": 0,
+            "array_crc32": dict.fromkeys(_ARRAYS, 0),
+            "random_state": None,
+        }
+        if min(len(coordinate_names), n_walkers, checkpoint_steps) < 1:
+            counts = f"{len(coordinate_names)}, {n_walkers} and {checkpoint_steps}"
+            raise InvalidInput(
+                f"coordinates, n_walkers and checkpoint_steps must be >= 1; received {counts} ({path})"
+            )
+        # Built beside its place and renamed, so that a kill leaves either no store or a whole one.
+        unfinished = path.with_name(path.name + ".partial")
+        with _explained_if_unwritable(path):
+            if path.exists():
+                raise InvalidInput(f"a new chain store must not exist yet; received {path}")
+            shutil.rmtree(unfinished, ignore_errors=True)
+            unfinished.mkdir(parents=True)
+            for name, (dimensions, fill_value) in _ARRAYS.items():
+                _, chunk_shape = _layout(name, attributes)
+                zarr.create_array(
+                    unfinished / name,
+                    shape=(0, *chunk_shape[1:]),
+                    chunks=chunk_shape,
+                    dtype=fill_value.dtype,
+                    fill_value=fill_value,
+                    dimension_names=dimensions,
+                    compressors=[ZstdCodec(level=3), Crc32cCodec()],
+                )
+            (unfinished / "zarr.json").write_bytes(_render_group(attributes))
+            unfinished.rename(path)
+        return cls(path, attributes)
+
+    @classmethod
+    def open(cls, path: Path, *, fingerprint: str | None = None) -> ZarrBackend:
+        """Open a store at its last commit, after checking every committed row; nothing is written.
+
+        Args:
+            path: Folder made by `create`.
+            fingerprint: What the chain must have been made from; without it any chain is read.
+
+        Raises:
+            InvalidInput: There is no store at the path, or it has another fingerprint.
+            CorruptStore: A file is missing, truncated, altered or of another schema version.
+        """
+        if not path.is_dir():
+            raise InvalidInput(f"chain store must be an existing folder; received {path}")
+        attributes = _read_attributes(path)
+        stored = attributes["fingerprint"]
+        if fingerprint not in (None, stored):
+            raise InvalidInput(
+                f"chain store must have the fingerprint {fingerprint!r}; received {stored!r} ({path})"
+            )
+        return cls(path, attributes)
+
+    def reset(self, nwalkers: int, ndim: int) -> None:
+        """Refuse emcee's `sampler.reset()`, which would throw a checkpointed chain away."""
+        raise InvalidInput(f"a checkpointed chain must not be reset; use `discard` instead ({self.path})")
+
+    def grow(self, ngrow: int, blobs: object) -> None:
+        """Make room in memory for `ngrow` steps after the last one."""
+        if blobs is not None:
+            raise InvalidInput(f"log_prob must return no blobs; received blobs ({self.path})")
+        # Without room left over by an interrupted call: emcee fails when it is more than what is asked for.
+        self.chain, self.log_prob = self.chain[: self.iteration], self.log_prob[: self.iteration]
+        super().grow(ngrow, blobs)
+
+    def save_step(self, state: State, accepted: NDArray[np.bool_]) -> None:
+        """Take one step from the sampler and commit when a chunk is full."""
+        super().save_step(state, accepted)
+        if self.iteration % self._committed["checkpoint_steps"] == 0:
+            self.flush()
+
+    def flush(self) -> None:
+        """Commit every step taken so far; call it once at the end of a run.
+
+        A last chunk that is not full is written again when the run continues. The committed steps in it stay
+        as they are, so a kill then does no harm either.
+
+        Raises:
+            InvalidInput: The store cannot be written (no space, no permission); the last commit stays.
+        """
+        before = self._committed
+        if self.iteration == before["n_steps"]:
+            return
+        new_steps = slice(before["n_steps"], self.iteration)
+        new_rows = {
+            "chain": self.chain[new_steps],
+            "log_prob": self.log_prob[new_steps],
+            "checkpoint": np.array([self.iteration]),
+            "accepted": self.accepted.astype(np.int64)[np.newaxis],
+        }
+        old_crc32 = before["array_crc32"]
+        generator, key, *others = self.random_state
+        after = {
+            **before,
+            "n_steps": self.iteration,
+            "n_checkpoints": before["n_checkpoints"] + 1,
+            "array_crc32": {n: zlib.crc32(new.tobytes(), old_crc32[n]) for n, new in new_rows.items()},
+            "random_state": [generator, key.tolist(), *others],
+        }
+        with _explained_if_unwritable(self.path):
+            for name, new in new_rows.items():
+                _append_rows(self.path / name, _layout(name, before)[0], new)
+            # Written inside an array, where whoever lists the group does not meet what a kill left behind.
+            unfinished = self.path / "chain" / "commit.partial"
+            unfinished.write_bytes(_render_group(after))
+            _sync_to_disk(unfinished)
+            unfinished.replace(self.path / "zarr.json")
+            _sync_to_disk(self.path)
+        self._committed = after
+
+
+@contextmanager
+def _explained_if_unwritable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InvalidInput(f"chain store must be writable; received {error.strerror!r} ({path})") from error
+
+
+def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:
+    """Number of committed rows of an array and shape of its chunks; one checkpoint adds one chunk."""
+    first, *others = _ARRAYS[name][0]
+    sizes = {
+        "walker": attributes["n_walkers"],
+        "coordinate": len(attributes["coordinate_names"]),
+        "step": attributes["checkpoint_steps"],
+        "checkpoint": 1,
+    }
+    return attributes[f"n_{first}s"], tuple(sizes[dimension] for dimension in (first, *others))
+
+
+def _render_group(attributes: Mapping[str, Any]) -> bytes:
+    """The group's `zarr.json`, sealed with a checksum of its attributes."""
+    seal = zlib.crc32(json.dumps(attributes).encode())
+    group = {"zarr_format": 3, "node_type": "group", "attributes": {**attributes, "attributes_crc32": seal}}
+    return json.dumps(group).encode()
+
+
+def _read_attributes(path: Path) -> dict[str, Any]:
+    """Attributes of the last commit; the file must be, byte for byte, what a commit writes."""
+    try:
+        content = (path / "zarr.json").read_bytes()
+        attributes: dict[str, Any] = json.loads(content)["attributes"]
+        version, _ = attributes["schema_version"], attributes.pop("attributes_crc32")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise CorruptStore(f"zarr.json of chain store {path} is missing, truncated or altered") from error
+    if version != SCHEMA_VERSION:
+        raise CorruptStore(
+            f"chain store must have schema version {SCHEMA_VERSION}; received {version!r} ({path})"
+        )
+    if _render_group(attributes) != content:
+        raise CorruptStore(f"zarr.json of chain store {path} is altered: its checksum does not match")
+    return attributes
+
+
+def _read_rows(path: Path, name: str, attributes: Mapping[str, Any]) -> NDArray[Any]:
+    """Committed rows of one array, checked against its layout and checksum."""
+    n_rows, chunk_shape = _layout(name, attributes)
+    dimensions, fill_value = _ARRAYS[name]
+    try:
+        array: Any = zarr.open_array(path / name, mode="r")
+        layout = (array.metadata.dimension_names, array.dtype, array.chunks, array.shape[1:])
+        if layout != (dimensions, fill_value.dtype, chunk_shape, chunk_shape[1:]):
+            raise ValueError(f"unexpected layout {layout}")
+        rows: NDArray[Any] = array[:n_rows]
+        if zlib.crc32(rows.tobytes()) != attributes["array_crc32"][name]:
+            raise ValueError("checksum does not match")
+    except Exception as error:  # a damaged file raises nearly anything inside zarr and its codecs
+        raise CorruptStore(f"array {name!r} of chain store {path} has a missing or altered file") from error
+    return rows
+
+
+def _append_rows(path: Path, n_rows: int, new: NDArray[Any]) -> None:
+    """Replace whatever follows the first `n_rows` rows of an array, and wait until it is on disk."""
+    array: Any = zarr.open_array(path, mode="r+")
+    array.resize((n_rows + len(new), *array.shape[1:]))
+    array[n_rows:] = new
+    length, *others = array.chunks
+    for index in range(n_rows // length, math.ceil(array.shape[0] / length)):
+        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(others))))
+    _sync_to_disk(path / "zarr.json")
+
+
+def _sync_to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would survive a loss of power."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,371 @@
+"""Nelder-Mead: SciPy's trajectory, invariants at every step, and starts that do not disturb each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import scipy.optimize
+import torch
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+from estimator.inference.nelder_mead import (
+    Coefficients,
+    NelderMeadResult,
+    SimplexState,
+    evaluated,
+    initial_simplex,
+    minimise,
+    step,
+)
+
+
+# These functions use operators only, so that SciPy evaluates them on NumPy arrays with the same arithmetic.
+def rosenbrock(x):
+    return (100 * (x[..., 1:] - x[..., :-1] ** 2) ** 2 + (1 - x[..., :-1]) ** 2).sum(-1)
+
+
+def ellipsoid(x):
+    """Minimum 0 at (1, 1, ...), curvatures between 1 and 10."""
+    n = x.shape[-1]
+    return sum((1 + 9 * i / n) * (x[..., i] - 1) ** 2 for i in range(n))
+
+
+def kinked(x):
+    """A valley with a kink along its floor."""
+    return (x[..., 0] ** 2 + 1e-3) ** 0.5 + abs(x[..., 1:] - x[..., :-1]).sum(-1) + (x**4).sum(-1)
+
+
+def rugged(x):
+    """A bowl with a sawtooth: many local minima, many shrinks."""
+    return (x**2 + abs(x % 0.3 - 0.15)).sum(-1)
+
+
+def random_simplexes(n_starts: int, n_parameters: int) -> Tensor:
+    generator = torch.Generator().manual_seed(1)
+    return torch.randn(n_starts, n_parameters + 1, n_parameters, generator=generator, dtype=torch.float64)
+
+
+def simplex_at(*start: float, scale: float) -> Tensor:
+    origin = torch.tensor([start], dtype=torch.float64)
+    return initial_simplex(origin, torch.full_like(origin[0], scale))
+
+
+def tightly(objective: Callable[[Tensor], Tensor], vertices: Tensor, **options) -> NelderMeadResult:
+    defaults = {"x_tolerance": 1e-7, "f_tolerance": 1e-12, "max_iterations": 2000}
+    return minimise(objective, vertices, **(defaults | options))
+
+
+class Recorder:
+    """An objective that remembers the rows of every call."""
+
+    def __init__(self, objective: Callable[[Tensor], Tensor]):
+        self.objective, self.calls = objective, []
+
+    def __call__(self, x: Tensor) -> Tensor:
+        self.calls.append(x.clone())
+        return self.objective(x)
+
+    @property
+    def n_rows(self) -> int:
+        return sum(len(call) for call in self.calls)
+
+
+def scipy_after(n_steps: int, function: Callable, simplex: np.ndarray, adaptive: bool) -> tuple:
+    options = {
+        "initial_simplex": simplex,
+        "adaptive": adaptive,
+        "maxiter": n_steps + 1,  # SciPy counts from 1
+        "maxfev": math.inf,
+        "xatol": 0.0,
+        "fatol": 0.0,
+    }
+    result = scipy.optimize.minimize(function, simplex[0], method="Nelder-Mead", options=options)
+    return *result.final_simplex, result.nfev
+
+
+@pytest.mark.parametrize("adaptive", [True, False])
+@pytest.mark.parametrize("n_parameters", [2, 4, 10])
+@pytest.mark.parametrize("function", [rosenbrock, ellipsoid, kinked, rugged])
+def test_each_of_sixty_steps_gives_the_simplex_of_scipy(function, n_parameters, adaptive):
+    vertices = random_simplexes(2, n_parameters)
+    states: list[SimplexState] = []
+    options = {"max_iterations": 60, "adaptive": adaptive, "on_step": states.append}
+    minimise(function, vertices, x_tolerance=0.0, f_tolerance=0.0, **options)
+    for n_steps, state in enumerate(states, start=1):
+        x, f, n_evaluations = scipy_after(n_steps, function, vertices[1].numpy(), adaptive)
+        assert np.allclose(state.vertices[1], x, rtol=1e-12, atol=1e-12 * np.abs(x).max())
+        assert np.allclose(state.values[1], f, rtol=1e-12, atol=0)
+        assert state.n_evaluations[1] == n_evaluations
+    assert len(states) == 60
+
+
+def test_the_runs_compared_with_scipy_shrink_too():
+    n_evaluations = []
+    options = {"max_iterations": 60, "on_step": lambda state: n_evaluations.append(state.n_evaluations)}
+    minimise(rugged, random_simplexes(2, 3), x_tolerance=0.0, f_tolerance=0.0, **options)
+    per_step = torch.stack(n_evaluations).diff(dim=0)
+    assert set(per_step.flatten().tolist()) == {1, 2, 2 + 3}
+
+
+REFLECTED, EXPANDED, OUTSIDE, INSIDE = (2.0, -2.0), (3.0, -4.0), (1.5, -1.0), (0.5, 1.0)
+SHRUNKEN = {(1.0, 0.0): 5.0, (0.0, 1.0): 6.0}
+
+
+@pytest.mark.parametrize(
+    ("found", "accepted"),
+    [
+        ({REFLECTED: -1.0, EXPANDED: -2.0}, [EXPANDED]),
+        ({REFLECTED: -1.0, EXPANDED: -1.0}, [REFLECTED]),
+        ({REFLECTED: 0.0}, [REFLECTED]),
+        ({REFLECTED: 0.9}, [REFLECTED]),
+        ({REFLECTED: 1.0, OUTSIDE: 1.0}, [OUTSIDE]),
+        ({REFLECTED: 1.0, OUTSIDE: 1.1} | SHRUNKEN, list(SHRUNKEN)),
+        ({REFLECTED: 2.0, INSIDE: 1.9}, [INSIDE]),
+        ({REFLECTED: 2.0, INSIDE: 2.0} | SHRUNKEN, list(SHRUNKEN)),
+    ],
+)
+def test_each_rule_decides_ties_as_scipy_does(found, accepted):
+    values = {(0.0, 0.0): 0.0, (2.0, 0.0): 1.0, (0.0, 2.0): 2.0} | found
+    objective = Recorder(lambda x: torch.tensor([values[tuple(row)] for row in x.tolist()], dtype=x.dtype))
+    state = evaluated(objective, torch.tensor([[[0, 0], [2, 0], [0, 2]]], dtype=torch.float64))
+    after = step(state, objective, Coefficients.for_dimension(2))
+    new = set(map(tuple, after.vertices[0].tolist())) - set(map(tuple, state.vertices[0].tolist()))
+    assert new == set(accepted)
+    assert after.n_evaluations.item() == objective.n_rows == 3 + len(found)
+
+
+@pytest.mark.parametrize("function", [rosenbrock, kinked, rugged])
+def test_invariants_hold_at_every_step_of_every_start_and_restart(function):
+    best = [torch.full((8,), math.inf, dtype=torch.float64)]
+
+    def check(state: SimplexState) -> None:
+        assert (state.values.diff(dim=1) >= 0).all(), "values are sorted"
+        assert (state.values[:, 0] <= best[-1]).all(), "the best value never rises"
+        torch.testing.assert_close(state.values, function(state.vertices), rtol=1e-13, atol=0)
+        best.append(state.values[:, 0])
+
+    result = tightly(function, random_simplexes(8, 4), x_tolerance=1e-5, n_restarts=1, on_step=check)
+    assert len(best) > 100
+    assert torch.equal(result.values, best[-1])
+
+
+def test_simplex_keeps_its_volume_on_a_quadratic():
+    flatness = []
+
+    def measure(state: SimplexState) -> None:
+        edges = state.vertices[:, 1:] - state.vertices[:, :1]
+        size = edges.norm(dim=-1).amax(dim=-1)
+        flatness.append((torch.linalg.det(edges).abs() / size**3).min())
+
+    result = tightly(ellipsoid, simplex_at(-2.0, 3.0, 0.0, scale=1.0), on_step=measure)
+    assert result.is_converged.all()
+    assert min(flatness) > 1e-2
+
+
+def test_batched_equals_looped():
+    vertices = random_simplexes(4, 3)
+    options = {"n_restarts": 2, "restart_scale": torch.full((3,), 0.1, dtype=torch.float64)}
+    together = tightly(rosenbrock, vertices, **options)
+    alone = [tightly(rosenbrock, vertices[i : i + 1], **options) for i in range(4)]
+    for field in fields(NelderMeadResult):
+        looped = torch.cat([getattr(result, field.name) for result in alone])
+        assert torch.equal(getattr(together, field.name), looped), field.name
+
+
+def test_start_at_exact_zeros_finds_the_minimum():
+    result = tightly(ellipsoid, simplex_at(0.0, 0.0, 0.0, 0.0, scale=0.1))
+    assert result.is_converged.all()
+    torch.testing.assert_close(result.points, torch.ones(1, 4).double(), rtol=0, atol=1e-6)
+
+
+def test_one_parameter_alone_can_be_searched():
+    assert Coefficients.for_dimension(1) == Coefficients.for_dimension(2), "no shrink to a point"
+    result = tightly(ellipsoid, simplex_at(-3.0, scale=0.5))
+    torch.testing.assert_close(result.points, torch.ones(1, 1).double(), rtol=0, atol=1e-6)
+
+
+def mckinnon(x: Tensor) -> Tensor:
+    """Minimum -0.25 at (0, -0.5); the search can stagnate at (0, 0), where the slope is 1.
+
+    K. I. M. McKinnon, SIAM J. Optim. 9 (1998) 148-158, with tau = 2, theta = 6, phi = 60.
+    """
+    return torch.where(x[:, 0] <= 0, 360.0, 6.0) * x[:, 0] ** 2 + x[:, 1] + x[:, 1] ** 2
+
+
+def mckinnon_simplex() -> Tensor:
+    root = math.sqrt(33)
+    return torch.tensor([[[0, 0], [1, 1], [(1 + root) / 8, (1 - root) / 8]]], dtype=torch.float64)
+
+
+def test_restarts_rescue_the_stagnating_simplex_of_mckinnon():
+    stuck = tightly(mckinnon, mckinnon_simplex())
+    assert stuck.is_converged.all()
+    assert stuck.values.abs() < 1e-9
+    rescued = tightly(mckinnon, mckinnon_simplex(), n_restarts=5)
+    assert rescued.is_converged.all()
+    torch.testing.assert_close(rescued.points, torch.tensor([[0, -0.5]]).double(), rtol=0, atol=1e-6)
+
+
+def test_a_restart_that_improves_nothing_is_the_last():
+    objective = Recorder(ellipsoid)
+    vertices = simplex_at(0.0, 0.0, scale=0.5)
+    without, once, many = (tightly(objective, vertices, n_restarts=n) for n in (0, 1, 9))
+    assert torch.equal(once.n_evaluations, many.n_evaluations)
+    assert (once.n_evaluations > without.n_evaluations).all()
+    assert once.values <= without.values
+    assert objective.n_rows == without.n_evaluations + once.n_evaluations + many.n_evaluations
+
+
+def test_a_start_out_of_iterations_is_reported_and_not_restarted():
+    result = tightly(rosenbrock, random_simplexes(3, 3), max_iterations=4, n_restarts=5)
+    assert not result.is_converged.any()
+    assert (result.n_iterations == 4).all()
+
+
+def test_a_start_out_of_iterations_stays_so_while_another_restarts():
+    vertices = torch.cat([simplex_at(1.0, 1.0, scale=1e-9), simplex_at(-1.0, 2.0, scale=0.5)])
+    options = {"n_restarts": 1, "restart_scale": torch.full((2,), 1e-3, dtype=torch.float64)}
+    result = tightly(rosenbrock, vertices, max_iterations=40, **options)
+    assert result.is_converged.tolist() == [True, False]
+    assert result.n_iterations[0] > 0
+    assert result.n_iterations[1] == 40
+
+
+def test_restart_takes_the_extent_of_the_starting_simplexes_by_default():
+    objective = Recorder(ellipsoid)
+    vertices = torch.tensor([[[1, 1], [1.5, 3], [0, 1.5]]], dtype=torch.float64)
+    tightly(
+        objective, vertices, x_tolerance=10.0, f_tolerance=1e3, n_restarts=1
+    )  # converged from the beginning
+    _, restart = objective.calls
+    assert restart.tolist() == [[2, 1], [1, 3]]
+
+
+def test_convergence_holds_the_values_to_their_tolerance():
+    states: list[SimplexState] = []
+    vertices = simplex_at(0.0, 0.0, scale=1.0)
+    result = tightly(ellipsoid, vertices, x_tolerance=10.0, f_tolerance=1e-3, on_step=states.append)
+    spreads = [float(state.values[0, -1] - state.values[0, 0]) for state in states]
+    assert result.is_converged.all()
+    assert [spread <= 1e-3 for spread in spreads] == [False] * (len(states) - 1) + [True]
+
+
+def test_convergence_holds_every_parameter_to_its_own_tolerance():
+    unit = torch.tensor([1.0, 1e-6], dtype=torch.float64)
+    tolerance = 1e-3 * unit
+    states: list[SimplexState] = []
+    vertices = initial_simplex(torch.zeros(1, 2).double(), unit)
+    options = {"x_tolerance": tolerance, "f_tolerance": 1.0, "max_iterations": 500, "on_step": states.append}
+    result = minimise(lambda x: ellipsoid(x / unit), vertices, **options)
+    extents = [(state.vertices - state.vertices[:, :1]).abs().amax(dim=(0, 1)) for state in states]
+    assert result.is_converged.all()
+    assert [bool((extent <= tolerance).all()) for extent in extents] == [False] * (len(states) - 1) + [True]
+
+
+@pytest.mark.parametrize("forbidden", [math.inf, math.nan])
+def test_forbidden_regions_are_left_and_avoided(forbidden):
+    def bowl_beside_a_cliff(x: Tensor) -> Tensor:
+        return torch.where(x[:, 0] > 0.9, ellipsoid(x), forbidden)
+
+    objective, best = Recorder(bowl_beside_a_cliff), []
+    vertices = simplex_at(0.0, 3.0, 3.0, scale=1.5)  # only one of its vertices is allowed
+    result = tightly(objective, vertices, on_step=lambda state: best.append(state.vertices[0, 0]))
+    assert sum(int((rows[:, 0] <= 0.9).sum()) for rows in objective.calls) > 3, "the cliff was met again"
+    assert all(point[0] > 0.9 for point in best)
+    assert result.is_converged.all()
+    torch.testing.assert_close(result.points, torch.ones(1, 3).double(), rtol=0, atol=1e-6)
+
+
+def test_starts_that_have_converged_are_not_evaluated():
+    objective = Recorder(ellipsoid)
+    converged = simplex_at(1.0, 1.0, 1.0, scale=1e-9)
+    vertices = torch.cat([converged, random_simplexes(4, 3), converged])
+    n_active = []
+
+    def check(state: SimplexState) -> None:
+        n_active.append(int(state.is_active.sum()))
+        first = 1 if len(n_active) == 1 else 0  # the starting simplexes
+        n_rows = [len(call) for call in objective.calls[first:]]
+        assert n_rows[0] == n_active[-1], "one reflection for every active start"
+        assert len(n_rows) <= 3, "then second candidates, then shrinks"
+        rows_seen.append(sum(n_rows))
+        objective.calls.clear()
+
+    rows_seen: list[int] = []
+    result = tightly(objective, vertices, on_step=check)
+    assert n_active == sorted(n_active, reverse=True)
+    assert (n_active[0], n_active[-1]) == (4, 1)
+    assert result.n_evaluations[[0, 5]].tolist() == [4, 4]
+    assert result.n_iterations[[0, 5]].tolist() == [0, 0]
+    assert int(result.n_evaluations.sum()) == 6 * 4 + sum(rows_seen)
+    assert int(result.n_iterations.sum()) == sum(n_active)
+
+
+def test_step_changes_only_active_starts_and_never_its_input():
+    state = replace(
+        evaluated(rosenbrock, random_simplexes(3, 2)), is_active=torch.tensor([True, False, True])
+    )
+    before = SimplexState(*(getattr(state, field.name).clone() for field in fields(state)))
+    after = step(state, rosenbrock, Coefficients.for_dimension(2))
+    for field in fields(state):
+        assert torch.equal(getattr(state, field.name), getattr(before, field.name)), field.name
+        assert torch.equal(getattr(after, field.name)[1], getattr(before, field.name)[1]), field.name
+    assert (after.vertices != before.vertices).any(dim=(1, 2)).tolist() == [True, False, True]
+
+
+def test_step_without_active_starts_calls_nothing():
+    objective = Recorder(rosenbrock)
+    state = evaluated(rosenbrock, random_simplexes(3, 2))
+    step(replace(state, is_active=torch.zeros(3, dtype=torch.bool)), objective, Coefficients.for_dimension(2))
+    assert objective.calls == []
+
+
+DEVICES = [
+    "cpu",
+    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
+]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_dtype_and_device_are_kept_and_no_gradient_is_recorded(dtype, device):
+    centre = torch.ones(2, dtype=dtype, device=device, requires_grad=True)
+    vertices = simplex_at(0.0, 0.0, scale=0.5).to(device, dtype)
+    options = {"x_tolerance": 1e-3, "f_tolerance": 1e-3, "max_iterations": 200, "n_restarts": 1}
+    result = minimise(lambda x: (x - centre).square().sum(dim=-1), vertices, **options)
+    for tensor in (result.points, result.values):
+        assert (tensor.dtype, tensor.device, tensor.requires_grad) == (dtype, vertices.device, False)
+    torch.testing.assert_close(result.points[0], centre.detach(), rtol=0, atol=0.1)
+
+
+def test_simplex_without_volume_is_refused():
+    with pytest.raises(InvalidInput, match="scale must move every parameter"):
+        initial_simplex(torch.tensor([[0.0, 1e9]]), torch.tensor([1.0, 1.0]))
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 3), (2, 5, 3)])
+def test_wrong_number_of_vertices_is_refused(shape):
+    with pytest.raises(InvalidInput, match="vertices must be finite"):
+        tightly(ellipsoid, torch.rand(shape))
+
+
+def test_vertices_that_are_not_finite_are_refused():
+    with pytest.raises(InvalidInput, match="vertices must be finite"):
+        tightly(ellipsoid, random_simplexes(2, 3) / 0)
+
+
+@pytest.mark.parametrize("forbidden", [math.inf, math.nan])
+def test_start_without_one_allowed_vertex_is_refused(forbidden):
+    vertices = torch.cat([simplex_at(2.0, 2.0, scale=1.0), simplex_at(-9.0, 2.0, scale=1.0)])
+    with pytest.raises(InvalidInput, match=r"below \+inf; received none in starts \[1\]"):
+        tightly(lambda x: torch.where(x[:, 0] > 0, ellipsoid(x), forbidden), vertices)
+
+
+def test_objective_with_values_in_a_column_is_refused():
+    with pytest.raises(InvalidInput, match=r"objective must return 8 values; received shape \(8, 1\)"):
+        tightly(lambda x: ellipsoid(x).unsqueeze(-1), random_simplexes(2, 3))
