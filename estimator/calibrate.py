@@ -32,6 +32,7 @@ from estimator.store.session import Session
 from estimator.summary import finite, summary
 
 CHAIN = "chain.zarr"
+COMPILE_ABOVE = 3e8  # loop fields x effective samples: about half a minute of eager sums
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
 
@@ -102,6 +103,8 @@ def calibrate(
     tell(Stage("Laplace approximation over loop counts", open_directions=undetermined))
     lattice = LogPosterior(Coordinates(rig, has_integer_counts), chain, observations)
     mixture = count_mixture(posterior, lattice, estimate.fit, np.random.default_rng(seed))
+    if chain.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
+        lattice = LogPosterior(lattice.coordinates, replace(chain, is_compiled=True), observations)
 
     tell(Stage("posterior sampling with emcee"))
     backend = _backend(out, session, rig, lattice.coordinates, settings)

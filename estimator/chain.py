@@ -44,6 +44,7 @@ class Chain:
         flange: Per mover base_from_flange (or the displacement) of each distinct pose.
         powered: Per coil the distinct poses where it ever carries current.
         rules: Per coil the quadrature rule.
+        is_compiled: Sum with compiled code, for long sampling; no derivatives then.
     """
 
     rig: Rig
@@ -53,6 +54,7 @@ class Chain:
     flange: dict[str, Transform]
     powered: dict[str, Int[Tensor, " rows"]]
     rules: dict[str, Rule]
+    is_compiled: bool = False
 
     @classmethod
     def build(cls, rig: Rig, observations: Observations, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
@@ -118,7 +120,8 @@ class Chain:
     def _field_per_ampere(self, coil: Coil, values: Values) -> Float[Tensor, "*batch place 3"]:
         rows = self.powered[coil.name]
         points_m, sensor_from_coil = self._sensor_in_coil(coil, rows, values)
-        field = winding_field_per_ampere(points_m, winding_of(coil, values), self.rules[coil.name])
+        winding = winding_of(coil, values)
+        field = winding_field_per_ampere(points_m, winding, self.rules[coil.name], self.is_compiled)
         field = (sensor_from_coil @ field[..., None])[..., 0]
         if len(rows) == len(self.sensor):
             return field

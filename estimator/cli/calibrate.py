@@ -44,7 +44,7 @@ from estimator.store.session import load_session
     show_default=True,
     help="Effective samples of every parameter.",
 )
-@click.option("--walkers", type=click.IntRange(min=8), default=64, show_default=True)
+@click.option("--walkers", type=click.IntRange(min=8), default=32, show_default=True)
 @click.option("--max-steps", type=click.IntRange(min=1), default=20_000, show_default=True)
 @click.option(
     "--counts",

@@ -8,14 +8,14 @@ in the middle of its cell. The paper's square packing is axial_pitch = radial_pi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.field.loop import loop_terms, steps_for_ratio
+from estimator.field.loop import steps_for_ratio
+from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes
 from estimator.field.quadrature import discrete_gauss
 
 ELEMENTS_PER_CHUNK = (
@@ -74,7 +74,7 @@ class Rule:
 
 
 def winding_field_per_ampere(
-    points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding, rule: Rule
+    points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding, rule: Rule, is_compiled: bool = False
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of one ampere in the winding at points of the coil frame, by a chosen rule, in T/A.
 
@@ -82,6 +82,7 @@ def winding_field_per_ampere(
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry; its batch broadcasts with the points' batch.
         rule: Nodes and AGM steps, from `choose_rule` or `exact_rule`.
+        is_compiled: Use the compiled sum (`node_sum`), which carries no derivatives.
     Returns: Bx, By, Bz in the coil frame per ampere; differentiable in points and geometry.
     References: Osinde et al., eq 9-13, with the sum taken in Cartesian components (erratum to eq 13).
     Examples:
@@ -95,13 +96,15 @@ def winding_field_per_ampere(
     batch = torch.broadcast_shapes(points_coil_m.shape[:-2], loops.radius_m.shape[:-1])
     n_points, n_nodes = points_coil_m.shape[-2], loops.radius_m.shape[-1]
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
-    flat = _Nodes(*(value.expand(*batch, n_nodes).reshape(-1, n_nodes) for value in loops))
+    flat = Nodes(*(value.expand(*batch, n_nodes).reshape(-1, n_nodes) for value in loops))
+    if is_compiled:
+        return compiled_sum()(points, flat, rule.steps).reshape(*batch, n_points, 3)
     batch_rows = max(1, ELEMENTS_PER_CHUNK // (n_points * n_nodes))
     point_rows = max(1, ELEMENTS_PER_CHUNK // n_nodes)
     parts = [
         torch.cat(
             [
-                _sum_over_nodes(part, _Nodes(*(v[b : b + batch_rows] for v in flat)), rule.steps)
+                sum_over_nodes(part, Nodes(*(v[b : b + batch_rows] for v in flat)), rule.steps)
                 for part in points[b : b + batch_rows].split(point_rows, dim=1)
             ],
             dim=1,
@@ -111,33 +114,17 @@ def winding_field_per_ampere(
     return torch.cat(parts).reshape(*batch, n_points, 3)
 
 
-class _Nodes(NamedTuple):
-    height_m: Float[Tensor, "*batch node"]
-    radius_m: Float[Tensor, "*batch node"]
-    weight: Float[Tensor, "*batch node"]
-
-
-def _nodes(winding: Winding, rule: Rule) -> _Nodes:
+def _nodes(winding: Winding, rule: Rule) -> Nodes:
     axial = discrete_gauss(winding.axial_loops, rule.axial_nodes)
     radial = discrete_gauss(winding.radial_loops, rule.radial_nodes)
     height_m = winding.axial_pitch_m[..., None] * axial.nodes - 0.5 * winding.length_m[..., None]
     radius_m = winding.mean_radius_m[..., None] + winding.radial_pitch_m[..., None] * radial.nodes
     outer = torch.ones_like(axial.weights[..., :, None] * radial.weights[..., None, :])
-    return _Nodes(
+    return Nodes(
         (height_m[..., :, None] * outer).flatten(-2),
         (radius_m[..., None, :] * outer).flatten(-2),
         (axial.weights[..., :, None] * radial.weights[..., None, :]).flatten(-2),
     )
-
-
-def _sum_over_nodes(
-    points_m: Float[Tensor, "rows point 3"], nodes: _Nodes, steps: int
-) -> Float[Tensor, "rows point 3"]:
-    x, y, z = (coordinate[..., None] for coordinate in points_m.unbind(-1))
-    height, radius, weight = (value[:, None, :] for value in nodes)
-    h, axial = loop_terms(x, y, z - height, radius, steps)
-    h_sum = (weight * h).sum(-1)
-    return torch.stack((x[..., 0] * h_sum, y[..., 0] * h_sum, (weight * axial).sum(-1)), dim=-1)
 
 
 def exact_rule(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:

@@ -11,12 +11,13 @@ import torch
 from emcee.backends import Backend
 
 from estimator.coordinates import Coordinates
+from estimator.errors import InvalidInput
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.moves import LatticeDifferenceMove, MixtureProposal, independence_move
 
-INDEPENDENCE_SHARE = 0.8
+INDEPENDENCE_SHARE = 0.85
 BURN_IN_SHARE = 0.1
 
 
@@ -25,7 +26,7 @@ class SamplerSettings:
     """How long to sample.
 
     Attributes:
-        n_walkers: Walkers in the ensemble.
+        n_walkers: Walkers in the ensemble; many short chains need more samples before R-hat believes them.
         target_ess: Wanted effective sample size (bulk and tail) of every coordinate.
         largest_rhat: R-hat that every coordinate must fall below.
         max_steps: Give up here and say so.
@@ -33,7 +34,7 @@ class SamplerSettings:
         seed: Of the random state; the same seed gives the same chain on the same machine.
     """
 
-    n_walkers: int = 64
+    n_walkers: int = 32
     target_ess: float = 2000.0
     largest_rhat: float = 1.01
     max_steps: int = 20_000
@@ -105,6 +106,10 @@ def sample(
     ]
     backend = backend if backend is not None else Backend()
     n = posterior.coordinates.n
+    if settings.n_walkers < n + 2:
+        raise InvalidInput(
+            f"walkers must be at least {n + 2} for {n} free parameters; received {settings.n_walkers}"
+        )
     sampler = emcee.EnsembleSampler(
         settings.n_walkers, n, log_prob, moves=moves, vectorize=True, backend=backend
     )

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 
 from estimator.inference.lattice import CountMixture
 
-DEGREES_OF_FREEDOM = 8.0
+DEGREES_OF_FREEDOM = 12.0
 FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that no plausible tuple starves
 
 

@@ -16,9 +16,9 @@ from estimator.inference.nelder_mead import initial_simplex, minimise
 from estimator.inference.polish import Polished, polish
 from estimator.records import Observations
 
-THIN_TO = 200  # readings that Nelder-Mead sees: it has to find the valley, not its floor
+THIN_TO = 100  # readings that Nelder-Mead sees: it has to find the valley, not its floor
 N_STARTS = 12
-MOST_ITERATIONS = 400
+MOST_ITERATIONS = 200
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
     found = minimise(
         lambda vector: -thin(vector),
         initial_simplex(starts, 0.25 * coordinates.scale),
-        x_tolerance=1e-3 * coordinates.scale,
-        f_tolerance=1e-2,
+        x_tolerance=0.02 * coordinates.scale,
+        f_tolerance=0.1,
         max_iterations=MOST_ITERATIONS,
         n_restarts=1,
     )

@@ -4,7 +4,8 @@ Every function draws into the Axes it is given or into a figure of its own, retu
 """
 
 from estimator.plots.corner import corner
-from estimator.plots.field_map import angular_deviation_map, field_plane, relative_error_map, residual_map
+from estimator.plots.field_map import field_plane
+from estimator.plots.place_map import angular_deviation_map, relative_error_map, residual_map
 from estimator.plots.posterior import interval_summary, trace, traces
 from estimator.plots.residuals import (
     predicted_against_measured,

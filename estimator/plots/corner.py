@@ -26,10 +26,11 @@ from estimator.plots.style import (
     QUANTILES_95_68_50,
     TRUTH,
     Shown,
+    are_counts,
     figure,
     shown,
     styled,
-    with_sd,
+    summary,
 )
 
 BINS = 36
@@ -59,7 +60,7 @@ def corner(
         at = [(values[name] * show.factor, colour) for values, colour in marks if name in values]
         columns.append(_Column.of(np.asarray(draws[name], dtype=float) * show.factor, show, at))
     n = len(columns)
-    size = min(max(4.0, 1.5 * n), 15.0)
+    size = min(max(4.6, 1.35 * n), 14.0)
     made = figure(size, size, title)
     grid = made.subplots(n, n, squeeze=False, gridspec_kw={"wspace": 0.04, "hspace": 0.04})
     for i, row in enumerate(columns):
@@ -80,7 +81,10 @@ def corner(
         handles.append(Line2D([], [], color=POINT, ls=_dash(POINT), label="point estimate"))
     if truth:
         handles.append(Line2D([], [], color=TRUTH, ls=_dash(TRUTH), label="truth"))
-    made.legend(handles=handles, loc="upper right" if n > 2 else "outside right upper", fontsize=10)
+    if n > 2:
+        made.legend(handles=handles, loc="upper right", bbox_to_anchor=(1.0, 0.94), fontsize=10)
+    else:
+        made.legend(handles=handles, loc="outside right upper")
     return made
 
 
@@ -97,7 +101,7 @@ class _Column:
 
     @classmethod
     def of(cls, values: np.ndarray, show: Shown, marks: list[tuple[float, str]]) -> _Column:
-        is_count = not show.unit and bool(np.all(values == np.round(values)))
+        is_count = are_counts(values, show)
         low, high = np.quantile(values, REACH)
         low, high = min(low, *(at for at, _ in marks), low), max(high, *(at for at, _ in marks), high)
         margin = 0.7 if is_count else 0.06 * (high - low) or 1e-6 * max(abs(high), 1.0)
@@ -108,18 +112,16 @@ def _diagonal(ax: Axes, column: _Column) -> None:
     if column.is_count:
         counts, probability = _probabilities(column.values[:, None])
         ax.bar(counts[:, 0], probability, 0.8, color=_set_colours(probability))
-        best = int(np.argmax(probability))
-        ax.set_title(f"{counts[best, 0]:.0f} ({100.0 * probability[best]:.0f} %)", fontsize=8)
     else:
         number, edges = np.histogram(column.values, BINS, (column.low, column.high))
-        low95, low68, median, high68, high95 = np.quantile(column.values, QUANTILES_95_68_50)
+        low95, low68, _, high68, high95 = np.quantile(column.values, QUANTILES_95_68_50)
         centre = 0.5 * (edges[1:] + edges[:-1])
         is_68, is_95 = (centre > low68) & (centre < high68), (centre > low95) & (centre < high95)
         colours = np.where(is_68, INSIDE_68, np.where(is_95, INSIDE_95, OUTSIDE))
         ax.bar(centre, number, np.diff(edges), color=list(colours))
-        ax.set_title(with_sd(float(median), float(column.values.std())), fontsize=8)
     for at, colour in column.marks:
         ax.axvline(at, color=colour, lw=1.2, ls=_dash(colour))
+    ax.set_title(summary(column.values, column.show), fontsize=8)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
 

@@ -35,7 +35,7 @@ from estimator.plots.style import (
     plain,
     shown,
     styled,
-    with_sd,
+    summary,
 )
 
 MOST_BLOCKS = 300
@@ -114,12 +114,13 @@ def interval_summary(
         ax.plot((np.median(values) - centre) / sd, row + 0.17, "|", color=POSTERIOR, ms=10, mew=2.2)
         if truth and name in truth:
             ax.plot((truth[name] - centre) / sd, row + 0.17, "x", color=TRUTH, ms=6, mew=1.6, zorder=3)
-        _say(ax, row, values * show.factor, show.unit, sd * show.factor)
+        text = f"{summary(values * show.factor, show)}\n{_learnt(sd, float(values.std()))}"
+        ax.annotate(text, (1.01, row), xycoords=SIDE_AND_DATA, va="center", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.6)
     ax.set_yticks(range(len(names)), [show.words for show in names.values()])
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel("distance from the prior's centre (prior standard deviations)")
-    ax.set_title(plain(title))
+    ax.set_title(plain(title), pad=24)
     labels = ("prior 68 %", "prior 95 %", "posterior 68 %", "posterior 95 %")
     colours = (PRIOR, PALE, INSIDE_68, INSIDE_95)
     handles: list[Artist] = [Patch(color=c, label=label) for c, label in zip(colours, labels, strict=True)]
@@ -155,9 +156,10 @@ def _bars(ax: Axes, height: float, scaled: np.ndarray, colours: tuple[str, str])
     ax.barh(height, high68 - low68, 0.3, left=low68, color=colours[1])
 
 
-def _say(ax: Axes, row: int, values: np.ndarray, unit: str, prior_sd: float) -> None:
-    sd = float(values.std())
-    narrower = prior_sd / sd if sd > 0.0 else np.inf
-    learnt = f"{narrower:.3g} times narrower" if narrower >= LEARNT_LITTLE else "little learnt"
-    text = f"{with_sd(float(np.median(values)), sd)} {unit}".strip()
-    ax.annotate(f"{text}\n{learnt}", (1.01, row), xycoords=SIDE_AND_DATA, va="center", fontsize=8)
+def _learnt(prior_sd: float, sd: float) -> str:
+    if sd == 0.0:
+        return "certain"
+    narrower = prior_sd / sd
+    if narrower < LEARNT_LITTLE:
+        return "little learnt"
+    return f"{narrower:.0f} times narrower" if narrower >= 10.0 else f"{narrower:.1f} times narrower"

@@ -31,6 +31,7 @@ from estimator.plots.style import (
 Components = Float[np.ndarray, "reading 3"]
 READINGS_PER_BIN = 25
 MOST_BINS = 16
+FURTHEST_SIGMA = 8.0
 
 
 @styled
@@ -95,11 +96,19 @@ def residual_against(
     group = _neighbours(covariate)
     for i, name in enumerate(COMPONENT):
         centre, mean, error = _means(covariate, values[:, i], group)
-        style = {"color": COMPONENT[name], "marker": COMPONENT_MARKER[name], "ms": 5, "lw": 1.4}
-        ax.errorbar(centre, mean, yerr=error, label=f"B{name}: mean ± standard error", **style)
+        style: dict[str, Any] = {
+            "color": COMPONENT[name],
+            "marker": COMPONENT_MARKER[name],
+            "ms": 5,
+            "lw": 1.4,
+        }
+        ax.errorbar(centre, mean, yerr=error, label=f"B{name}", **style)
     ax.set_xlabel(plain(label))
-    ax.set_title(plain(title))
-    ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0 if not title else 1.06), fontsize=8)
+    ax.set_title(plain(title), pad=34)
+    text = "points: readings; lines: mean of neighbours ± standard error"
+    ax.legend(
+        ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), title=text, fontsize=8, title_fontsize=8
+    )
     return ax
 
 
@@ -111,7 +120,8 @@ def residual_histogram(
     ax = axes(ax)
     whitened = residual_T / np.asarray(sigma_T)
     reach = max(4.0, float(np.nanmax(np.abs(whitened))))
-    bins = np.linspace(-min(reach, 8.0), min(reach, 8.0), 41)
+    n_bins = int(np.clip(1.5 * np.sqrt(len(whitened)), 12, 48))
+    bins = np.linspace(-min(reach, FURTHEST_SIGMA), min(reach, FURTHEST_SIGMA), n_bins + 1)
     ax.axvspan(-1.0, 1.0, color=NOISE, lw=0)
     ax.axvline(0.0, color=BLACK, lw=0.8)
     for i, name in enumerate(COMPONENT):
@@ -206,10 +216,10 @@ def _neighbours(covariate: np.ndarray) -> np.ndarray:
     """Group of every reading: equal values where there are few of them, else groups of equal size in order."""
     distinct = np.unique(covariate)
     if len(distinct) <= MOST_BINS:
-        return np.searchsorted(distinct, covariate)
+        return np.asarray(np.searchsorted(distinct, covariate))
     n_bins = int(np.clip(len(covariate) // READINGS_PER_BIN, 2, MOST_BINS))
     edges = np.unique(np.quantile(covariate, np.linspace(0.0, 1.0, n_bins + 1)[1:-1]))
-    return np.digitize(covariate, edges)
+    return np.asarray(np.digitize(covariate, edges))
 
 
 def _means(

@@ -12,7 +12,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -30,7 +30,7 @@ TRUTH = VERMILLION
 POINT = BLACK
 NOISE = "#e6e6e6"
 WINDING, WINDING_EDGE = "#b3b3b3", "#595959"
-FIELD_MAP, ERROR_MAP, WIDTH_MAP = "viridis", "cividis", "magma"
+FIELD_MAP, ERROR_MAP = "viridis", "YlOrRd"
 
 PROBABILITIES = (0.68, 0.95)
 QUANTILES_95_68_50 = (0.025, 0.16, 0.5, 0.84, 0.975)
@@ -93,19 +93,36 @@ def shown(names: Sequence[str]) -> dict[str, Shown]:
     return result
 
 
+def are_counts(values: Num[np.ndarray, " draw"], show: Shown) -> bool:
+    """Whether draws are loop counts: pure whole numbers."""
+    return not show.unit and bool(np.all(values == np.round(values)))
+
+
+def summary(values: Num[np.ndarray, " draw"], show: Shown) -> str:
+    """Median and standard deviation of draws already in the unit shown, or the most probable count."""
+    if are_counts(values, show):
+        counts, number = np.unique(values, return_counts=True)
+        best = int(number.argmax())
+        return f"{counts[best]:.0f} ({100.0 * number[best] / len(values):.0f} %)"
+    return f"{with_sd(float(np.median(values)), float(values.std()))} {show.unit}".strip()
+
+
 def with_sd(value: float, sd: float) -> str:
     """A value to the digit where its standard deviation has its second one.
 
     Examples:
         >>> with_sd(50.98123, 0.0312), with_sd(48.0, 0.0), with_sd(1234.5, 87.2)
         ('50.981 ± 0.031', '48 (certain)', '1234 ± 87')
+        >>> with_sd(-0.5, 0.1)
+        '−0.50 ± 0.10'
     """
     if not (math.isfinite(value) and math.isfinite(sd)):
         return "not known"
     if sd == 0.0:
         return f"{value:.6g} (certain)"
-    digits = max(0, 1 - math.floor(math.log10(sd)))
-    return f"{value:.{digits}f} ± {sd:.{digits}f}"
+    digits = max(0, 1 - math.floor(math.log10(float(f"{sd:.1e}"))))
+    value = round(value, digits) + 0.0  # no minus sign before a zero
+    return f"{value:.{digits}f} ± {sd:.{digits}f}".replace("-", "−")
 
 
 def plain(text: str) -> str:

@@ -7,8 +7,8 @@ Every `checkpoint_steps` steps the new steps go to disk in two acts:
    number of committed steps, a checksum of each array up to there and the random state.
 
 A kill between any two file operations leaves the old `zarr.json` in charge; rows beyond its count are ignored
-and later overwritten. The checksums find what zarr lets pass, such as a missing chunk file, which it reads as
-fill values.
+and later overwritten. (Since 3.1.3 zarr also replaces chunk files and array metadata atomically.) The checksums
+find what zarr lets pass, such as a missing chunk file, which it reads as fill values.
 
 A continued run gives bitwise the chain of the uninterrupted one, because each checkpoint holds all that the
 sampler carries from step to step: positions, log-probabilities and the random state. Moves must therefore not

@@ -5,16 +5,21 @@ Files `*_polarCoordinates.dat` of the public repository JoeLanglands/MICE-Magnet
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 
 import torch
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.rig import Rig
 from estimator.store.importers.common import (
     current_by_coil,
     map_observations,
+    pose_mover,
     read_lines,
     read_numbers,
 )
@@ -41,7 +46,7 @@ def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = Non
         rig: One pose mover, the disc; sensors probe0 to probe5 carried by it, as in configs/mice_ssu_m1.yaml.
         currents_A: Per coil; 30 A in every coil where not given.
     Raises:
-        InvalidInput: Not such a file, or a probe is more than 1 mm from where the rig mounts it.
+        InvalidInput: Not such a file, or a probe is more than 1 mm from where the rig mounts it on the disc.
     """
     header = read_lines(path)[:1]
     if not header or not header[0].startswith("#") or any(name not in header[0] for name in COLUMNS):
@@ -55,7 +60,7 @@ def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = Non
     time_s, sensor, table = time_s[order], sensor[order], table[order]
     angle_rad = _disc_angle(table, time_s, sensor, rig, path)
     pose = torch.zeros(len(table), 6, dtype=torch.float64)
-    pose[:, 2], pose[:, 5] = table[:, 0], angle_rad
+    pose[:, 2], pose[:, 5] = table[:, 0], angle_rad.nan_to_num(0.0)
     currents = dict.fromkeys((coil.name for coil in rig.coils), NOMINAL_CURRENT_A)
     observations = map_observations(
         rig,
@@ -67,3 +72,72 @@ def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = Non
     )
     source = f"MICE map {path.name}; rows sorted by time, one instant per second holds all probes"
     return Session(rig, observations, source)
+
+
+def _seconds(date_and_time: Float[Tensor, "row 2"], path: Path) -> Float[Tensor, " row"]:
+    """Seconds since an arbitrary instant, from numbers DDMMYYYY and HHMMSS that lost their leading zeros."""
+    seconds = []
+    for date, time in date_and_time.tolist():
+        text = f"{date:08.0f} {time:06.0f}"
+        try:
+            seconds.append((datetime.strptime(text, "%d%m%Y %H%M%S") - datetime(2000, 1, 1)).total_seconds())
+        except ValueError as error:
+            raise InvalidInput(
+                f"date and time must read DDMMYYYY HHMMSS; received {text!r} ({path})"
+            ) from error
+    return torch.tensor(seconds, dtype=torch.float64)
+
+
+def _sensor(probe_id: Float[Tensor, " row"], rig: Rig, path: Path) -> Int[Tensor, " row"]:
+    """Place of each row's probe in the rig's sensors."""
+    index = {sensor.name: i for i, sensor in enumerate(rig.sensors)}
+    names = [f"probe{number:g}" for number in probe_id.tolist()]
+    unknown = next((name for name in names if name not in index), None)
+    if unknown is not None:
+        raise InvalidInput(
+            f"probes must be sensors of rig {rig.name!r} ({', '.join(index)}); received {unknown} ({path})"
+        )
+    return torch.tensor([index[name] for name in names])
+
+
+def _disc_angle(
+    table: Float[Tensor, "row 10"],
+    time_s: Float[Tensor, " row"],
+    sensor: Int[Tensor, " row"],
+    rig: Rig,
+    path: Path,
+) -> Float[Tensor, " row"]:
+    """Angle of the disc at each row's instant; NaN where only the probe on the axis was read."""
+    pose_mover(rig)
+    values = rig.nominal_values()
+    mounts = [
+        (values[f"{s.name}.flange_from_sensor.x_m"], values[f"{s.name}.flange_from_sensor.y_m"])
+        for s in rig.sensors
+    ]
+    angle_at: dict[float, float] = {}
+    for row, (time, i) in enumerate(zip(time_s.tolist(), sensor.tolist(), strict=True)):
+        z_m, radius_m, phi_deg = table[row, :3].tolist()
+        mounted_m, name = math.hypot(*mounts[i]), rig.sensors[i].name
+        if abs(radius_m - mounted_m) > LARGEST_MISMATCH_M:
+            rule = f"{name} must be at r = {mounted_m:g} m, where rig {rig.name!r} mounts it"
+            raise InvalidInput(f"{rule}; received {radius_m:g} at z = {z_m:g} m ({path})")
+        if radius_m > LARGEST_MISMATCH_M:
+            angle = math.radians(phi_deg) - math.atan2(mounts[i][1], mounts[i][0])
+            turned = math.remainder(angle - angle_at.setdefault(time, angle % math.tau), math.tau)
+            if abs(turned) * radius_m > LARGEST_MISMATCH_M:
+                rule = f"{name} must be at the azimuth at which rig {rig.name!r} mounts it"
+                raise InvalidInput(
+                    f"{rule}; it is {math.degrees(turned):.3g} deg off at z = {z_m:g} m ({path})"
+                )
+    return torch.tensor([angle_at.get(time, math.nan) for time in time_s.tolist()], dtype=torch.float64)
+
+
+def _field(table: Float[Tensor, "row 10"], angle_rad: Float[Tensor, " row"]) -> Float[Tensor, "row 3"]:
+    """Components along the axes of each probe."""
+    field_T = table[:, 3:6].clone()
+    on_axis = table[:, 1] <= LARGEST_MISMATCH_M
+    cosine, sine = torch.cos(angle_rad[on_axis]), torch.sin(angle_rad[on_axis])
+    x_T, y_T = table[on_axis, 3], table[on_axis, 4]
+    field_T[on_axis, 0] = cosine * x_T + sine * y_T
+    field_T[on_axis, 1] = cosine * y_T - sine * x_T
+    return field_T

@@ -1,0 +1,62 @@
+"""Scans along a coil's axis: two or three columns of position, field and (not used) error or scale reading.
+
+Made for the student-laboratory scans of Goettingen (miallo/13MagSpu) and Dortmund (4iphaton/V308SpulenMagnetfelder).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+
+from estimator.errors import InvalidInput
+from estimator.rig import Rig
+from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
+from estimator.store.session import Session
+from estimator.units import UNITS
+
+
+def read_axis_scan(
+    path: Path, rig: Rig, currents_A: Mapping[str, float], *, position_unit: str = "cm", field_unit: str = "G"
+) -> Session:
+    """Read one scan; positions become z of the stage, the field becomes the sensor's z component.
+
+    The file holds no times: `time_s` counts the readings. Neither a third column nor a zero of the scale is known to the model: noise and
+    offset are parameters of the rig.
+
+    Args:
+        path: Numbers separated by blanks; lines that start with # are skipped.
+        rig: One pose mover that carries the one sensor along z.
+        currents_A: Per coil.
+        position_unit, field_unit: Symbols of `estimator.units`.
+    Raises:
+        InvalidInput: Not a table of two or three columns, an unknown unit, or a coil without current.
+    """
+    if len(rig.sensors) != 1:
+        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+    to_m, to_T = _to_si(position_unit, "length"), _to_si(field_unit, "field")
+    table = read_numbers(path)
+    if table.shape[1] not in (2, 3):
+        raise InvalidInput(f"{path} must have two or three columns; it has {table.shape[1]}")
+    pose = torch.zeros(len(table), 6, dtype=torch.float64)
+    pose[:, 2] = table[:, 0] * to_m
+    field_T = torch.full((len(table), 3), torch.nan, dtype=torch.float64)
+    field_T[:, 2] = table[:, 1] * to_T
+    observations = map_observations(
+        rig,
+        torch.arange(len(table), dtype=torch.float64),
+        torch.zeros(len(table), dtype=torch.int64),
+        current_by_coil(rig, currents_A),
+        pose,
+        field_T,
+    )
+    return Session(rig, observations, f"axis scan {path.name}; t_s counts the readings")
+
+
+def _to_si(symbol: str, dimension: str) -> float:
+    unit = UNITS.get(symbol)
+    if unit is None or unit.dimension != dimension:
+        known = ", ".join(u.symbol for u in UNITS.values() if u.dimension == dimension)
+        raise InvalidInput(f"unit of {dimension} must be one of {known}; received {symbol!r}")
+    return unit.to_si

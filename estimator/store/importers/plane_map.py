@@ -1,0 +1,93 @@
+"""Plane maps of a pair of coils, one signed reading per point: the public Maxwell pair of sassafras13/steering_magnetic_robots.
+
+A file holds 14 rows by 11 columns in gauss. As in the source's plotting code (plotBFieldData.m, MIT licence) columns are the axial
+coordinate from -5 to 5 cm, rows the transverse one from -6 to 7 cm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+from estimator.rig import Rig
+from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
+from estimator.store.session import Session
+from estimator.units import UNITS
+
+AXIAL_M = torch.linspace(-0.05, 0.05, 11, dtype=torch.float64)
+TRANSVERSE_M = torch.linspace(-0.06, 0.07, 14, dtype=torch.float64)
+NAME = re.compile(r"u1_(-?\d+(?:_\d+)?)_u2_(-?\d+(?:_\d+)?)_r(\d+)$")
+
+
+def read_plane_maps(
+    paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float] | None = None
+) -> Session:
+    """Read maps of one pair of coils, repeats and several currents together, into one session.
+
+    The one component is taken as the axial one, sensor z; which one the probe read is not stated in the source. The files hold no times:
+    `time_s` counts the readings.
+
+    Args:
+        paths: Files named u1_<ampere>_u2_<ampere>_r<repeat>.csv, with _ for the decimal point.
+        rig: One pose mover that carries the sensor, map plane x-z, axis z; the first coil is u1, the second u2.
+        currents_A: Per coil, the same for every file; from the file names where not given.
+    Raises:
+        InvalidInput: No file, a file of another shape, or a name without currents.
+    """
+    if not paths:
+        raise InvalidInput("plane maps must be at least one file; received none")
+    if len(rig.sensors) != 1:
+        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+    maps = [_map_T(path) for path in paths]
+    settings = [_setting(path, rig, currents_A) for path in paths]
+    n_points = maps[0].numel()
+    transverse_m, axial_m = torch.meshgrid(TRANSVERSE_M, AXIAL_M, indexing="ij")
+    pose = torch.zeros(n_points, 6, dtype=torch.float64)
+    pose[:, 0], pose[:, 2] = transverse_m.flatten(), axial_m.flatten()
+    field_T = torch.full((n_points * len(maps), 3), torch.nan, dtype=torch.float64)
+    field_T[:, 2] = torch.cat([part.flatten() for part in maps])
+    observations = map_observations(
+        rig,
+        torch.arange(len(field_T), dtype=torch.float64),
+        torch.zeros(len(field_T), dtype=torch.int64),
+        torch.tensor([current for current, _ in settings], dtype=torch.float64).repeat_interleave(
+            n_points, dim=0
+        ),
+        pose.repeat(len(maps), 1),
+        field_T,
+        torch.tensor([repeat for _, repeat in settings]).repeat_interleave(n_points),
+    )
+    return Session(
+        rig, observations, f"plane maps {', '.join(path.name for path in paths)}; t_s counts the readings"
+    )
+
+
+def _map_T(path: Path) -> Float[Tensor, "transverse axial"]:
+    table = read_numbers(path, separator=",", header_lines=1)
+    shape = (len(TRANSVERSE_M), 1 + len(AXIAL_M))
+    if table.shape != shape:
+        raise InvalidInput(
+            f"{path} must hold {shape[0]} rows of {shape[1]} cells; it holds {tuple(table.shape)}"
+        )
+    return table[:, 1:] * UNITS["G"].to_si
+
+
+def _setting(path: Path, rig: Rig, currents_A: Mapping[str, float] | None) -> tuple[list[float], int]:
+    """Currents and repeat number of a file; without a telling name the repeat is 0."""
+    match = NAME.match(path.stem)
+    repeat = int(match[3]) if match else 0
+    if currents_A:
+        return current_by_coil(rig, currents_A), repeat
+    if match is None:
+        raise InvalidInput(
+            f"file name must read u1_<ampere>_u2_<ampere>_r<repeat>, or currents be given; received {path.name}"
+        )
+    if len(rig.coils) != 2:
+        raise InvalidInput(f"rig {rig.name!r} must have two coils, u1 and u2; it has {len(rig.coils)}")
+    return [float(match[i].replace("_", ".")) for i in (1, 2)], repeat

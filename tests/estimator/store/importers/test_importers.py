@@ -1,0 +1,38 @@
+"""The table of importers: one signature for every format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from estimator.config import load_rig
+from estimator.errors import InvalidInput
+from estimator.store.importers import IMPORTERS, read_axis_scan
+from estimator.units import UNITS
+
+CONFIGS = Path(__file__).parents[4] / "configs"
+
+
+def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> None:
+    rig = load_rig(CONFIGS / "goettingen_long.yaml")
+    path = tmp_path / "scan.dat"
+    path.write_text("0 1\n")
+    session = IMPORTERS["axis_scan"]([path], rig, {"coil1": 0.5})
+    assert session.hash == read_axis_scan(path, rig, {"coil1": 0.5}).hash
+    assert session.observations.field_sensor_T[0, 2].item() == UNITS["G"].to_si
+    for name, importer in IMPORTERS.items():
+        with pytest.raises(InvalidInput, match=r"cannot be read|name"):
+            importer([tmp_path / "none"], rig, {} if name == "readings" else {"coil1": 0.5})
+
+
+@pytest.mark.parametrize("name", ["readings", "mice", "axis_scan"])
+def test_formats_of_one_file_refuse_several(name: str) -> None:
+    rig = load_rig(CONFIGS / "goettingen_long.yaml")
+    with pytest.raises(InvalidInput, match="takes one file; received 2"):
+        IMPORTERS[name]([Path("a"), Path("b")], rig, {})
+
+
+def test_a_readings_file_has_currents_of_its_own(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="holds its own currents; received coil1"):
+        IMPORTERS["readings"]([tmp_path], load_rig(CONFIGS / "goettingen_long.yaml"), {"coil1": 0.5})

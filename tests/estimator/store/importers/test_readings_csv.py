@@ -1,0 +1,189 @@
+"""The readings CSV: what is written is read back, and whatever is wrong is named by file, line and column."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from estimator.config import rig_from_text
+from estimator.errors import InvalidInput
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.importers import read_readings_csv, write_readings_csv
+from estimator.store.session import Session
+
+ONE_SENSOR = """
+schema_version: 1
+name: one sensor
+movers: {arm1: {motion: displacement}}
+coils: {coil1: {carried_by: arm1, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}}
+sensors: {hall: {noise_uT: 20}}
+"""
+TWO_SENSORS = """
+schema_version: 1
+name: two sensors
+movers: {arm1: {motion: UR3}, stage: {motion: pose}}
+coils:
+  coil1: {carried_by: arm1, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+  coil2: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+sensors: {hall_a: {noise_uT: 20}, hall_b: {carried_by: stage, noise_uT: 20}}
+"""
+HEADER = "t_s,coil1_current_A,arm1_x_m,arm1_y_m,arm1_z_m,Bx_T,By_T,Bz_T"
+ROW = "0,3,0.01,0.02,0.03,1e-3,2e-3,3e-3"
+NEXT = "1" + ROW[1:]
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_from_text(ONE_SENSOR)
+
+
+def written(path: Path, *lines: str) -> Path:
+    (path / "readings.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path / "readings.csv"
+
+
+def test_a_written_session_is_read_back_bit_by_bit(tmp_path: Path) -> None:
+    rig = rig_from_text(TWO_SENSORS)
+    n, random = 50, torch.Generator().manual_seed(1)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=random, dtype=torch.float64) / 3.0
+
+    field_T = numbers(n, 3)
+    field_T[3, 1] = field_T[7, :2] = math.nan
+    observations = Observations(
+        numbers(n),
+        torch.randint(2, (n,), generator=random),
+        numbers(n, 2),
+        {"arm1": numbers(n, 6), "stage": numbers(n, 6)},
+        field_T,
+        numbers(n) > 0.2,
+        torch.randint(4, (n,), generator=random),
+        {"coil2": numbers(n), "hall_a": numbers(n)},
+    )
+    session = Session(rig, observations, "test")
+    write_readings_csv(session, tmp_path / "readings.csv")
+    assert read_readings_csv(tmp_path / "readings.csv", rig).hash == session.hash
+
+
+def test_columns_may_come_in_any_order_and_any_unit(tmp_path: Path, rig: Rig) -> None:
+    path = written(
+        tmp_path,
+        "Bx_mT,By_G,Bz_uT,arm1_rx_deg,arm1_ry_mrad,arm1_rz_rad,arm1_x_mm,arm1_y_cm,arm1_z_um,coil1_current_mA,t_s",
+        "1,2,3,180,5,6,7,8,9,1500,11",
+    )
+    o = read_readings_csv(path, rig).observations
+    torch.testing.assert_close(o.field_sensor_T, torch.tensor([[1e-3, 2e-4, 3e-6]]).double())
+    torch.testing.assert_close(
+        o.motion["arm1"], torch.tensor([[7e-3, 8e-2, 9e-6, math.pi, 5e-3, 6.0]]).double()
+    )
+    assert o.current_A.tolist() == [[1.5]]
+    assert o.time_s.tolist() == [11.0]
+
+
+def test_without_optional_columns_nothing_is_rotated_or_repeated_or_kept_out(
+    tmp_path: Path, rig: Rig
+) -> None:
+    o = read_readings_csv(written(tmp_path, HEADER, ROW), rig).observations
+    assert o.motion["arm1"].tolist() == [[0.01, 0.02, 0.03, 0.0, 0.0, 0.0]]
+    assert (o.sensor.tolist(), o.repeat.tolist(), o.is_validation.tolist()) == ([0], [0], [False])
+    assert not o.temperature_C
+
+
+def test_an_empty_field_cell_is_a_component_that_was_not_measured(tmp_path: Path, rig: Rig) -> None:
+    o = read_readings_csv(written(tmp_path, HEADER, "0,3,0,0,0,,2e-3,  "), rig).observations
+    assert o.is_measured.tolist() == [[False, True, False]]
+
+
+def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "readings.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + "\r\n".join([HEADER, ROW, "", NEXT, "", ""]).encode())
+    assert len(read_readings_csv(path, rig).observations) == 2
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ((), "columns must include t_s, coil1_current_A, arm1_x_m"),
+        ((HEADER,), "at least one reading"),
+        ((HEADER.replace("arm1_y_m,", ""), ROW), "columns must include arm1_y_m;"),
+        ((HEADER.replace("Bz_T", "Bz"), ROW), "'Bz' lacks its unit: write Bz_T"),
+        ((HEADER.replace("Bz_T", "Bz_mm"), ROW), "'Bz' must be a field; received the unit mm"),
+        ((HEADER.replace("Bz_T", "Bz_kT"), ROW), "'Bz_kT' is not known"),
+        ((HEADER + ",", ROW + ","), "column '' is not known"),
+        ((HEADER + ",Bx_T", ROW + ",1"), "'Bx' must be given once; received Bx_T and Bx_T"),
+        ((HEADER + ",Bx_mT", ROW + ",1"), "'Bx' must be given once; received Bx_T and Bx_mT"),
+        ((HEADER + ",humidity", ROW + ",1"), "column 'humidity' is not known"),
+        ((HEADER + ",coil2_temperature_C", ROW + ",1"), "column 'coil2_temperature_C' is not known"),
+        ((HEADER + ",arm1_rx_rad,arm1_rz_rad", ROW + ",0,0"), "columns must include arm1_ry_rad;"),
+        ((HEADER, ROW, NEXT[:-5]), "8 cells like the header; received 7"),
+        ((HEADER, ROW, NEXT + ",1"), "8 cells like the header; received 9"),
+        ((HEADER, ROW, NEXT.replace("3,", ",", 1)), "coil1_current_A must be a finite number; received ''"),
+        ((HEADER, ROW, NEXT.replace("0.02", "inf")), "arm1_y_m must be a finite number; received 'inf'"),
+        ((HEADER, ROW, NEXT.replace("1e-3", "nan")), "Bx_T must be a finite number; received 'nan'"),
+        ((HEADER, ROW, NEXT.replace("1e-3", "1_0")), "Bx_T must be a finite number; received '1_0'"),
+        ((HEADER, ROW, NEXT.replace("1e-3", "1e-3 T")), "Bx_T must be a finite number; received '1e-3 T'"),
+        ((HEADER, ROW, "1,3,0,0,0,,,"), "at least one field component"),
+        ((HEADER, ROW, ROW), "t_s = 0 stands in lines 2 and 3"),
+        (
+            (HEADER + ",sensor", ROW + ",hall", NEXT + ",hal"),
+            "sensor must be one of hall; received 'hal'",
+        ),
+        (
+            (HEADER + ",set", ROW + ",validation", NEXT + ",test"),
+            "set must be one of calibration, validation",
+        ),
+        ((HEADER + ",repeat", ROW + ",1", NEXT + ",1.5"), "repeat must be a whole number"),
+        ((HEADER + ",repeat", ROW + ",1", NEXT + ",-1"), "repeat must be a whole number"),
+        ((HEADER + ",repeat", ROW + ",1", NEXT + ",1e300"), "repeat must be a whole number"),
+        ((HEADER.replace(",", ";"), ROW.replace(",", ";")), "separated by commas; received semicolons"),
+        ((HEADER.replace(",", "\t"), ROW.replace(",", "\t")), "separated by commas; received tabs"),
+    ],
+)
+def test_a_fault_is_one_sentence_that_names_the_file(
+    tmp_path: Path, rig: Rig, lines: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        read_readings_csv(written(tmp_path, *lines), rig)
+    sentence = str(caught.value)
+    assert message in sentence
+    assert "readings.csv" in sentence
+    assert "\n" not in sentence
+    if len(lines) > 2 and lines[1] != lines[2]:
+        assert "line 3" in sentence
+
+
+def test_the_line_named_is_that_of_the_file_where_blank_lines_stand(tmp_path: Path, rig: Rig) -> None:
+    with pytest.raises(InvalidInput, match="line 5"):
+        read_readings_csv(written(tmp_path, HEADER, "", ROW, "", NEXT.replace("1e-3", "x")), rig)
+
+
+def test_several_sensors_need_their_column(tmp_path: Path) -> None:
+    rig = rig_from_text(ONE_SENSOR.replace("{hall:", "{other: {noise_uT: 20}, hall:"))
+    with pytest.raises(InvalidInput, match="columns must include sensor;"):
+        read_readings_csv(written(tmp_path, HEADER, ROW), rig)
+    header, rows = HEADER + ",sensor", (ROW + ",hall", ROW + ",other")
+    assert read_readings_csv(written(tmp_path, header, *rows), rig).observations.sensor.tolist() == [1, 0]
+
+
+def test_joint_angles_are_never_left_out(tmp_path: Path) -> None:
+    rig = rig_from_text(ONE_SENSOR.replace("displacement", "UR3"))
+    with pytest.raises(InvalidInput, match="columns must include arm1_q0_rad, arm1_q1_rad"):
+        read_readings_csv(written(tmp_path, "t_s,coil1_current_A,Bx_T,By_T,Bz_T", "0,1,1,1,1"), rig)
+
+
+def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01" * 50)
+    for name in ("missing.csv", "binary.csv", "."):
+        with pytest.raises(InvalidInput, match="cannot be read"):
+            read_readings_csv(tmp_path / name, rig)
+
+
+def test_an_unwritable_place_is_refused(tmp_path: Path, rig: Rig) -> None:
+    session = read_readings_csv(written(tmp_path, HEADER, ROW), rig)
+    with pytest.raises(InvalidInput, match="must be writable"):
+        write_readings_csv(session, tmp_path / "none" / "readings.csv")
