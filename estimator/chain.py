@@ -84,7 +84,7 @@ class Chain:
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
             if len(rows):
-                points_m, _ = self._sensor_in_coil(coil, rows, values)
+                points_m, _ = self.sensor_in_coil(coil, rows, values)
                 winding = winding_of(coil, values)
                 self._refuse_inside(coil, rows, points_m, winding)
                 rules[coil.name] = choose_rule(winding, points_m, tolerance)
@@ -119,7 +119,7 @@ class Chain:
 
     def _field_per_ampere(self, coil: Coil, values: Values) -> Float[Tensor, "*batch place 3"]:
         rows = self.powered[coil.name]
-        points_m, sensor_from_coil = self._sensor_in_coil(coil, rows, values)
+        points_m, sensor_from_coil = self.sensor_in_coil(coil, rows, values)
         winding = winding_of(coil, values)
         field = winding_field_per_ampere(points_m, winding, self.rules[coil.name], self.is_compiled)
         field = (sensor_from_coil @ field[..., None])[..., 0]
@@ -128,7 +128,7 @@ class Chain:
         full = torch.zeros((*field.shape[:-2], len(self.sensor), 3), dtype=field.dtype, device=field.device)
         return full.index_copy(-2, rows, field)
 
-    def _sensor_in_coil(
+    def sensor_in_coil(
         self, coil: Coil, rows: Int[Tensor, " rows"], values: Values
     ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch rows 3 3"]]:
         """Sensor position in the coil frame and the rotation sensor_from_coil, at distinct poses."""

@@ -35,6 +35,7 @@ UNITS: dict[str, Unit] = {
         Unit("T", "field", 1.0),
         Unit("mT", "field", 1e-3),
         Unit("uT", "field", 1e-6),
+        Unit("nT", "field", 1e-9),
         Unit("G", "field", 1e-4),
         Unit("s", "time", 1.0),
         Unit("C", "temperature", 1.0),

@@ -75,7 +75,7 @@ def loop_terms(
 
 
 def loop_field(
-    points_m: Float[Tensor, "*batch 3"], radius_m: Float[Tensor, "*batch"], current_A: float = 1.0
+    points_m: Float[Tensor, "*#batch 3"], radius_m: Float[Tensor, "*#batch"], current_A: float = 1.0
 ) -> Float[Tensor, "*batch 3"]:
     """Magnetic flux density of one circular loop in the loop's frame, in tesla.
 
@@ -83,7 +83,8 @@ def loop_field(
         points_m: Points in the frame of the loop (centre at 0, axis along +z).
         radius_m: Radius of the loop, > 0; broadcasts with the points.
         current_A: Current, positive counter-clockwise seen from +z.
-    Returns: Bx, By, Bz, as exact as the number format allows (4e-15 of |B| in float64 outside the wire).
+    Returns: Bx, By, Bz, as exact as the number format allows: in float64 1e-14 of |B|, and near the wire what the last digit of the
+        coordinates changes, 1e-16 radius / distance.
     References: Osinde et al., eq 4; see the module's first lines for the form used.
     Examples:
         >>> centre = torch.zeros(3, dtype=torch.float64)

@@ -21,6 +21,7 @@ from estimator.inference.polish import Polished, polish
 NEGLIGIBLE = 1e-5
 MOST_TUPLES = 600
 FITS_PER_BATCH = 64
+DRAWS, FEWEST_DRAWS = 4000, 8
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def count_mixture(
     draws = torch.distributions.MultivariateNormal(fit.vector[0], covariance(fit.precision)[0])
     with torch.random.fork_rng():
         torch.manual_seed(int(rng.integers(2**31)))
-        sample = draws.sample((4000,))
+        sample = draws.sample((DRAWS,))
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     fits: dict[tuple[int, ...], Polished] = {}
     wanted = list(start_of)
@@ -97,8 +98,10 @@ def _starts(
     vectors = integer.coordinates.vector(moved)
     keys, which, number = torch.unique(vectors[:, -n_counts:], dim=0, return_inverse=True, return_counts=True)
     allowed = torch.isfinite(integer.coordinates.log_prior(vectors))
-    starts = {}
+    starts: dict[tuple[int, ...], Tensor] = {}
     for i in torch.argsort(number, descending=True)[:MOST_TUPLES].tolist():
+        if starts and number[i] < FEWEST_DRAWS:  # neighbours of what matters are visited anyway
+            break
         mine = vectors[(which == i) & allowed]
         if len(mine):
             starts[tuple(int(c) for c in keys[i])] = mine.mean(0)
