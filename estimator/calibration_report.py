@@ -18,6 +18,7 @@ from estimator.prediction import RoomField
 from estimator.records import Observations
 from estimator.report import Picture, ReportPage, Table, render_report
 from estimator.rig import Coil
+from estimator.units import split_unit
 
 MOST_CORNER_PARAMETERS = 12
 MOST_COILS = 3
@@ -111,7 +112,7 @@ def _tables(calibration: Calibration) -> list[Table]:
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
         row = [
-            name,
+            split_unit(name)[0],
             with_sd(p["median"] * factor, p["sd"] * factor),
             f"{p['ci90'][0] * factor:.6g} to {p['ci90'][1] * factor:.6g}",
             display[name].unit or "1",
