@@ -4,10 +4,10 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow
+.PHONY: demo test lint types imports unit slow recover coverage real bench figures
 
 demo: $(INSTALLED)
-	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 1 --out demo/session.zarr --overwrite
+	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
 	$(BIN)/coilcal calibrate demo/session.zarr --out demo/calibration --seed 1 --overwrite
 
 test: lint types imports unit
@@ -25,10 +25,25 @@ imports: $(INSTALLED)
 unit: $(INSTALLED)
 	$(RUN) pytest -n 2 -m "not slow"
 
-# Long studies, minutes to hours each; `make test` leaves them out.
+# Studies behind the numbers in README and docs/results.md, minutes to an hour each; `make test` leaves them out.
 
-slow: $(INSTALLED)
+slow: $(INSTALLED)        # statistics with bounds that can fail
 	$(RUN) pytest -n 2 -m slow
+
+recover: $(INSTALLED)     # the paper's Table 2 and 3
+	$(BIN)/python scripts/recover_paper.py
+
+coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
+	$(BIN)/python scripts/coverage_study.py --repeats 400 --out out/coverage.jsonl
+
+real: $(INSTALLED)        # measured coils below COILCAL_DATA
+	$(BIN)/python scripts/real_data.py --out out/real
+
+bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee
+	$(BIN)/python scripts/benchmark.py
+
+figures: $(INSTALLED)     # pictures in docs/figures, from demo/ and out/real
+	$(BIN)/python scripts/figures.py
 
 # Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the
 # environment; where the environment then sees a torch, that build is kept and no other is asked for.

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
-from estimator.calibration import SUMMARY, Calibration
+from estimator.calibration import POSTERIOR, SUMMARY, Calibration
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.errors import InvalidInput
@@ -56,6 +56,7 @@ def calibrate(
     rig: Rig | None = None,
     *,
     out: Path | str | None = None,
+    overwrite: bool = False,
     seed: int = 0,
     settings: SamplerSettings | None = None,
     has_integer_counts: bool = True,
@@ -69,27 +70,33 @@ def calibrate(
     Args:
         session: Readings; those marked as validation are kept out of the fit.
         rig: Another description of the session's rig (other priors, other parameters free).
-        out: Folder for `summary.json`, `posterior.zarr` and the growing chain; a run that was killed is continued from there.
+        out: Folder for `summary.json`, `posterior.zarr` and the growing chain; a run that was killed, or ended at `max_steps`, is continued
+            from there.
+        overwrite: Replace a calibration in `out` instead, once the new one starts sampling.
         seed: Of everything random.
         settings: When to stop sampling; its seed is replaced by `seed`.
         has_integer_counts: False treats free loop counts as real numbers.
         on_stage: Called as the work proceeds.
     Returns: The calibrated model. `summary()["is_converged"]` is False where sampling ended before its targets.
     Raises:
-        InvalidInput: The readings cannot support a fit, or are in another unit than they claim.
+        InvalidInput: The readings cannot support a fit, or are in another unit than they claim; `out` holds another calibration or cannot
+            be written; settings do not fit the rig.
         CorruptStore: The chain to be continued is damaged.
     References: Osinde et al., section 3; DESIGN decisions 3 to 5.
     """
     tell = on_stage or (lambda stage: None)
     rig = rig or session.rig
-    if rig is not session.rig:
-        session = session.with_rig(rig)
-    settings = SamplerSettings(**{**asdict(settings or SamplerSettings()), "seed": seed})
-    observations = session.observations.calibration
-    check_readings(rig, observations, session.source)
-    check_units(rig, observations, session.source)
+    session.check_rig(rig)
+    settings = replace(settings or SamplerSettings(), seed=seed)
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    settings.check_walkers(len(rig.free))
+    folder = None if out is None else Path(out)
+    fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
+    backend = None if folder is None or overwrite else _unfinished(folder, fingerprint)
+    check_readings(rig, session.observations, session.source)
+    observations = session.observations.calibration
+    check_units(rig, observations, session.source)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     chain = Chain.build(rig, observations)
@@ -107,7 +114,8 @@ def calibrate(
         lattice = LogPosterior(lattice.coordinates, replace(chain, is_compiled=True), observations)
 
     tell(Stage("posterior sampling with emcee"))
-    backend = _backend(out, session, rig, lattice.coordinates, settings)
+    if backend is None:
+        backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
     samples = sample(
         lattice,
         mixture,
@@ -130,8 +138,8 @@ def calibrate(
         "versions": versions(),
     }
     calibration = replace(calibration, record=record)
-    if out is not None:
-        calibration.save(out)
+    if folder is not None:
+        calibration.save(folder)
     return calibration
 
 
@@ -140,22 +148,37 @@ def _values(coordinates: Coordinates, vector: torch.Tensor) -> dict[str, torch.T
         return coordinates.values(vector)
 
 
-def _backend(
-    out: Path | str | None, session: Session, rig: Rig, coordinates: Coordinates, settings: SamplerSettings
-) -> Backend:
-    if out is None:
-        return Backend()
-    folder = Path(out)
-    path = folder / CHAIN
-    fingerprint = _fingerprint(session, rig, settings, coordinates.integer_counts)
-    if (folder / SUMMARY).exists():
+def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
+    """The chain of a calibration to be continued; None where the folder holds none."""
+    if is_finished(folder):
         raise InvalidInput(
             f"output must not hold a finished calibration, or be replaced with --overwrite; received {folder}"
         )
-    if path.exists():
+    path = folder / CHAIN
+    if not path.exists():
+        return None
+    try:
         return ZarrBackend.open(path, fingerprint=fingerprint)
+    except InvalidInput as error:
+        raise InvalidInput(
+            "output must be free, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
+            f"or be replaced with --overwrite; received {folder}, which holds another"
+        ) from error
+
+
+def _new_backend(
+    folder: Path | None,
+    coordinates: Coordinates,
+    settings: SamplerSettings,
+    fingerprint: str,
+    overwrite: bool,
+) -> Backend:
+    if folder is None:
+        return Backend()
+    if overwrite:
+        _remove_result(folder)
     return ZarrBackend.create(
-        path,
+        folder / CHAIN,
         coordinate_names=coordinates.labels,
         n_walkers=settings.n_walkers,
         checkpoint_steps=settings.check_every,
@@ -163,9 +186,19 @@ def _backend(
     )
 
 
-def remove_result(folder: Path) -> None:
+def is_finished(folder: Path) -> bool:
+    """Whether a folder holds a calibration that reached its targets."""
+    try:
+        return bool(json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("is_converged", True))
+    except FileNotFoundError:
+        return False
+    except ValueError:
+        return True  # damaged, but nothing to write over unasked
+
+
+def _remove_result(folder: Path) -> None:
     """Delete the files of an earlier calibration from a folder, and nothing else."""
-    for name in (SUMMARY, CHAIN, "posterior.zarr", "report.html"):
+    for name in (SUMMARY, CHAIN, POSTERIOR, "report.html"):
         path = folder / name
         if path.is_dir():
             shutil.rmtree(path)
@@ -174,13 +207,9 @@ def remove_result(folder: Path) -> None:
 
 
 def _fingerprint(session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool) -> str:
-    parts = [
-        session.hash,
-        rig.hash,
-        json.dumps(asdict(settings), sort_keys=True),
-        str(has_integer_counts),
-        json.dumps(versions()),
-    ]
+    """Hash of all that decides the steps of a chain; when to stop does not."""
+    decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
+    parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from estimator.errors import InvalidInput
@@ -10,6 +12,9 @@ from estimator.rig import Coil, DisplacementFrame, MotionKind, Mover, Rig, Senso
 from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
+NAME = re.compile(
+    r"[A-Za-z0-9_-]+"
+)  # names become columns of tables, arrays of stores and parts of dotted names
 SI_SYMBOL = {"length": "m", "angle": "rad", "field": "T", "current": "A"}
 POSE_QUANTITIES = (
     ("x", "length"),
@@ -22,6 +27,14 @@ POSE_QUANTITIES = (
     ("tilt_y", "angle"),
     ("spin", "angle"),
 )
+
+
+@dataclass
+class _Numbers:
+    """The numbers of a rig as they are found, with the section and key that each was read from."""
+
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    origin: dict[str, tuple[Section, str]] = field(default_factory=dict)
 
 
 def load_rig(path: Path | str) -> Rig:
@@ -43,30 +56,42 @@ def _rig(top: Section, text: str) -> Rig:
     version = top.required("schema_version")
     if version != SCHEMA_VERSION:
         top.refuse("schema_version", f"must be {SCHEMA_VERSION}", repr(version))
-    parameters: dict[str, Parameter] = {}
+    numbers = _Numbers()
     name = str(top.required("name"))
     top.value("description")
     mover_sections = top.section("movers")
-    movers = tuple(_mover(mover_sections.section(key), key, parameters) for key in mover_sections)
+    movers = tuple(_mover(mover_sections.section(key), key, numbers) for key in mover_sections)
     coil_sections = top.section("coils")
-    coils = tuple(_coil(coil_sections.section(key), key, movers, parameters) for key in coil_sections)
+    coils = tuple(_coil(coil_sections.section(key), key, movers, numbers) for key in coil_sections)
     sensor_sections = top.section("sensors")
-    sensors = tuple(_sensor(sensor_sections.section(key), key, movers, parameters) for key in sensor_sections)
+    sensors = tuple(_sensor(sensor_sections.section(key), key, movers, numbers) for key in sensor_sections)
     for kind, number in (("coils", len(coils)), ("sensors", len(sensors))):
         if number == 0:
-            raise InvalidInput(f"{kind} must name at least one ({top.file})")
-    names = [mover.name for mover in movers] + [body.name for body in (*coils, *sensors)]
-    for body_name in names:
-        if names.count(body_name) > 1:
-            raise InvalidInput(f"the name {body_name!r} must be given to one thing only ({top.file})")
+            raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
+    _check_names((mover_sections, coil_sections, sensor_sections))
     top.finish()
-    rig = Rig(name, coils, sensors, movers, parameters, text)
-    _check_ties(rig, top.file)
-    _check_geometry(rig, top.file)
+    rig = Rig(name, coils, sensors, movers, numbers.parameters, text)
+    _check_ties(numbers)
+    broken = rig.broken_rule()
+    if broken is not None:
+        parameter, rule, value = broken
+        section, key = numbers.origin[parameter]
+        section.refuse(key, rule, value)
     return rig
 
 
-def _mover(section: Section, name: str, parameters: dict[str, Parameter]) -> Mover:
+def _check_names(sections: tuple[Section, ...]) -> None:
+    taken: set[str] = set()
+    for section in sections:
+        for name in section:
+            if not NAME.fullmatch(name):
+                section.refuse(name, "must be named by letters, digits, _ and - only", repr(name))
+            if name in taken:
+                section.refuse(name, "must have a name of its own", f"{name!r}, which is taken")
+            taken.add(name)
+
+
+def _mover(section: Section, name: str, numbers: _Numbers) -> Mover:
     motion = MotionKind(section.choice("motion", tuple(MotionKind)))
     frame = DisplacementFrame.END_EFFECTOR
     rotation = [0.0, 0.0, 0.0]
@@ -76,53 +101,52 @@ def _mover(section: Section, name: str, parameters: dict[str, Parameter]) -> Mov
         )
         if frame is DisplacementFrame.BASE:
             if "base_from_flange0" not in section:
-                section.refuse("displacement_frame", "base needs base_from_flange0 (rx, ry, rz)", "none")
+                section.refuse(
+                    "displacement_frame", "base needs the rotation base_from_flange0 {rx, ry, rz}", "none"
+                )
             reference = section.section("base_from_flange0")
             for axis, key in enumerate(("rx", "ry", "rz")):
                 entry = reference.quantity(key, "angle")
                 rotation[axis] = entry[1] if entry else 0.0
             reference.finish()
     else:
-        _pose(section.section("world_from_base"), f"{name}.world_from_base", parameters)
+        _pose(section.section("world_from_base"), f"{name}.world_from_base", numbers)
     section.finish()
     return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]))
 
 
-def _coil(section: Section, name: str, movers: tuple[Mover, ...], parameters: dict[str, Parameter]) -> Coil:
-    _scalar(section, name, "radius", "length", parameters, positive=True)
-    for pitch in ("axial_pitch", "radial_pitch"):
-        if section.key_with_unit(pitch, "length") is None:
-            parameters[f"{name}.{pitch}_m"] = Parameter(
+def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numbers) -> Coil:
+    _scalar(section, name, "radius", "length", numbers, positive=True)
+    follows_wire = {
+        pitch: section.key_with_unit(pitch, "length") is None for pitch in ("axial_pitch", "radial_pitch")
+    }
+    if any(follows_wire.values()) or section.key_with_unit("wire_radius", "length") is not None:
+        _scalar(section, name, "wire_radius", "length", numbers, positive=True)
+    for pitch, is_tied in follows_wire.items():
+        if is_tied:
+            numbers.parameters[f"{name}.{pitch}_m"] = Parameter(
                 f"{name}.{pitch}_m", "m", 0.0, tie=Tie(f"{name}.wire_radius_m", 2.0), is_positive=True
             )
         else:
-            _scalar(section, name, pitch, "length", parameters, positive=True)
-    if section.key_with_unit("wire_radius", "length") is not None or _needs_wire(name, parameters):
-        _scalar(section, name, "wire_radius", "length", parameters, positive=True)
+            _scalar(section, name, pitch, "length", numbers, positive=True)
     for count in ("axial_loops", "radial_loops"):
-        _pure(section, name, count, parameters, positive=True, is_count=True)
-    _pure(section, name, "current_gain", parameters, default=1.0)
-    carried_by = _body_pose(section, name, "coil", movers, parameters)
+        _pure(section, name, count, numbers, positive=True, is_count=True)
+    _pure(section, name, "current_gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
     section.finish()
     return Coil(name, carried_by)
 
 
-def _needs_wire(coil: str, parameters: dict[str, Parameter]) -> bool:
-    return any(parameters[f"{coil}.{pitch}_pitch_m"].tie is not None for pitch in ("axial", "radial"))
-
-
-def _sensor(
-    section: Section, name: str, movers: tuple[Mover, ...], parameters: dict[str, Parameter]
-) -> Sensor:
-    _scalar(section, name, "noise", "field", parameters, positive=True)
-    _pure(section, name, "gain", parameters, default=1.0)
-    carried_by = _body_pose(section, name, "sensor", movers, parameters)
+def _sensor(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numbers) -> Sensor:
+    _scalar(section, name, "noise", "field", numbers, positive=True)
+    _pure(section, name, "gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "sensor", movers, numbers)
     section.finish()
     return Sensor(name, carried_by)
 
 
 def _body_pose(
-    section: Section, name: str, kind: str, movers: tuple[Mover, ...], parameters: dict[str, Parameter]
+    section: Section, name: str, kind: str, movers: tuple[Mover, ...], numbers: _Numbers
 ) -> str | None:
     carried_by = section.value("carried_by")
     if carried_by is None:
@@ -132,23 +156,23 @@ def _body_pose(
         if mover is None:
             section.refuse(
                 "carried_by",
-                f"must name a mover ({', '.join(m.name for m in movers) or 'none given'})",
+                f"must name a mover ({', '.join(m.name for m in movers) or 'the rig has none'})",
                 repr(carried_by),
             )
         is_relative = mover.motion is MotionKind.DISPLACEMENT
         blocks = [f"world_from_{kind}0", f"flange_from_{kind}"] if is_relative else [f"flange_from_{kind}"]
     for block in blocks:
-        _pose(section.section(block), f"{name}.{block}", parameters)
+        _pose(section.section(block), f"{name}.{block}", numbers)
     return None if carried_by is None else str(carried_by)
 
 
-def _pose(section: Section, prefix: str, parameters: dict[str, Parameter]) -> None:
+def _pose(section: Section, prefix: str, numbers: _Numbers) -> None:
     for quantity, dimension in POSE_QUANTITIES:
         if section.key_with_unit(quantity, dimension) is None:
             key = f"{prefix}.{quantity}_{SI_SYMBOL[dimension]}"
-            parameters[key] = Parameter(key, SI_SYMBOL[dimension], 0.0)
+            numbers.parameters[key] = Parameter(key, SI_SYMBOL[dimension], 0.0)
         else:
-            _scalar(section, prefix, quantity, dimension, parameters)
+            _scalar(section, prefix, quantity, dimension, numbers)
     section.finish()
 
 
@@ -157,7 +181,7 @@ def _scalar(
     prefix: str,
     quantity: str,
     dimension: str,
-    parameters: dict[str, Parameter],
+    numbers: _Numbers,
     positive: bool = False,
 ) -> None:
     entry = section.key_with_unit(quantity, dimension)
@@ -166,25 +190,25 @@ def _scalar(
         section.required(f"{quantity}_{symbol}")
         return
     key, unit = entry
-    _store(section, key, f"{prefix}.{quantity}_{symbol}", symbol, unit.to_si, parameters, positive)
+    _store(section, key, f"{prefix}.{quantity}_{symbol}", symbol, unit.to_si, numbers, positive)
 
 
 def _pure(
     section: Section,
     prefix: str,
     key: str,
-    parameters: dict[str, Parameter],
+    numbers: _Numbers,
     default: float | None = None,
     positive: bool = False,
     is_count: bool = False,
 ) -> None:
     name = f"{prefix}.{key}"
     if key not in section and default is not None:
-        parameters[name] = Parameter(name, "1", default)
+        numbers.parameters[name] = Parameter(name, "1", default)
         return
     if key not in section:
         section.required(key)
-    _store(section, key, name, "1", 1.0, parameters, positive, is_count)
+    _store(section, key, name, "1", 1.0, numbers, positive, is_count)
 
 
 def _store(
@@ -193,7 +217,7 @@ def _store(
     name: str,
     unit: str,
     to_si: float,
-    parameters: dict[str, Parameter],
+    numbers: _Numbers,
     positive: bool = False,
     is_count: bool = False,
 ) -> None:
@@ -206,7 +230,7 @@ def _store(
             tie = Tie(str(spec.value("tied_to")), spec.number("factor", 1.0))
             value = 0.0
         else:
-            prior = _prior(spec, to_si) if "prior" in spec else None
+            prior = _prior(spec, to_si, positive) if "prior" in spec else None
             value = spec.number("value") * to_si if prior is None or "value" in spec else prior.centre
         spec.finish()
     else:
@@ -221,57 +245,53 @@ def _store(
             f"must lie within its prior ({prior.lower / to_si:g} to {prior.upper / to_si:g})",
             f"{value / to_si:g}",
         )
-    parameters[name] = Parameter(name, unit, value, prior, tie, positive, is_count)
+    numbers.parameters[name] = Parameter(name, unit, value, prior, tie, positive, is_count)
+    numbers.origin[name] = (section, key)
 
 
-def _prior(spec: Section, to_si: float) -> Prior:
-    block = spec.section("prior")
-    kinds = list(block)
-    if len(kinds) != 1:
-        spec.refuse("prior", "must be one of normal, log_normal, uniform", kinds or "nothing")
-    kind = block.choice_of_key(("normal", "log_normal", "uniform"))
-    numbers = block.section(kind)
-    bounds = {k: numbers.number(k) * to_si for k in ("lower", "upper") if k in numbers}
+def _prior(spec: Section, to_si: float, positive: bool) -> Prior:
+    kind = spec.key_of(("normal", "log_normal", "uniform"), "prior")
+    block = spec.section("prior").section(kind)
+    required = {
+        "normal": ("mean", "sd"),
+        "log_normal": ("median", "relative_sd"),
+        "uniform": ("lower", "upper"),
+    }
+    given = {key: block.number(key) for key in required[kind]}
+    given |= {key: block.number(key) for key in ("lower", "upper") if key in block}
+    block.finish()
+    if positive and kind == "normal":
+        given.setdefault("lower", 0.0)
+    for key in ("mean", "lower"):
+        if positive and given.get(key, 0.0) < 0.0:
+            block.refuse(key, "must be at least 0, as the quantity is positive", f"{given[key]:g}")
     try:
-        prior: Prior
-        if kind == "normal":
-            prior = Normal(numbers.number("mean") * to_si, numbers.number("sd") * to_si, **bounds)
-        elif kind == "log_normal":
-            prior = LogNormal(numbers.number("median") * to_si, numbers.number("relative_sd"), **bounds)
-        else:
-            prior = Uniform(numbers.number("lower") * to_si, numbers.number("upper") * to_si)
+        _make_prior(kind, given)  # in the units of the file, so that a message shows its numbers
     except InvalidInput as error:
-        if spec.file in str(error):
-            raise
-        spec.refuse("prior", f"breaks a rule: {error}", "the above")
-    numbers.finish()
-    return prior
+        raise InvalidInput(f"{spec.place('prior')}.{error} ({spec.where('prior')})") from None
+    return _make_prior(kind, {k: v if k == "relative_sd" else v * to_si for k, v in given.items()})
 
 
-def _check_ties(rig: Rig, file: str) -> None:
-    for parameter in rig.parameters.values():
-        seen = [parameter.name]
-        tie = parameter.tie
+def _make_prior(kind: str, given: dict[str, float]) -> Prior:
+    bounds = {key: given[key] for key in ("lower", "upper") if key in given}
+    if kind == "normal":
+        return Normal(given["mean"], given["sd"], **bounds)
+    if kind == "log_normal":
+        return LogNormal(given["median"], given["relative_sd"], **bounds)
+    return Uniform(given["lower"], given["upper"])
+
+
+def _check_ties(numbers: _Numbers) -> None:
+    parameters = numbers.parameters
+    for name, (section, key) in numbers.origin.items():
+        seen, tie = [name], parameters[name].tie
         while tie is not None:
-            if tie.to not in rig.parameters:
-                raise InvalidInput(
-                    f"{seen[-1]} must be tied to a parameter of the rig; received {tie.to!r} ({file})"
-                )
+            if tie.to not in parameters:
+                section.refuse(key, "must be tied to a parameter of the rig, by its name in SI", repr(tie.to))
+            if parameters[tie.to].unit != parameters[name].unit:
+                rule = f"must be tied to a parameter in {parameters[name].unit}"
+                section.refuse(key, rule, f"{tie.to} in {parameters[tie.to].unit}")
             if tie.to in seen:
-                raise InvalidInput(
-                    f"{parameter.name} must not be tied in a circle; received {' -> '.join([*seen, tie.to])} ({file})"
-                )
+                section.refuse(key, "must not be tied in a circle", " -> ".join([*seen, tie.to]))
             seen.append(tie.to)
-            tie = rig.parameters[tie.to].tie
-
-
-def _check_geometry(rig: Rig, file: str) -> None:
-    values = rig.nominal_values()
-    for coil in rig.coils:
-        radius_m = values[f"{coil.name}.radius_m"]
-        thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
-        if radius_m <= thickness_m:
-            raise InvalidInput(
-                f"{coil.name}.radius_m must exceed radial_pitch x radial_loops = {thickness_m:.6g} m "
-                f"(no bore is left); received {radius_m:.6g} ({file})"
-            )
+            tie = parameters[tie.to].tie

@@ -20,3 +20,13 @@ class InvalidInput(CoilcalError, ValueError):
 
 class CorruptStore(CoilcalError):
     """A file on disk is truncated, altered or of another schema version."""
+
+
+def reason(error: Exception) -> str:
+    """What the system says of a file, without the path that the message names anyway.
+
+    Examples:
+        >>> reason(FileNotFoundError(2, "No such file or directory", "rig.yaml"))
+        'No such file or directory'
+    """
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -36,7 +36,9 @@ def errors(measured_T: np.ndarray, predicted_T: np.ndarray) -> Errors:
         >>> round(result.vector_T, 3), round(result.paper_metric_T, 3), round(result.angular_deviation_rad, 4)
         (0.1, 0.05, 0.0997)
     """
-    if not np.isfinite(measured_T).any():
+    has_component = np.isfinite(measured_T).any(axis=1)
+    measured_T, predicted_T = measured_T[has_component], predicted_T[has_component]
+    if not len(measured_T):
         return Errors(*[float("nan")] * 6)
     difference = measured_T - predicted_T
     squared = np.nansum(difference**2, axis=1)

@@ -95,9 +95,8 @@ class LogNormal(Prior):
     def __post_init__(self) -> None:
         _require(self.median > 0.0, "log_normal.median must be > 0", self.median)
         _require(self.relative_sd > 0.0, "log_normal.relative_sd must be > 0", self.relative_sd)
-        _require(
-            0.0 <= self.lower < self.upper, "log_normal.lower must be below upper", (self.lower, self.upper)
-        )
+        _require(self.lower >= 0.0, "log_normal.lower must be at least 0", self.lower)
+        _require(self.lower < self.upper, "log_normal.lower must be below upper", (self.lower, self.upper))
 
     @property
     def centre(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from estimator.errors import InvalidInput
 from estimator.records import Observations
 from estimator.rig import MotionKind, Rig
 from estimator.yaml_section import Section
@@ -57,17 +57,21 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
     if top.required("schema_version") != 1:
         top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
     poses = top.section("poses")
+    poses.required("calibration")
     calibration = _poses(poses.section("calibration"), rig)
     validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
     poses.finish()
+    settle_s = top.number("settle_s", 1.0)
+    if settle_s <= 0.0:
+        top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
     plan = Plan(
         str(top.required("name")),
         calibration,
         validation,
         _currents(top, rig),
         top.choice("order", ("raster", "random"), "raster") == "random",
-        int(top.number("repeats", 1.0)),
-        top.number("settle_s", 1.0),
+        _count(top, "repeats", 1.0),
+        settle_s,
     )
     top.finish()
     return plan
@@ -103,7 +107,9 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     names = [mover.name for mover in rig.movers]
     for key in section:
         if key not in names:
-            section.refuse(key, f"must be a mover of rig {rig.name!r} ({', '.join(names)})", "it")
+            section.refuse(
+                key, f"must name a mover of rig {rig.name!r}", f"{key!r} instead of {' or '.join(names)}"
+            )
     axes: list[tuple[str, int, np.ndarray]] = []
     for mover in rig.movers:
         block = section.section(mover.name)
@@ -128,11 +134,16 @@ def _stops(section: Section, quantity: str, dimension: str) -> np.ndarray:
     if not section.is_section(key):
         return np.array([section.number(key) * unit.to_si])
     span = section.section(key)
-    start, stop, count = span.number("from"), span.number("to"), span.number("count")
-    if count < 1 or count != int(count):
-        span.refuse("count", "must be a whole number of at least 1", f"{count:g}")
+    start, stop, count = span.number("from"), span.number("to"), _count(span, "count")
     span.finish()
-    return np.linspace(start, stop, int(count)) * unit.to_si
+    return np.linspace(start, stop, count) * unit.to_si
+
+
+def _count(section: Section, key: str, default: float | None = None) -> int:
+    number = section.number(key, default)
+    if number < 1 or number != int(number):
+        section.refuse(key, "must be a whole number of at least 1", f"{number:g}")
+    return int(number)
 
 
 def _currents(top: Section, rig: Rig) -> tuple[Mapping[str, float], ...]:
@@ -143,6 +154,8 @@ def _currents(top: Section, rig: Rig) -> tuple[Mapping[str, float], ...]:
     for setting in settings:
         if not isinstance(setting, dict) or any(name not in coils for name in setting):
             top.refuse("currents_A", f"must name coils of the rig ({', '.join(coils)})", repr(setting))
-        if any(not isinstance(current, int | float) for current in setting.values()):
-            raise InvalidInput(f"currents_A must be numbers; received {setting!r} ({top.file})")
+        for current in setting.values():
+            is_number = isinstance(current, int | float) and not isinstance(current, bool)
+            if not is_number or not math.isfinite(current):
+                top.refuse("currents_A", "must hold finite numbers", repr(setting))
     return tuple({str(k): float(v) for k, v in setting.items()} for setting in settings)

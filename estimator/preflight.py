@@ -22,15 +22,39 @@ def check_readings(rig: Rig, observations: Observations, place: str) -> None:
 
     Args:
         rig: What they were taken on.
-        observations: The readings a fit would use.
+        observations: All readings; those that a fit would use have to suffice.
         place: Names their origin in messages.
     Raises:
-        InvalidInput: None, or fewer components than free parameters; a value that is not finite; no current; no motion.
+        InvalidInput: A value that is not finite; no reading to fit, or fewer components than free parameters; no current; no field; no
+            motion.
     """
-    n_components = int(observations.is_measured.sum())
-    n_free = len(rig.free)
-    if n_components == 0:
+    _check_values(observations, place)
+    observations = observations.calibration
+    if not len(observations):
         raise InvalidInput(f"session must hold calibration readings; it holds none ({place})")
+    if len(observations) == 1:
+        raise InvalidInput(
+            f"a calibration needs readings at several places; received a single reading ({place})"
+        )
+    n_components, n_free = int(observations.is_measured.sum()), len(rig.free)
+    if n_components < n_free:
+        raise InvalidInput(
+            f"readings must hold at least as many components as there are free parameters ({n_free}); "
+            f"received {n_components} ({place})"
+        )
+    if (observations.current_A == 0.0).all():
+        raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({place})")
+    if (observations.field_sensor_T[observations.is_measured] == 0.0).all():
+        raise InvalidInput(f"sensors must show a field; every component is 0 T ({place})")
+    motions = [observations.motion[mover.name] for mover in rig.movers]
+    places = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
+    if len(torch.unique(places, dim=0)) == 1:
+        raise InvalidInput(
+            f"readings must be taken at several poses; all {len(observations)} share one ({place})"
+        )
+
+
+def _check_values(observations: Observations, place: str) -> None:
     tensors = {"time": observations.time_s, "current": observations.current_A}
     tensors |= {f"motion of {name}": motion for name, motion in observations.motion.items()}
     for name, tensor in tensors.items():
@@ -47,23 +71,6 @@ def check_readings(rig: Rig, observations: Observations, place: str) -> None:
     if len(empty):
         raise InvalidInput(
             f"every reading must hold at least one component; reading {int(empty[0])} holds none ({place})"
-        )
-    if len(observations) == 1:
-        raise InvalidInput(
-            f"a calibration needs readings at several places; received a single reading ({place})"
-        )
-    if n_components < n_free:
-        raise InvalidInput(
-            f"readings must hold at least as many components as there are free parameters ({n_free}); "
-            f"received {n_components} ({place})"
-        )
-    if (observations.current_A == 0.0).all():
-        raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({place})")
-    motions = [observations.motion[mover.name] for mover in rig.movers]
-    places = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
-    if len(torch.unique(places, dim=0)) == 1:
-        raise InvalidInput(
-            f"readings must be taken at several poses; all {len(observations)} share one ({place})"
         )
 
 

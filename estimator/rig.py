@@ -7,7 +7,8 @@ The records name things and say how they hang together; all numbers are `Paramet
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -121,6 +122,33 @@ class Rig:
                 raise InvalidInput(f"{name} is tied to {tie.to} in rig {self.name!r}; set that one")
             parameters[name] = replace(parameters[name], value=value)
         return replace(self, parameters=parameters)
+
+    def with_fixed(self, names: Iterable[str]) -> Rig:
+        """The same rig with some parameters fixed at their nominal values."""
+        fixed = {name: replace(self.parameters[name], prior=None) for name in names}
+        return replace(self, parameters={**self.parameters, **fixed})
+
+    def broken_rule(self) -> tuple[str, str, str] | None:
+        """First nominal value that no rig can have: the parameter, the rule it breaks, and what it is; None where all are possible."""
+        values = self.nominal_values()
+        for name, value in values.items():
+            parameter = self.parameters[name]
+            if not math.isfinite(value):
+                return name, "must be finite", f"{value}"
+            if parameter.is_count and value < 1.0:
+                return name, "must be at least 1", f"{value:g}"
+            # A noise of 0 is fine in a simulation, a length of 0 is not.
+            if parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
+                return name, "must be > 0", f"{value:g} {parameter.unit}"
+        for coil in self.coils:
+            radius_m = values[f"{coil.name}.radius_m"]
+            thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
+            if radius_m <= thickness_m:
+                rule = (
+                    f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
+                )
+                return f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+        return None
 
     def nominal_values(self) -> dict[str, float]:
         """Nominal value of every parameter, ties resolved."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import torch
 from jaxtyping import Bool
@@ -35,12 +37,13 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
     places = torch.cat(features, dim=1).numpy()
     spread = places.std(axis=0)
-    places = (places - places.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    _, block = (
-        kmeans2(places, min(BLOCKS, n), minit="++", rng=rng, missing="warn")
-        if spread.any()
-        else (None, np.arange(n))
+    distinct, place = np.unique(
+        (places - places.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
     )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block less
+        _, block_of_place = kmeans2(distinct, min(BLOCKS, len(distinct)), minit="++", rng=rng)
+    block = block_of_place[place]
     is_validation = np.zeros(n, dtype=bool)
     for chosen in rng.permutation(np.unique(block)):
         if is_validation.sum() >= share * n:

@@ -99,9 +99,11 @@ def _loop_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> list[dict[str, An
     table = []
     for coil in rig.coils:
         pair = [_resolved(rig, f"{coil.name}.{key}", draws) for key in ("axial_loops", "radial_loops")]
-        if not all(isinstance(count, np.ndarray) and (count == np.round(count)).all() for count in pair):
+        is_free = any(isinstance(count, np.ndarray) for count in pair)
+        if not is_free or not all((np.asarray(count) == np.round(count)).all() for count in pair):
             continue
-        pairs, number = np.unique(np.stack([np.ravel(p) for p in pair], axis=1), axis=0, return_counts=True)
+        flat = [np.ravel(count) for count in np.broadcast_arrays(*pair)]
+        pairs, number = np.unique(np.stack(flat, axis=1), axis=0, return_counts=True)
         for i in np.argsort(-number):
             axial, radial = (int(n) for n in pairs[i])
             table.append(

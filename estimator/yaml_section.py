@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, reason
 from estimator.units import UNITS, Unit, split_unit
+
+
+class _Loader(yaml.SafeLoader):
+    """Numbers as in YAML 1.2: 2e-5 is one and 010 is ten, whereas 1:30, 1_000 and 2025-01-31 are text."""
+
+
+_INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INT, _FLOAT, _TIMESTAMP)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(_INT, re.compile(r"[-+]?[0-9]+$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    _FLOAT,
+    re.compile(
+        r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"
+    ),
+    list("-+.0123456789"),
+)
+_Loader.add_constructor(_INT, lambda _, node: int(node.value))
 
 
 class Section:
@@ -28,18 +49,22 @@ class Section:
         self._entries: dict[str, yaml.Node] = {}
         self._lines: dict[str, int] = {}
         for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise InvalidInput(f"{path or 'the file'} must have words as keys ({file}, line {line})")
             key = str(key_node.value)
-            self._lines[key] = key_node.start_mark.line + 1
             if key in self._entries:
-                self.refuse(key, "must appear once", "a second one")
-            self._entries[key] = value_node
+                raise InvalidInput(
+                    f"{self.place(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
+                )
+            self._entries[key], self._lines[key] = value_node, line
         self._untaken = set(self._entries)
 
     @classmethod
     def from_text(cls, text: str, file: str) -> Section:
         """The top mapping of a YAML text."""
         try:
-            node = yaml.compose(text, Loader=yaml.SafeLoader)
+            node = yaml.compose(text, Loader=_Loader)
         except yaml.YAMLError as error:
             raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}") from error
         if not isinstance(node, yaml.MappingNode):
@@ -54,7 +79,7 @@ class Section:
         try:
             return cls.from_text(path.read_text(encoding="utf-8"), str(path))
         except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} cannot be read: {error}") from error
+            raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
     def __iter__(self) -> Iterator[str]:
         """All keys, in file order."""
@@ -69,20 +94,28 @@ class Section:
 
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
         """Raise InvalidInput that names place, rule, value, file and line."""
-        line = self._lines.get(key, self.line)
-        raise InvalidInput(f"{self.place(key)} {rule}; received {received} ({self.file}, line {line})")
+        raise InvalidInput(f"{self.place(key)} {rule}; received {received} ({self.where(key)})")
+
+    def where(self, key: str) -> str:
+        """File and line of a key."""
+        return f"{self.file}, line {self._lines.get(key, self.line)}"
 
     def value(self, key: str, default: Any = None) -> Any:
         """Plain value of a key: text, number, list or None."""
         if key not in self._entries:
             return default
         self._untaken.discard(key)
-        return _plain(self._entries[key])
+        try:
+            return _plain(self._entries[key])
+        except yaml.YAMLError as error:
+            raise InvalidInput(
+                f"{self.place(key)} must be plain text, a number or a list ({self.where(key)})"
+            ) from error
 
     def required(self, key: str) -> Any:
         """Plain value of a key that must be there."""
         if key not in self._entries:
-            raise InvalidInput(f"{self.place(key)} is missing ({self.file}, line {self.line})")
+            raise InvalidInput(f"{self.place(key)} is missing ({self.where(key)})")
         return self.value(key)
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -99,12 +132,12 @@ class Section:
             self.refuse(key, f"must be one of {', '.join(choices)}", repr(value))
         return str(value)
 
-    def choice_of_key(self, choices: tuple[str, ...]) -> str:
-        """The one key of this mapping, out of a list."""
-        key = next(iter(self))
-        if key not in choices:
-            self.refuse(key, f"must be one of {', '.join(choices)}", "it")
-        return key
+    def key_of(self, choices: tuple[str, ...], section: str) -> str:
+        """The one key that the mapping below `section` holds, out of a list."""
+        keys = list(self.section(section))
+        if len(keys) != 1 or keys[0] not in choices:
+            self.refuse(section, f"must be one of {', '.join(choices)}", " and ".join(keys) or "nothing")
+        return keys[0]
 
     def section(self, key: str) -> Section:
         """A mapping below this one; empty where the key is absent."""
@@ -115,7 +148,7 @@ class Section:
                 "tag:yaml.org,2002:map", [], yaml.Mark(self.file, 0, self.line - 1, 0, None, 0)
             )
         if not isinstance(node, yaml.MappingNode):
-            self.refuse(key, "must hold keys and values", repr(_plain(node)))
+            self.refuse(key, "must hold keys and values", repr(self.value(key)))
         return Section(node, self.place(key), self.file)
 
     def is_section(self, key: str) -> bool:
@@ -129,19 +162,17 @@ class Section:
             InvalidInput: The key has no unit, one of another dimension, or appears with two units.
         """
         symbols = [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
-        found = [key for key in self._entries if split_unit(key)[0] == quantity]
+        found = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
         for key in found:
             unit = split_unit(key)[1]
             if unit is None:
-                self.refuse(
-                    key,
-                    f"lacks its unit: write {' or '.join(f'{quantity}_{s}' for s in symbols)}",
-                    _plain(self._entries[key]),
-                )
+                written = " or ".join(f"{quantity}_{symbol}" for symbol in symbols)
+                self.refuse(key, f"must carry its unit: write {written}", repr(self.value(key)))
             if unit.dimension != dimension:
-                self.refuse(key, f"must be a {dimension} ({', '.join(symbols)})", f"the unit {unit.symbol}")
+                rule = f"must be in a unit of {dimension} ({', '.join(symbols)})"
+                self.refuse(key, rule, f"{self.value(key)!r} in {unit.symbol}")
         if len(found) > 1:
-            self.refuse(found[1], "must be given once", f"{' and '.join(found)}")
+            self.refuse(found[1], "must be given in one unit", " and ".join(found))
         if not found:
             return None
         unit = split_unit(found[0])[1]
@@ -161,11 +192,11 @@ class Section:
         """Refuse keys that nobody took."""
         for key in self._entries:
             if key in self._untaken:
-                self.refuse(key, "is not a known key here", "it")
+                raise InvalidInput(f"{self.place(key)} is not a key that is known here ({self.where(key)})")
 
 
 def _plain(node: yaml.Node) -> Any:
-    loader = yaml.SafeLoader("")
+    loader = _Loader("")
     try:
         return loader.construct_object(node, deep=True)
     finally:

@@ -50,7 +50,9 @@ def show(repeats: list[dict[str, Any]]) -> None:
     n = len(repeats)
     not_converged = sum(not repeat["is_converged"] for repeat in repeats)
     sd = np.sqrt(0.09 / n)
-    print(f"{n} repeats, {not_converged} not converged; one Monte Carlo standard deviation of coverage is {sd:.1%}")
+    print(
+        f"{n} repeats, {not_converged} not converged; one Monte Carlo standard deviation of coverage is {sd:.1%}"
+    )
     print(f"{'parameter':38} {'coverage of 90 %':>17} {'P(KS)':>8}")
     coverage, p_value = coverage90(repeats), uniformity(repeats)
     for name, share in coverage.items():

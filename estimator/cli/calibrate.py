@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from estimator.calibrate import calibrate, remove_result
+from estimator.calibrate import calibrate
 from estimator.calibration import write_text
 from estimator.calibration_report import calibration_report
 from estimator.cli.output import (
@@ -73,14 +73,13 @@ def calibrate_command(
     rig = load_rig(rig_path) if rig_path else None
     if out.exists() and not out.is_dir():
         raise InvalidInput(f"output must be a folder; received {out}")
-    if overwrite:
-        remove_result(out)
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
     with StageReporter() as reporter:
         calibration = calibrate(
             session,
             rig,
             out=out,
+            overwrite=overwrite,
             seed=seed,
             settings=settings,
             has_integer_counts=counts == "integer",
@@ -91,7 +90,8 @@ def calibrate_command(
     show(dict(calibration.record), _text(calibration.record, out), as_json)
     if not calibration.record["is_converged"]:
         click.echo(
-            f"coilcal: sampling did not converge in {max_steps} steps; intervals are provisional (continue with more --max-steps)",
+            f"coilcal: sampling did not converge in {max_steps} steps; intervals are provisional "
+            "(the same command with more --max-steps continues)",
             err=True,
         )
         sys.exit(EXIT_NOT_CONVERGED)

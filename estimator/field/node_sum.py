@@ -52,12 +52,12 @@ def sum_over_nodes(
 @cache
 def compiled_sum() -> NodeSum:
     """The compiled sum, or the eager one where this machine cannot compile; tried once per process."""
-    compiled: NodeSum = torch.compile(sum_over_nodes, dynamic=True)
     one = torch.ones(2, 3, 3, dtype=torch.float64)
     try:
+        compiled: NodeSum = torch.compile(sum_over_nodes, dynamic=True)
         with torch.no_grad():
             compiled(one, Nodes(*(0.5 * one[:, :, 0],) * 3), 3)
-    except Exception as error:  # a missing or broken C++ compiler raises one of many types
+    except Exception as error:  # a broken compiler or a too new Python raises one of many types
         _log.warning("the field sum is not compiled on this machine and runs about 8 times slower: %s", error)
         return sum_over_nodes
     return compiled

@@ -41,6 +41,25 @@ class SamplerSettings:
     check_every: int = 50
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        for name in ("n_walkers", "target_ess", "largest_rhat", "max_steps", "check_every"):
+            if not getattr(self, name) > 0:
+                raise InvalidInput(f"sampler settings: {name} must be > 0; received {getattr(self, name)}")
+        if not 0 <= self.seed < 2**32:
+            raise InvalidInput(f"seed must be a whole number from 0 to {2**32 - 1}; received {self.seed}")
+
+    def check_walkers(self, n_free: int) -> None:
+        """Refuse fewer walkers than the moves need: two per dimension, and two more than dimensions.
+
+        Raises:
+            InvalidInput: Too few for that many free parameters.
+        """
+        fewest = max(2 * n_free, n_free + 2)
+        if self.n_walkers < fewest:
+            raise InvalidInput(
+                f"walkers must be at least {fewest} for {n_free} free parameters; received {self.n_walkers}"
+            )
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -92,6 +111,8 @@ def sample(
         backend: emcee backend; in memory by default.
         on_progress: Called after every look at the diagnostics.
     Returns: The chain; `is_converged` is False where `max_steps` came first.
+    Raises:
+        InvalidInput: Too few walkers for the number of coordinates.
     References: Foreman-Mackey et al., PASP 125, 306 (2013).
     """
 
@@ -106,10 +127,7 @@ def sample(
     ]
     backend = backend if backend is not None else Backend()
     n = posterior.coordinates.n
-    if settings.n_walkers < n + 2:
-        raise InvalidInput(
-            f"walkers must be at least {n + 2} for {n} free parameters; received {settings.n_walkers}"
-        )
+    settings.check_walkers(n)
     sampler = emcee.EnsembleSampler(
         settings.n_walkers, n, log_prob, moves=moves, vectorize=True, backend=backend
     )
@@ -120,6 +138,8 @@ def sample(
         state = emcee.State(
             _start(log_prob, proposal, settings.n_walkers, random), random_state=random.get_state()
         )
+    if backend.iteration > settings.max_steps:  # a longer run was asked for before
+        return _look(posterior.coordinates, backend, settings)
     for step in _look_steps(settings):
         if step < backend.iteration:
             continue

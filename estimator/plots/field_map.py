@@ -45,9 +45,12 @@ def field_plane(
     is_beside = (z_m > 0.0) | (z_m < -float(winding.length_m))
     is_outside = (across_m < inner_m) | (across_m > float(winding.radius_m)) | is_beside[:, None]
     size_mT = np.linalg.norm(field_T, axis=-1) * 1e3
-    low, high = np.quantile(size_mT[is_outside], (0.01, 0.995))
+    is_known = is_outside & np.isfinite(size_mT)  # another coil's winding may reach into the plane
+    low, high = np.quantile(size_mT[is_known], (0.01, 0.995))
     levels = np.geomspace(low, high, 13)
-    filled = left.contourf(x_mm, z_mm, size_mT, levels, norm=LogNorm(), cmap=FIELD_MAP, extend="both")
+    filled = left.contourf(
+        x_mm, z_mm, np.ma.masked_invalid(size_mT), levels, norm=LogNorm(), cmap=FIELD_MAP, extend="both"
+    )
     across, along = field_T[..., 0], field_T[..., 2]
     left.streamplot(x_mm, z_mm, across, along, color="white", linewidth=0.6, arrowsize=0.7, density=0.9)
     ticks = LogLocator(subs=(1.0, 2.0, 5.0))
@@ -55,9 +58,11 @@ def field_plane(
     bar.ax.minorticks_off()
     left.set_title("field and its lines, y = 0")
     percent = 100.0 * relative_half_width
-    top = float(np.quantile(percent[is_outside], 0.98))
+    top = float(np.quantile(percent[is_known], 0.98))
     steps = MaxNLocator(10).tick_values(0.0, top or 1.0)
-    filled = right.contourf(x_mm, z_mm, percent, list(steps), cmap=ERROR_MAP, extend="max")
+    filled = right.contourf(
+        x_mm, z_mm, np.ma.masked_invalid(percent), list(steps), cmap=ERROR_MAP, extend="max"
+    )
     made.colorbar(filled, ax=right, label="half-width of the 90 % interval of |B| (%)")
     right.set_title("how well |B| is known")
     for ax in (left, right):

@@ -1,7 +1,7 @@
 """A session: the readings of one visit to one rig, in a zarr v3 group that plain xarray opens.
 
-Every chunk carries a crc32c, and the group a SHA-256 over all arrays and the rig, because zarr reads a missing chunk as fill values
-without a word. The rig's YAML travels inside, so a session is complete by itself.
+Every chunk carries a crc32c, and the group a SHA-256 over all arrays and attributes, because zarr reads a missing chunk as fill values
+without a word. The rig's YAML and its values travel inside, so a session is complete by itself.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.config import rig_from_text
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.rig import Body, Mover, Rig
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -50,16 +50,22 @@ class Session:
     @property
     def hash(self) -> str:
         """SHA-256 over readings and rig; the same readings always give the same hash."""
-        return _digest(observation_arrays(self.observations), self.rig.text)
+        rig = [self.rig.text, sorted(_own_values(self.rig).items())]
+        return digest(observation_arrays(self.observations), {"rig": rig})
 
-    def with_rig(self, rig: Rig) -> Session:
-        """The same readings under another description of the rig, which must name the same things."""
+    def check_rig(self, rig: Rig) -> None:
+        """Refuse another description of the rig that does not name the same things in the same order.
+
+        Raises:
+            InvalidInput: Coils, sensors, movers or what the movers report differ.
+        """
         for kind in ("coils", "sensors", "movers"):
-            have = [body.name for body in getattr(self.rig, kind)]
-            want = [body.name for body in getattr(rig, kind)]
+            have, want = ([_described(body) for body in getattr(r, kind)] for r in (self.rig, rig))
             if have != want:
-                raise InvalidInput(f"the rig's {kind} must be those of the session, {have}; received {want}")
-        return replace(self, rig=rig)
+                raise InvalidInput(
+                    f"{kind} of the rig must be those of the session ({', '.join(have) or 'none'}); "
+                    f"received {', '.join(want) or 'none'} (rig {rig.name!r})"
+                )
 
     def save(self, path: Path, overwrite: bool = False) -> None:
         """Write the session, whole or not at all.
@@ -67,19 +73,20 @@ class Session:
         Raises:
             InvalidInput: The path exists and `overwrite` is not set, or it cannot be written.
         """
+        path = path.absolute()
         if path.exists() and not overwrite:
             raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
         partial = path.with_name(path.name + ".partial")
         try:
+            if path.exists() and not _is_session(path):
+                raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(partial, ignore_errors=True)
             self._write(partial)
-            if path.exists():
-                shutil.rmtree(path)
-            partial.rename(path)
+            replace_folder(partial, path)
         except OSError as error:
             shutil.rmtree(partial, ignore_errors=True)
-            raise InvalidInput(f"output must be writable; {path} is not: {error}") from error
+            raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
 
     def _write(self, path: Path) -> None:
         group = zarr.open_group(path, mode="w", zarr_format=3)
@@ -94,19 +101,18 @@ class Session:
                 dimension_names=list(dimensions),
             )
             array[...] = data
-        group.attrs.update(
-            {
-                "kind": KIND,
-                "schema_version": SCHEMA_VERSION,
-                "created": self.created,
-                "source": self.source,
-                "truth": dict(self.truth),
-                "rig": self.rig.text,
-                "coil": [coil.name for coil in self.rig.coils],
-                "sensor": [sensor.name for sensor in self.rig.sensors],
-                "sha256": _digest(arrays, self.rig.text),
-            }
-        )
+        attributes: dict[str, Any] = {
+            "kind": KIND,
+            "schema_version": SCHEMA_VERSION,
+            "created": self.created,
+            "source": self.source,
+            "truth": dict(self.truth),
+            "rig": self.rig.text,
+            "rig_values": _own_values(self.rig),
+            "coil": [coil.name for coil in self.rig.coils],
+            "sensor": [sensor.name for sensor in self.rig.sensors],
+        }
+        group.attrs.update({**attributes, "sha256": digest(arrays, attributes)})
 
 
 def load_session(path: Path | str) -> Session:
@@ -118,30 +124,43 @@ def load_session(path: Path | str) -> Session:
     """
     path = Path(path)
     if not (path / "zarr.json").is_file():
-        raise InvalidInput(f"session must be a zarr folder made by coilcal; received {path}")
+        raise InvalidInput(
+            f"session must be a folder that coilcal import or coilcal simulate wrote; received {path}"
+        )
     try:
         group = zarr.open_group(path, mode="r")
-        attributes: dict[str, Any] = json.loads(json.dumps(group.attrs.asdict()))
+        attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
-        stored = {name: np.asarray(array[...]) for name, array in group.arrays()}
-        rig = rig_from_text(attributes["rig"], f"rig inside {path}")
-        session = Session(
-            rig,
-            observations_from(stored, rig),
-            str(attributes["source"]),
-            str(attributes["created"]),
-            attributes["truth"],
-        )
-        digest = session.hash
+        seal = attributes.pop("sha256")
+        arrays = {
+            name: (tuple(array.metadata.dimension_names or ()), np.asarray(array[...]))  # type: ignore[union-attr]
+            for name, array in group.arrays()
+        }
+        if digest(arrays, attributes) != seal:
+            raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
+        rig = rig_from_text(attributes["rig"], f"rig inside {path}").with_values(attributes["rig_values"])
+        observations = observations_from({name: data for name, (_, data) in arrays.items()}, rig)
     except CoilcalError:
         raise
     except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
         raise CorruptStore(
             f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
         ) from error
-    if digest != attributes.get("sha256"):
-        raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
-    return session
+    return Session(rig, observations, attributes["source"], attributes["created"], attributes["truth"])
+
+
+def _is_session(path: Path) -> bool:
+    group = path / "zarr.json"
+    return group.is_file() and KIND.encode() in group.read_bytes()
+
+
+def _described(body: Body | Mover) -> str:
+    return f"{body.name} ({body.motion})" if isinstance(body, Mover) else body.name
+
+
+def _own_values(rig: Rig) -> dict[str, float]:
+    """Nominal values of the parameters that follow no other; they may differ from those in the rig's text."""
+    return {name: float(p.value) for name, p in rig.parameters.items() if p.tie is None}
 
 
 def _check_kind(attributes: Mapping[str, Any], path: Path) -> None:
@@ -187,10 +206,24 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
     )
 
 
-def _digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], rig_text: str) -> str:
-    digest = hashlib.sha256(rig_text.encode())
+def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes: Mapping[str, Any]) -> str:
+    """SHA-256 over named arrays with their dimensions, and over attributes that JSON can hold."""
+    result = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in sorted(arrays):
-        data = np.ascontiguousarray(arrays[name][1])
-        digest.update(f"{name} {data.dtype.str} {data.shape}".encode())
-        digest.update(data.tobytes())
-    return digest.hexdigest()
+        dimensions, data = arrays[name]
+        result.update(f"{name} {dimensions} {data.dtype.str} {data.shape}".encode())
+        result.update(np.ascontiguousarray(data).tobytes())
+    return result.hexdigest()
+
+
+def replace_folder(finished: Path, path: Path) -> None:
+    """Put a finished folder in the place of another.
+
+    A kill leaves the old folder, or the new one; between the two renames it leaves both, whole, as `.old` and under the name of `finished`.
+    """
+    old = path.with_name(path.name + ".old")
+    shutil.rmtree(old, ignore_errors=True)
+    if path.exists():
+        path.rename(old)
+    finished.rename(path)
+    shutil.rmtree(old, ignore_errors=True)

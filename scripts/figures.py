@@ -1,0 +1,47 @@
+"""Pictures in docs/figures, from calibrations that `make demo` and `make real` left behind."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from estimator import Calibration
+from estimator.calibration_pictures import pictures
+
+ROOT = Path(__file__).resolve().parent.parent
+WANTED = {
+    "demo/calibration": {
+        "demo_posterior": "Posterior",
+        "demo_field": "Field of coil1",
+        "demo_residual": "Residual around coil1",
+    },
+    "out/real/mice-run07": {
+        "mice_run07_residual": "Residual around M1",
+        "mice_run07_predicted": "Predicted against measured",
+        "mice_run07_sensors": "Residuals by sensor",
+        "mice_run07_learnt": "What the data taught",
+    },
+    "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
+}
+
+
+def main() -> None:
+    folder = ROOT / "docs/figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    for source, names in WANTED.items():
+        if not (ROOT / source / "summary.json").exists():
+            print(f"{source} holds no calibration; its figures stay as they are", file=sys.stderr)
+            continue
+        drawn = {picture.title: picture.figure for picture in pictures(Calibration.load(ROOT / source))}
+        for file, title in names.items():
+            drawn[title].savefig(folder / f"{file}.png", dpi=110, bbox_inches="tight")
+            print(folder / f"{file}.png")
+
+
+if __name__ == "__main__":
+    main()
