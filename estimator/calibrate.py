@@ -19,7 +19,7 @@ from emcee.backends import Backend
 from estimator.calibration import POSTERIOR, SUMMARY, Calibration
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
 from estimator.inference.laplace import OpenDirection, open_directions
 from estimator.inference.lattice import CountMixture, count_mixture
@@ -87,16 +87,22 @@ def calibrate(
     tell = on_stage or (lambda stage: None)
     rig = rig or session.rig
     session.check_rig(rig)
-    settings = replace(settings or SamplerSettings(), seed=seed)
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    settings.check_walkers(len(rig.free))
+    if has_integer_counts and all(parameter.is_count for parameter in rig.free):
+        raise InvalidInput(
+            "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts be continuous; "
+            f"rig {rig.name!r} has none"
+        )
+    settings = replace(settings or SamplerSettings(), seed=seed).for_rig(len(rig.free))
     folder = None if out is None else Path(out)
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
     backend = None if folder is None or overwrite else _unfinished(folder, fingerprint)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     check_units(rig, observations, session.source)
+    if folder is not None:
+        _make(folder)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     chain = Chain.build(rig, observations)
@@ -108,8 +114,14 @@ def calibrate(
     undetermined = tuple(open_directions(coordinates, estimate.fit))
 
     tell(Stage("Laplace approximation over loop counts", open_directions=undetermined))
+    rng = np.random.default_rng(seed)
     lattice = LogPosterior(Coordinates(rig, has_integer_counts), chain, observations)
-    mixture = count_mixture(posterior, lattice, estimate.fit, np.random.default_rng(seed))
+    mixture = count_mixture(posterior, lattice, estimate.fit, rng)
+    if mixture is None:
+        tell(Stage("loop counts are hardly determined and are sampled as real numbers"))
+        lattice = LogPosterior(coordinates, chain, observations)
+        mixture = count_mixture(posterior, lattice, estimate.fit, rng)
+        assert mixture is not None
     if chain.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
         lattice = LogPosterior(lattice.coordinates, replace(chain, is_compiled=True), observations)
 
@@ -131,6 +143,7 @@ def calibrate(
     record = {
         **summary(session, calibration),
         "is_converged": samples.is_converged,
+        "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
         "point_estimate": _point_estimate(coordinates, estimate),
         "undetermined": [asdict(direction) for direction in undetermined],
@@ -150,7 +163,7 @@ def _values(coordinates: Coordinates, vector: torch.Tensor) -> dict[str, torch.T
 
 def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
     """The chain of a calibration to be continued; None where the folder holds none."""
-    if is_finished(folder):
+    if _is_finished(folder):
         raise InvalidInput(
             f"output must not hold a finished calibration, or be replaced with --overwrite; received {folder}"
         )
@@ -163,6 +176,15 @@ def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
         raise InvalidInput(
             "output must be free, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
             f"or be replaced with --overwrite; received {folder}, which holds another"
+        ) from error
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(
+            f"output must be a folder that can be written; {folder} is not: {reason(error)}"
         ) from error
 
 
@@ -186,13 +208,13 @@ def _new_backend(
     )
 
 
-def is_finished(folder: Path) -> bool:
+def _is_finished(folder: Path) -> bool:
     """Whether a folder holds a calibration that reached its targets."""
     try:
         return bool(json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("is_converged", True))
-    except FileNotFoundError:
+    except OSError:
         return False
-    except ValueError:
+    except (ValueError, AttributeError):
         return True  # damaged, but nothing to write over unasked
 
 

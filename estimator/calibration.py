@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Mapping
@@ -15,14 +16,15 @@ import torch
 import xarray as xr
 from jaxtyping import Float
 from torch import Tensor
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.config import rig_from_text
 from estimator.coordinates import Coordinates
-from estimator.errors import CorruptStore, InvalidInput
+from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.prediction import RoomField
 from estimator.records import Observations
-from estimator.rig import Rig
-from estimator.store.session import observation_arrays, observations_from
+from estimator.rig import MotionKind, Rig
+from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
 POSTERIOR, SUMMARY = "posterior.zarr", "summary.json"
@@ -60,13 +62,14 @@ class Calibration:
         Args:
             points_m: Points in the world frame.
             currents_A: Current of each coil by name; coils that are not named are off.
-            motion: Per mover the six numbers of its columns; zeros (the reference configuration) where absent.
+            motion: Per mover the six numbers of its columns. A mover that reports displacements stands at zero, its reference
+                configuration, where it is not named; any other that carries a coil must be.
         Returns: Bx, By, Bz; NaN at points inside a winding.
         Raises:
-            InvalidInput: An unknown coil or mover.
+            InvalidInput: An unknown coil or mover, a mover whose stand is not said, or a number that is not finite.
         """
         best = self._best()
-        return RoomField(self.rig, best, points_m, motion).field_T(best, self._currents(currents_A))
+        return self._room(points_m, motion).field_T(best, self._currents(currents_A))
 
     def gradient(
         self,
@@ -76,7 +79,7 @@ class Calibration:
     ) -> Float[Tensor, "point 3 3"]:
         """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free place."""
         best = self._best()
-        return RoomField(self.rig, best, points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
+        return self._room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
 
     def field_interval(
         self,
@@ -92,12 +95,14 @@ class Calibration:
             level: Probability inside the interval, 0 < level < 1.
         Returns: Lower and upper ends, in tesla, from 400 draws of the posterior.
         Raises:
-            InvalidInput: Level outside (0, 1), an unknown coil or mover.
+            InvalidInput: Level outside (0, 1), or as in `field`.
         """
         if not 0.0 < level < 1.0:
             raise InvalidInput(f"level must lie between 0 and 1; received {level}")
-        room = RoomField(self.rig, self._best(), points_m, motion)
+        room = self._room(points_m, motion)
+        n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
+        fields = fields.expand(n_draws, len(points_m), 3)  # no batch where no coil is free
         tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=fields.dtype)
         lower, upper = torch.quantile(fields, tails, dim=0)
         return lower, upper
@@ -124,13 +129,12 @@ class Calibration:
             partial = folder / (POSTERIOR + ".partial")
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
-            shutil.rmtree(folder / POSTERIOR, ignore_errors=True)
-            partial.rename(folder / POSTERIOR)
+            replace_folder(partial, folder / POSTERIOR)
             write_text(
                 folder / SUMMARY, json.dumps(self.record, indent=2, sort_keys=True, allow_nan=False) + "\n"
             )
         except OSError as error:
-            raise InvalidInput(f"output must be writable; {folder} is not: {error}") from error
+            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 
     @classmethod
     def load(cls, folder: Path | str) -> Calibration:
@@ -142,32 +146,40 @@ class Calibration:
         """
         folder = Path(folder)
         if not (folder / SUMMARY).is_file():
-            raise InvalidInput(f"calibration must be a folder with {SUMMARY}; received {folder}")
+            raise InvalidInput(
+                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY}); received {folder}"
+            )
         try:
             record = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-            with xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree:
-                draws = {str(name): array.to_numpy() for name, array in tree["posterior"].data_vars.items()}
-                log_prob = tree["sample_stats/lp"].to_numpy()
-                arrays = {
-                    str(name): array.to_numpy() for name, array in tree["constant_data"].data_vars.items()
-                }
-                arrays |= {
-                    str(name): array.to_numpy() for name, array in tree["observed_data"].data_vars.items()
-                }
-                attributes = dict(tree["posterior"].attrs)
+            with (
+                quiet_zarr(),
+                xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree,
+            ):
+                tree.load()
+            if tree.attrs["schema_version"] != SCHEMA_VERSION:
+                raise CorruptStore(
+                    f"calibration schema_version must be {SCHEMA_VERSION}; received {tree.attrs['schema_version']!r} ({folder})"
+                )
+            seal = tree.attrs.pop("sha256")
+            if seal != _seal(tree):
+                raise CorruptStore(
+                    f"calibration must match its SHA-256; {folder / POSTERIOR} was altered or lost a chunk"
+                )
+            attributes = tree.attrs
+            arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
             rig = rig_from_text(attributes["rig"], f"rig inside {folder}")
             rig = rig.with_values(
                 {k: v for k, v in json.loads(attributes["nominal"]).items() if rig.parameters[k].tie is None}
             )
-            return cls(
-                rig, observations_from(arrays, rig), json.loads(attributes["best"]), draws, log_prob, record
-            )
-        except InvalidInput:
+            observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
+            draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
+        except CorruptStore:
             raise
         except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
             raise CorruptStore(
                 f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
             ) from error
+        return cls(rig, observations, best, draws, log_prob, record)
 
     def _write_posterior(self, path: Path) -> None:
         walkers, steps = self.log_prob.shape
@@ -177,20 +189,42 @@ class Calibration:
             "rig": self.rig.text,
             "nominal": json.dumps(self.rig.nominal_values()),
             "best": json.dumps(dict(self.best)),
-            "inference_library": "emcee",
         }
-        posterior = xr.Dataset({k: (("chain", "draw"), v) for k, v in self.draws.items()}, coords, attributes)
-        stats = xr.Dataset({"lp": (("chain", "draw"), self.log_prob)}, coords)
+        posterior = {name: (("chain", "draw"), draws) for name, draws in self.draws.items()}
         arrays = observation_arrays(self.observations)
         tree = xr.DataTree.from_dict(
             {
-                "/posterior": posterior,
-                "/sample_stats": stats,
+                "/": xr.Dataset(attrs=attributes),
+                "/posterior": xr.Dataset(posterior, coords, {"inference_library": "emcee"}),
+                "/sample_stats": xr.Dataset({"lp": (("chain", "draw"), self.log_prob)}, coords),
                 "/observed_data": xr.Dataset({"field_sensor_T": arrays.pop("field_sensor_T")}),
                 "/constant_data": xr.Dataset(arrays),
             }
         )
-        tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False)
+        tree.attrs["sha256"] = _seal(tree)
+        checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
+        encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
+        tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+
+    def _room(
+        self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, " 6"]] | None
+    ) -> RoomField:
+        motion = motion or {}
+        carriers = {coil.carried_by for coil in self.rig.coils}
+        for mover in self.rig.movers:
+            if mover.name in motion:
+                if motion[mover.name].shape != (6,) or not torch.isfinite(motion[mover.name]).all():
+                    received = motion[mover.name].tolist()
+                    raise InvalidInput(
+                        f"motion of {mover.name} must be six finite numbers; received {received}"
+                    )
+            elif mover.name in carriers and mover.motion is not MotionKind.DISPLACEMENT:
+                raise InvalidInput(
+                    f"motion of {mover.name} must be given ({', '.join(mover.columns)}): it carries a coil; received none"
+                )
+        if not torch.isfinite(points_m).all():
+            raise InvalidInput("points must be finite; received NaN or infinity among them")
+        return RoomField(self.rig, self._best(), points_m, motion)
 
     def _best(self) -> dict[str, Tensor]:
         return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
@@ -202,7 +236,23 @@ class Calibration:
                 raise InvalidInput(
                     f"currents must name coils of the rig ({', '.join(names)}); received {name!r}"
                 )
+            if not math.isfinite(currents_A[name]):
+                raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
+
+
+def _seal(tree: xr.DataTree) -> str:
+    """SHA-256 over every array and attribute of a tree."""
+    arrays = {
+        f"{node.path} {name}": (tuple(str(d) for d in variable.dims), variable.to_numpy())
+        for node in tree.subtree
+        for name, variable in node.dataset.variables.items()
+    }
+    return digest(arrays, {node.path: dict(node.attrs) for node in tree.subtree})
+
+
+def _arrays(node: xr.DataTree) -> dict[str, np.ndarray]:
+    return {str(name): array.to_numpy() for name, array in node.data_vars.items()}
 
 
 def write_text(path: Path, text: str) -> None:

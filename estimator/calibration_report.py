@@ -73,6 +73,13 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
             f"The data do not determine {direction['words']}: their own standard deviation is "
             f"{min(direction['data_over_prior_sd'], 9999):.3g} times the prior's, so the interval is the prior's."
         )
+    for name, distance in record["prior_tension"].items():
+        found.append(
+            f"{split_unit(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
+            "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
+        )
+    if not record["has_integer_counts"] and any(name.endswith("_loops") for name in record["parameters"]):
+        found.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
     estimate = record["point_estimate"]
     if estimate["starts_agreeing"] < 0.5 * estimate["starts"]:
         found.append(

@@ -161,7 +161,7 @@ class Chain:
     def _refuse_inside(self, coil: Coil, rows: Tensor, points_m: Tensor, winding: Winding) -> None:
         inside = (distance_to_winding(points_m, winding) <= 0.0).nonzero().flatten()
         if len(inside):
-            reading = int((self.place == rows[inside[0]]).nonzero().flatten()[0])
+            reading = int(torch.isin(self.place, rows[inside]).nonzero().flatten()[0])
             raise InvalidInput(
                 f"sensors must lie outside the winding of {coil.name}; at the rig's nominal values {len(inside)} of "
                 f"{len(rows)} places do not, the first at reading {reading} (rig {self.rig.name!r})"

@@ -7,13 +7,14 @@ separately. With `integer_counts` the free loop counts stand unchanged in the la
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.func import jacfwd
 
 from estimator.parameters import Parameter
 from estimator.rig import Rig
@@ -128,16 +129,16 @@ class Coordinates:
         """Coordinates of the nominal values."""
         return self.vector({})
 
-    @property
+    @cached_property
     def scale(self) -> Float[Tensor, " coordinate"]:
-        """Prior standard deviation of every coordinate, to first order."""
-        elementary = np.array(
-            [
-                _sd(p) / abs(p.prior.centre if p.prior and p.prior.centre else 1.0) if is_log else _sd(p)
-                for p, is_log in zip(self.parameters, self._is_log, strict=True)
-            ]
-        )
-        return torch.as_tensor(np.sqrt((self._mix**2) @ elementary**2) if self.n else elementary)
+        """Prior standard deviation of every coordinate, to first order about the nominal values."""
+        nominal = self.rig.nominal_values()
+        at = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
+        if not self.n:
+            return at
+        slope = jacfwd(lambda values: self.vector(dict(zip(self.names, values, strict=True))))(at)
+        sd = torch.tensor([p.prior.sd for p in self.parameters if p.prior], dtype=torch.float64)
+        return torch.sqrt(slope**2 @ sd**2)
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log prior density of the coordinates (change of variables included), up to a constant."""
@@ -200,7 +201,3 @@ class Coordinates:
                 mix[radial] = 0.0
                 mix[radial, [wire, axial]] = 1.0
         return mix
-
-
-def _sd(parameter: Parameter) -> float:
-    return parameter.prior.sd if parameter.prior else math.nan

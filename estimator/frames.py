@@ -31,8 +31,8 @@ class Transform:
         [-2.0, 1.0, 0.1]
     """
 
-    rotation: Float[Tensor, "*batch 3 3"]
-    translation_m: Float[Tensor, "*batch 3"]
+    rotation: Float[Tensor, "*#batch 3 3"]
+    translation_m: Float[Tensor, "*#batch 3"]
 
     @classmethod
     def identity(cls, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Transform:

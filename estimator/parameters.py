@@ -43,6 +43,10 @@ class Prior(ABC):
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """Draws from the prior."""
 
+    def distance(self, value: float) -> float:
+        """How far a value lies from the prior's centre, in its standard deviations."""
+        return (value - self.centre) / self.sd
+
     def _inside(self, value: Tensor, log_density: Tensor) -> Tensor:
         outside = (value < self.lower) | (value > self.upper)
         return torch.where(outside, torch.full_like(log_density, -math.inf), log_density)
@@ -110,6 +114,9 @@ class LogNormal(Prior):
         log_value = torch.log(value.clamp(min=1e-300))
         density = -0.5 * ((log_value - math.log(self.median)) / self.relative_sd) ** 2 - log_value
         return self._inside(value, density)
+
+    def distance(self, value: float) -> float:
+        return math.log(value / self.median) / self.relative_sd
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         bounds = [math.log(b) if b > 0.0 else -math.inf for b in (self.lower, self.upper)]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.stats import qmc
 
 from estimator.records import Observations
 from estimator.rig import MotionKind, Rig
@@ -104,21 +105,26 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
 
 
 def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
+    """Poses of all movers: a grid over every span, or `scattered` places that fill the spans evenly (Halton's sequence)."""
     names = [mover.name for mover in rig.movers]
     for key in section:
-        if key not in names:
+        if key not in (*names, "scattered"):
             section.refuse(
                 key, f"must name a mover of rig {rig.name!r}", f"{key!r} instead of {' or '.join(names)}"
             )
+    n_scattered = _count(section, "scattered") if "scattered" in section else None
     axes: list[tuple[str, int, np.ndarray]] = []
     for mover in rig.movers:
         block = section.section(mover.name)
         quantities = JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
-        axes += [(mover.name, i, _stops(block, *quantity)) for i, quantity in enumerate(quantities)]
+        is_grid = n_scattered is None
+        axes += [(mover.name, i, _stops(block, *quantity, is_grid)) for i, quantity in enumerate(quantities)]
         block.finish()
     section.finish()
+    stops = [axis for *_, axis in axes]
+    rows = itertools.product(*stops) if n_scattered is None else _scattered(stops, n_scattered)
     poses = []
-    for values in itertools.product(*(stops for *_, stops in axes)):
+    for values in rows:
         pose = {name: np.zeros(6) for name in names}
         for (name, i, _), value in zip(axes, values, strict=True):
             pose[name][i] = value
@@ -126,7 +132,14 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     return tuple(poses)
 
 
-def _stops(section: Section, quantity: str, dimension: str) -> np.ndarray:
+def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
+    unit = qmc.Halton(len(spans), scramble=False).random(count + 1)[1:]  # the first point is the corner
+    low, high = np.array([[span[0], span[-1]] for span in spans]).T
+    return np.asarray(low + unit * (high - low))
+
+
+def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
+    """The values an axis takes: 0 where it is absent, a number, the steps of a grid, or the two ends of a span."""
     entry = section.key_with_unit(quantity, dimension)
     if entry is None:
         return np.zeros(1)
@@ -134,7 +147,8 @@ def _stops(section: Section, quantity: str, dimension: str) -> np.ndarray:
     if not section.is_section(key):
         return np.array([section.number(key) * unit.to_si])
     span = section.section(key)
-    start, stop, count = span.number("from"), span.number("to"), _count(span, "count")
+    start, stop = span.number("from"), span.number("to")
+    count = _count(span, "count") if is_grid else 2
     span.finish()
     return np.linspace(start, stop, count) * unit.to_si
 

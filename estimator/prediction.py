@@ -35,7 +35,7 @@ class RoomField:
         motion: Per mover the six numbers of its columns; a mover that is not named stands at zeros (its reference configuration).
         tolerance: Error of the winding sum relative to |B|.
     Raises:
-        InvalidInput: A motion names no mover, or a mover that reports poses or joints has none.
+        InvalidInput: A motion names no mover of the rig.
     """
 
     def __init__(

@@ -14,6 +14,7 @@ from estimator.rig import MotionKind, Rig
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
+MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the given one does not
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
 
@@ -91,24 +92,27 @@ def check_units(rig: Rig, observations: Observations, place: str) -> None:
         index = np.random.default_rng(0).choice(len(observations), MOST_READINGS, replace=False)
         observations = observations.rows(torch.from_numpy(np.sort(index)))
     given = _agreement(rig, observations)
-    if (
-        given is not None
-        and 1.0 / PLAUSIBLE_RATIO < given.ratio < PLAUSIBLE_RATIO
-        and given.correlation > 0.5
-    ):
+    is_plausible = given is not None and 1.0 / PLAUSIBLE_RATIO < given.ratio < PLAUSIBLE_RATIO
+    if given is not None and is_plausible and given.correlation > 0.9:
         return
+    misfit = 1.0 - (given.correlation if given is not None else 0.0)
     for thing, factor, unit in (
         ("positions", 1e-3, "mm"),
         ("positions", 1e-2, "cm"),
         ("rotations", np.pi / 180.0, "degrees"),
     ):
         other = _agreement(rig, _scaled(rig, observations, thing, factor))
-        if other is not None and 1.0 / 3.0 < other.ratio < 3.0 and other.correlation > 0.9:
+        if (
+            other is not None
+            and 1.0 / 3.0 < other.ratio < 3.0
+            and other.correlation > 0.7
+            and 1.0 - other.correlation < MUCH_BETTER * misfit
+        ):
             raise InvalidInput(
-                f"{thing} of the movers must be in {'metre' if thing == 'positions' else 'radian'}; they look like {unit}: "
+                f"{thing} of the movers must be in {'metres' if thing == 'positions' else 'radians'}; they look like {unit}: "
                 f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({place})"
             )
-    if given is None or 1.0 / PLAUSIBLE_RATIO < given.ratio < PLAUSIBLE_RATIO:
+    if given is None or is_plausible:
         return
     unit_ratio = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(given.ratio / item[1])))
     if 1.0 / 3.0 < given.ratio / unit_ratio[1] < 3.0:

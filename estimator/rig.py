@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from enum import StrEnum
 
 from estimator.errors import InvalidInput
@@ -114,8 +115,9 @@ class Rig:
         parameters = dict(self.parameters)
         for name, value in values.items():
             if name not in parameters:
+                closest = get_close_matches(name, parameters, n=1, cutoff=0.0)
                 raise InvalidInput(
-                    f"rig {self.name!r} has no parameter {name!r}; it has {', '.join(parameters)}"
+                    f"rig {self.name!r} has no parameter {name!r}; the closest name is {' '.join(closest)}"
                 )
             tie = parameters[name].tie
             if tie is not None:

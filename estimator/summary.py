@@ -17,6 +17,7 @@ from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.store.session import Session
 
+TENSION = 2.5  # standard deviations of the prior; one of ten honest parameters goes there in a tenth of the sessions
 COVERAGE_DRAWS = 200
 COVERAGE_ROWS = 10_000  # readings at once, to bound memory
 
@@ -32,6 +33,7 @@ def summary(session: Session, calibration: Calibration) -> dict[str, Any]:
     rig = calibration.rig
     return {
         "parameters": _parameters(rig, calibration.draws),
+        "prior_tension": _prior_tension(rig, calibration.draws),
         "loop_counts": _loop_counts(rig, calibration.draws),
         "best": dict(calibration.best),
         **_errors(calibration),
@@ -63,6 +65,14 @@ def _parameters(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
             "is_derived": name not in draws,
         }
     return result
+
+
+def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Parameters whose median lies far outside their prior, in its standard deviations: priors or model are wrong."""
+    distance = {
+        p.name: p.prior.distance(float(np.median(draws[p.name]))) for p in rig.free if p.prior is not None
+    }
+    return {name: value for name, value in distance.items() if abs(value) > TENSION}
 
 
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -153,7 +163,9 @@ def _coverage(calibration: Calibration, chain: Chain, observations: Observations
         [values[f"{s.name}.noise_T"].expand(n_draws) for s in calibration.rig.sensors], dim=-1
     )
     with torch.no_grad():
-        predicted = chain.predict(values)
+        predicted = chain.predict(values).expand(
+            n_draws, len(observations), 3
+        )  # no batch where only noise is free
     generator = torch.Generator().manual_seed(0)
     tails = torch.tensor([0.05, 0.95], dtype=torch.float64)
     inside = 0

@@ -111,6 +111,8 @@ def run(data_set: DataSet, data: Path, out: Path, ess: float, seed: int) -> None
         print(
             f"  {parameter.name:36} {p['median']:12.6g} {p['sd']:10.2g}  {prior.centre:12.6g} +- {prior.sd:.2g}"
         )
+    for name, distance in record["prior_tension"].items():
+        print(f"  {name} lies {distance:+.1f} prior standard deviations from its prior's centre")
     for direction in record["undetermined"]:
         print(f"  not determined by the data: {direction['words']}")
     state = "converged" if record["is_converged"] else "NOT CONVERGED"

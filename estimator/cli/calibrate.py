@@ -17,10 +17,10 @@ from estimator.cli.output import (
     explain_errors,
     json_option,
     overwrite_option,
+    seed_option,
     show,
 )
 from estimator.config import load_rig
-from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.store.session import load_session
 
@@ -36,7 +36,7 @@ from estimator.store.session import load_session
 @click.option(
     "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@seed_option
 @click.option(
     "--ess",
     type=click.FloatRange(min=10),
@@ -44,7 +44,9 @@ from estimator.store.session import load_session
     show_default=True,
     help="Effective samples of every parameter.",
 )
-@click.option("--walkers", type=click.IntRange(min=8), default=32, show_default=True)
+@click.option(
+    "--walkers", type=click.IntRange(min=0), default=0, help="0 stands for 32, or two per free parameter."
+)
 @click.option("--max-steps", type=click.IntRange(min=1), default=20_000, show_default=True)
 @click.option(
     "--counts",
@@ -71,8 +73,6 @@ def calibrate_command(
     """Calibrate the rig of SESSION; run it again to continue a calibration that was interrupted."""
     session = load_session(session_path)
     rig = load_rig(rig_path) if rig_path else None
-    if out.exists() and not out.is_dir():
-        raise InvalidInput(f"output must be a folder; received {out}")
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
     with StageReporter() as reporter:
         calibration = calibrate(
@@ -90,7 +90,7 @@ def calibrate_command(
     show(dict(calibration.record), _text(calibration.record, out), as_json)
     if not calibration.record["is_converged"]:
         click.echo(
-            f"coilcal: sampling did not converge in {max_steps} steps; intervals are provisional "
+            f"coilcal: sampling did not converge in {calibration.record['sampling']['steps']} steps; intervals are provisional "
             "(the same command with more --max-steps continues)",
             err=True,
         )
@@ -113,6 +113,10 @@ def _text(record: Any, out: Path) -> str:
                 f"{role}: error {metrics['vector_T'] * 1e6:.4g} uT rms of the vector ({metrics['relative']:.3%} of the field), "
                 f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {record['coverage90'][role]:.1%}"
             )
+    lines += [
+        f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
+        for name, distance in record["prior_tension"].items()
+    ]
     lines += [f"not determined by the data: {d['words']}" for d in record["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

@@ -7,9 +7,16 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.output import explain_errors, json_option, overwrite_option, show
+from estimator.cli.output import (
+    explain_errors,
+    json_option,
+    named_number,
+    overwrite_option,
+    refuse_existing,
+    seed_option,
+    show,
+)
 from estimator.config import load_rig
-from estimator.errors import InvalidInput
 from estimator.preflight import check_readings, check_units
 from estimator.split import block_split
 from estimator.store.importers import IMPORTERS
@@ -32,7 +39,7 @@ from estimator.store.session import Session
     show_default=True,
     help="Share kept out of the fit, as whole blocks of neighbouring places; a 'set' column goes first.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the validation blocks.")
+@seed_option
 @overwrite_option
 @json_option
 @explain_errors
@@ -51,12 +58,14 @@ def import_command(
 
     `readings` is coilcal's CSV (see the README); the others read maps of public repositories.
     """
+    refuse_existing(out, overwrite)
     rig = load_rig(rig_path)
-    session = IMPORTERS[kind](paths, rig, dict(_current(text) for text in currents))
+    session = IMPORTERS[kind](paths, rig, named_number(currents, "--current"))
     place = ", ".join(str(path) for path in paths)
     check_readings(rig, session.observations, place)
     check_units(rig, session.observations, place)
     session = _with_validation(session, share, seed)
+    check_readings(rig, session.observations, place)  # what is left to fit must suffice, too
     session.save(out, overwrite)
     observations = session.observations
     result = {
@@ -74,11 +83,3 @@ def _with_validation(session: Session, share: float, seed: int) -> Session:
     if observations.is_validation.any():
         return session
     return replace(session, observations=observations.with_validation(block_split(observations, share, seed)))
-
-
-def _current(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise InvalidInput(f"--current must look like M1=30; received {text!r}") from None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import click
@@ -13,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from estimator.calibrate import Stage
-from estimator.errors import CoilcalError, CorruptStore
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED = 2, 3, 4
 
@@ -22,6 +24,7 @@ R = TypeVar("R")
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+seed_option = click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 
 
 def explain_errors(command: Callable[P, R]) -> Callable[P, R]:
@@ -34,8 +37,54 @@ def explain_errors(command: Callable[P, R]) -> Callable[P, R]:
         except CoilcalError as error:
             click.echo(f"coilcal: {error}", err=True)
             sys.exit(EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT)
+        except BrokenPipeError:
+            raise
+        except OSError as error:  # a path that the system refuses before coilcal looks at it
+            click.echo(f"coilcal: {error.filename} must be readable and writable: {reason(error)}", err=True)
+            sys.exit(EXIT_BAD_INPUT)
 
     return wrapped
+
+
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Keep a file that nobody asked to replace.
+
+    Raises:
+        InvalidInput: It exists.
+    """
+    if path.exists() and not overwrite:
+        raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
+
+
+def named_numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
+    """An option such as coil1=3 or arm1=0,0,0.1,0,0,0: a name and finite numbers.
+
+    Raises:
+        InvalidInput: It looks otherwise.
+    """
+    name, _, values = text.partition("=")
+    try:
+        numbers = [float(value) for value in values.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+        raise InvalidInput(f"{option} must look like NAME={','.join(['1.0'] * count)}; received {text!r}")
+    return name, numbers
+
+
+def named_number(texts: Sequence[str], option: str) -> dict[str, float]:
+    """Options such as coil1=3 by name.
+
+    Raises:
+        InvalidInput: One looks otherwise, or a name comes twice.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, (value,) = named_numbers(text, option, 1)
+        if name in found:
+            raise InvalidInput(f"{option} must name {name} once; received it again in {text!r}")
+        found[name] = value
+    return found
 
 
 def show(result: Mapping[str, Any], text: str, as_json: bool) -> None:
@@ -50,7 +99,8 @@ class StageReporter:
         self._last = ""
         console = Console(stderr=True)
         self._bar: Progress | None = None
-        if console.is_terminal:
+        # Console.is_terminal also believes FORCE_COLOR, which build servers set while they record a pipe.
+        if sys.stderr.isatty():
             columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
             self._bar = Progress(*columns, console=console, transient=True)
             self._task = self._bar.add_task("starting", total=None)

@@ -11,8 +11,16 @@ import numpy as np
 import torch
 
 from estimator.calibration import Calibration, write_text
-from estimator.cli.output import explain_errors, json_option, overwrite_option, show
-from estimator.errors import InvalidInput
+from estimator.cli.output import (
+    explain_errors,
+    json_option,
+    named_number,
+    named_numbers,
+    overwrite_option,
+    refuse_existing,
+    show,
+)
+from estimator.errors import InvalidInput, reason
 from estimator.units import split_unit
 
 HEADER = (
@@ -64,17 +72,17 @@ def predict_command(
     as_json: bool,
 ) -> None:
     """Write the field of a CALIBRATION with credible intervals on a grid of the world frame, as CSV."""
-    if out.exists() and not overwrite:
-        raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {out}")
+    refuse_existing(out, overwrite)
     calibration = Calibration.load(folder)
-    stops = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1)}
-    for text in axes:
-        name, values = _axis(text)
-        stops[name] = values
+    given = [_axis(text) for text in axes]
+    if len({name for name, _ in given}) < len(given):
+        raise InvalidInput(f"--grid must name an axis once; received {', '.join(axes)}")
+    stops = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(given)}
     points_m = torch.from_numpy(np.stack(np.meshgrid(*stops.values(), indexing="ij"), axis=-1).reshape(-1, 3))
-    currents_A = {name: values[0] for name, values in (_numbers(text, "--current", 1) for text in currents)}
+    currents_A = named_number(currents, "--current")
     motion = {
-        name: torch.tensor(values) for name, values in (_numbers(text, "--motion", 6) for text in motions)
+        name: torch.tensor(values, dtype=torch.float64)
+        for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
     field = calibration.field(points_m, currents_A, motion)
     lower, upper = calibration.field_interval(points_m, currents_A, level, motion)
@@ -90,7 +98,7 @@ def predict_command(
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, buffer.getvalue())
     except OSError as error:
-        raise InvalidInput(f"output must be writable; {out} is not: {error}") from error
+        raise InvalidInput(f"output must be writable; {out} is not: {reason(error)}") from error
     n_inside = int(inside.sum())
     text = f"{len(points_m)} points written to {out}" + (
         f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
@@ -115,17 +123,7 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
         or name not in ("x", "y", "z")
         or len(numbers) not in (1, 3)
         or count < 1
+        or not np.isfinite(numbers).all()
     ):
         raise InvalidInput(f"--grid must look like x_mm=-50:50:11 or z_mm=20; received {text!r}")
     return name, np.linspace(numbers[0], numbers[-2 if len(numbers) == 3 else 0], count) * unit.to_si
-
-
-def _numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
-    name, _, values = text.partition("=")
-    try:
-        numbers = [float(value) for value in values.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise InvalidInput(f"{option} must look like name={','.join(['1.0'] * count)}; received {text!r}")
-    return name, numbers

@@ -8,8 +8,8 @@ import click
 
 from estimator.calibration import Calibration, write_text
 from estimator.calibration_report import calibration_report
-from estimator.cli.output import explain_errors, json_option, show
-from estimator.errors import InvalidInput
+from estimator.cli.output import explain_errors, json_option, overwrite_option, refuse_existing, show
+from estimator.errors import InvalidInput, reason
 
 
 @click.command("report")
@@ -17,14 +17,16 @@ from estimator.errors import InvalidInput
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Page to write; report.html in the folder by default."
 )
+@overwrite_option
 @json_option
 @explain_errors
-def report_command(folder: Path, out: Path | None, as_json: bool) -> None:
+def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write the HTML report of a stored CALIBRATION (a folder that `coilcal calibrate` wrote)."""
     path = out or folder / "report.html"
+    refuse_existing(path, overwrite or out is None)
     page = calibration_report(Calibration.load(folder), f"coilcal report {folder}")
     try:
         write_text(path, page)
     except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {error}") from error
+        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
     show({"report": str(path)}, f"report: {path}", as_json)

@@ -7,9 +7,17 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.output import explain_errors, json_option, overwrite_option, show
+from estimator.cli.output import (
+    explain_errors,
+    json_option,
+    named_number,
+    overwrite_option,
+    refuse_existing,
+    seed_option,
+    show,
+)
 from estimator.config import load_rig
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, reason
 from estimator.plan import load_plan
 from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
@@ -35,7 +43,7 @@ from estimator.store.session import Session
     metavar="NAME=VALUE",
     help="Set one parameter of the truth, in SI; repeatable.",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@seed_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
 @overwrite_option
@@ -53,14 +61,17 @@ def simulate_command(
     as_json: bool,
 ) -> None:
     """Simulate a session: perfect readings of a known truth, then noise."""
+    refuse_existing(out, overwrite)
+    if csv_path is not None:
+        refuse_existing(csv_path, overwrite)
     rig = load_rig(rig_path)
-    values = _truth(rig, truth, seed) | dict(_assignment(text) for text in assignments)
+    values = _truth(rig, truth, seed) | named_number(assignments, "--set")
     plan = load_plan(plan_path, rig)
     readings = simulate(rig, plan, values, seed)
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
-    session.save(out, overwrite)
     if csv_path is not None:
         write_readings_csv(session, csv_path)
+    session.save(out, overwrite)
     n_validation = int(readings.is_validation.sum())
     result = {"session": str(out), "readings": len(readings), "validation": n_validation, "truth": values}
     text = f"{len(readings)} readings ({n_validation} of them for validation) written to {out}; truth:\n"
@@ -73,18 +84,12 @@ def _truth(rig: Rig, choice: str, seed: int) -> dict[str, float]:
         return draw_truth(rig, seed)
     if choice == "nominal":
         return {parameter.name: parameter.value for parameter in rig.free}
+    rule = "--truth must be prior, nominal or a JSON file {parameter: number}"
     try:
         content = json.loads(Path(choice).read_text(encoding="utf-8"))
-        return {str(name): float(value) for name, value in content.items()}
-    except (OSError, ValueError, AttributeError) as error:
-        raise InvalidInput(
-            f"--truth must be prior, nominal or a JSON file of numbers; received {choice}: {error}"
-        ) from error
-
-
-def _assignment(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise InvalidInput(f"--set must look like coil1.radius_m=0.051; received {text!r}") from None
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{rule}; received {choice}: {reason(error)}") from error
+    numbers = content.values() if isinstance(content, dict) else [None]
+    if not all(isinstance(value, int | float) for value in numbers):
+        raise InvalidInput(f"{rule}; received {choice}, which holds something else")
+    return {name: float(value) for name, value in content.items()}

@@ -16,17 +16,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.field.loop import loop_terms
+from estimator.field.loop import FEWEST_STEPS, loop_terms
 
 _log = logging.getLogger(__name__)
 
 
 class Nodes(NamedTuple):
-    """Weighted loops that stand for a winding."""
+    """Weighted loops that stand for a winding: any number of node axes, to whose product heights and radii broadcast."""
 
-    height_m: Float[Tensor, "rows node"]
-    radius_m: Float[Tensor, "rows node"]
-    weight: Float[Tensor, "rows node"]
+    height_m: Float[Tensor, "rows *#node"]
+    radius_m: Float[Tensor, "rows *#node"]
+    weight: Float[Tensor, "rows *node"]
+
+    def flat(self) -> Nodes:
+        """The same loops along one axis."""
+        return Nodes(*(value.flatten(1) for value in torch.broadcast_tensors(*self)))
 
 
 NodeSum = Callable[[Tensor, Nodes, int], Tensor]
@@ -37,27 +41,35 @@ def sum_over_nodes(
 ) -> Float[Tensor, "rows point 3"]:
     """Field per ampere of weighted loops about z, row by row.
 
+    Points run along the last axis, where vector instructions want many equal neighbours, and loops along the axes before it.
+
     Args:
         points_m: Points in the coil frame.
         nodes: Height, radius and weight of the loops of every row.
         steps: AGM steps of each loop.
     """
-    x, y, z = (coordinate[..., None] for coordinate in points_m.unbind(-1))
-    height, radius, weight = (value[:, None, :] for value in nodes)
+    height, radius, weight = (value[..., None] for value in nodes)
+    before_points = (1,) * (weight.ndim - 2)
+    x, y, z = (coordinate.unflatten(0, (-1, *before_points)) for coordinate in points_m.unbind(-1))
     h, axial = loop_terms(x, y, z - height, radius, steps)
-    h_sum = (weight * h).sum(-1)
-    return torch.stack((x[..., 0] * h_sum, y[..., 0] * h_sum, (weight * axial).sum(-1)), dim=-1)
+    h_sum, axial_sum = ((weight * value).flatten(1, -2).sum(1) for value in (h, axial))
+    return torch.stack((points_m[..., 0] * h_sum, points_m[..., 1] * h_sum, axial_sum), dim=-1)
 
 
 @cache
-def compiled_sum() -> NodeSum:
-    """The compiled sum, or the eager one where this machine cannot compile; tried once per process."""
-    one = torch.ones(2, 3, 3, dtype=torch.float64)
+def compiled_sum(steps: int = FEWEST_STEPS) -> NodeSum:
+    """The compiled sum, or the eager one where this machine cannot compile; tried once per process and number of AGM steps.
+
+    Args:
+        steps: AGM steps; the compiled code is unrolled for them, other numbers work and are compiled when first met.
+    """
+    # Sizes that differ from each other and from the 3 of a vector are compiled as variables, once for all sizes.
+    points_m, nodes = torch.ones(2, 5, 3, dtype=torch.float64), torch.full((2, 7), 0.5, dtype=torch.float64)
     try:
         compiled: NodeSum = torch.compile(sum_over_nodes, dynamic=True)
         with torch.no_grad():
-            compiled(one, Nodes(*(0.5 * one[:, :, 0],) * 3), 3)
+            compiled(points_m, Nodes(nodes, nodes, nodes), steps)
     except Exception as error:  # a broken compiler or a too new Python raises one of many types
-        _log.warning("the field sum is not compiled on this machine and runs about 8 times slower: %s", error)
+        _log.warning("the field sum is not compiled on this machine and runs about 5 times slower: %s", error)
         return sum_over_nodes
     return compiled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import emcee
 import numpy as np
@@ -15,10 +15,16 @@ from estimator.errors import InvalidInput
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.moves import LatticeDifferenceMove, MixtureProposal, independence_move
+from estimator.inference.moves import (
+    LatticeDifferenceMove,
+    MixtureProposal,
+    autoregressive_move,
+    independence_move,
+)
 
-INDEPENDENCE_SHARE = 0.85
+INDEPENDENCE_SHARE, AUTOREGRESSIVE_SHARE = 0.7, 0.15  # the rest is differential evolution
 BURN_IN_SHARE = 0.1
+FEWEST_WALKERS = 32
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,8 @@ class SamplerSettings:
     """How long to sample.
 
     Attributes:
-        n_walkers: Walkers in the ensemble; many short chains need more samples before R-hat believes them.
+        n_walkers: Walkers in the ensemble; 0 stands for 32, or two per free parameter where that is more. Many short chains need more
+            samples before R-hat believes them.
         target_ess: Wanted effective sample size (bulk and tail) of every coordinate.
         largest_rhat: R-hat that every coordinate must fall below.
         max_steps: Give up here and say so.
@@ -34,7 +41,7 @@ class SamplerSettings:
         seed: Of the random state; the same seed gives the same chain on the same machine.
     """
 
-    n_walkers: int = 32
+    n_walkers: int = 0
     target_ess: float = 2000.0
     largest_rhat: float = 1.01
     max_steps: int = 20_000
@@ -42,23 +49,26 @@ class SamplerSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("n_walkers", "target_ess", "largest_rhat", "max_steps", "check_every"):
+        for name in ("target_ess", "largest_rhat", "max_steps", "check_every"):
             if not getattr(self, name) > 0:
                 raise InvalidInput(f"sampler settings: {name} must be > 0; received {getattr(self, name)}")
         if not 0 <= self.seed < 2**32:
             raise InvalidInput(f"seed must be a whole number from 0 to {2**32 - 1}; received {self.seed}")
 
-    def check_walkers(self, n_free: int) -> None:
-        """Refuse fewer walkers than the moves need: two per dimension, and two more than dimensions.
+    def for_rig(self, n_free: int) -> SamplerSettings:
+        """The same settings with a number of walkers that suits the moves: two per dimension, and two more than dimensions.
 
         Raises:
-            InvalidInput: Too few for that many free parameters.
+            InvalidInput: Too few were asked for.
         """
         fewest = max(2 * n_free, n_free + 2)
+        if self.n_walkers == 0:
+            return replace(self, n_walkers=max(FEWEST_WALKERS, fewest))
         if self.n_walkers < fewest:
             raise InvalidInput(
                 f"walkers must be at least {fewest} for {n_free} free parameters; received {self.n_walkers}"
             )
+        return self
 
 
 @dataclass(frozen=True)
@@ -123,11 +133,12 @@ def sample(
     proposal = MixtureProposal(mixture)
     moves = [
         (independence_move(proposal), INDEPENDENCE_SHARE),
-        (LatticeDifferenceMove(proposal), 1.0 - INDEPENDENCE_SHARE),
+        (autoregressive_move(proposal), AUTOREGRESSIVE_SHARE),
+        (LatticeDifferenceMove(proposal), 1.0 - INDEPENDENCE_SHARE - AUTOREGRESSIVE_SHARE),
     ]
     backend = backend if backend is not None else Backend()
     n = posterior.coordinates.n
-    settings.check_walkers(n)
+    settings = settings.for_rig(n)
     sampler = emcee.EnsembleSampler(
         settings.n_walkers, n, log_prob, moves=moves, vectorize=True, backend=backend
     )

@@ -13,13 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.errors import InvalidInput
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.polish import Polished, polish
 
 NEGLIGIBLE = 1e-5
-MOST_TUPLES = 600
+MOST_TUPLES, MOST_EFFECTIVE = 600, 200.0
 FITS_PER_BATCH = 64
 DRAWS, FEWEST_DRAWS = 4000, 8
 
@@ -43,16 +42,16 @@ class CountMixture:
 
 def count_mixture(
     continuous: LogPosterior, integer: LogPosterior, fit: Polished, rng: np.random.Generator
-) -> CountMixture:
-    """Maxima and weights of all tuples of loop counts that matter.
+) -> CountMixture | None:
+    """Maxima and weights of all tuples of loop counts that matter; None where they are too many for a table.
 
     Args:
         continuous: Posterior with real-valued counts.
         integer: The same posterior with whole-numbered counts in the last columns.
         fit: Maximum of `continuous` (the first start is used).
         rng: Draws the tuples to begin with.
-    Raises:
-        InvalidInput: More than `MOST_TUPLES` tuples matter: the counts are not determined well enough for a table.
+    Returns: The mixture, or None where more than `MOST_TUPLES` tuples are plausible: such counts are hardly determined, and real
+        numbers describe them as well.
     """
     n_counts = integer.coordinates.n_counts
     if n_counts == 0:
@@ -62,6 +61,8 @@ def count_mixture(
         torch.manual_seed(int(rng.integers(2**31)))
         sample = draws.sample((DRAWS,))
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
+    if not start_of:
+        return None
     fits: dict[tuple[int, ...], Polished] = {}
     wanted = list(start_of)
     while wanted:
@@ -72,10 +73,7 @@ def count_mixture(
         weight = _weights(fits)
         matter = [key for key in fits if weight[key] > NEGLIGIBLE]
         if len(matter) > MOST_TUPLES:
-            raise InvalidInput(
-                f"loop counts must be determined by data and priors to at most {MOST_TUPLES} tuples; {len(matter)} are "
-                "plausible: fix counts, narrow their priors, or call with continuous counts (--counts continuous)"
-            )
+            return None
         wanted = []
         for key in matter:
             for neighbour in _neighbours(key):
@@ -89,7 +87,10 @@ def count_mixture(
 def _starts(
     continuous: LogPosterior, integer: LogPosterior, sample: Tensor, n_counts: int
 ) -> dict[tuple[int, ...], Tensor]:
-    """A start for every tuple that the draws round to: the mean of those draws, with the counts rounded."""
+    """A start for every tuple that the draws round to: the mean of those draws, with the counts rounded; none if too many.
+
+    The number of tuples that matter is estimated as the exponential of the entropy of the draws.
+    """
     values = continuous.coordinates.values(sample)
     moved = {
         name: value.round().clamp(min=1.0) if continuous.chain.rig.parameters[name].is_count else value
@@ -97,6 +98,9 @@ def _starts(
     }
     vectors = integer.coordinates.vector(moved)
     keys, which, number = torch.unique(vectors[:, -n_counts:], dim=0, return_inverse=True, return_counts=True)
+    share = number / number.sum()
+    if float(torch.exp(-(share * torch.log(share)).sum())) > MOST_EFFECTIVE:
+        return {}
     allowed = torch.isfinite(integer.coordinates.log_prior(vectors))
     starts: dict[tuple[int, ...], Tensor] = {}
     for i in torch.argsort(number, descending=True)[:MOST_TUPLES].tolist():

@@ -12,6 +12,7 @@ from torch.func import hessian, jacfwd, jacrev, vmap
 from estimator.inference.likelihood import LogPosterior
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
+LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and what the data leave open would have no width
 
 
 @dataclass(frozen=True)
@@ -21,15 +22,15 @@ class Polished:
     Attributes:
         vector: Coordinates of the maxima.
         log_posterior: Log posterior density there.
-        precision: Negative Hessian of the log posterior, Gauss-Newton for the data, exact for the prior.
+        precision: Negative Hessian of the log posterior, Gauss-Newton for the data, exact for a prior that is not flat.
         information: The data's share of it (Fisher information).
         is_converged: The predicted gain of a further step is below the tolerance.
     """
 
     vector: Float[Tensor, "start coordinate"]
     log_posterior: Float[Tensor, " start"]
-    precision: Float[Tensor, "start coordinate coordinate"]
-    information: Float[Tensor, "start coordinate coordinate"]
+    precision: Float[Tensor, "start continuous continuous"]
+    information: Float[Tensor, "start continuous continuous"]
     is_converged: Bool[Tensor, " start"]
     n_iterations: int
 
@@ -145,8 +146,10 @@ def _curvature(
 
     prior_gradient = vmap(jacrev(log_prior))(continuous, counts)
     prior_precision = -vmap(hessian(log_prior))(continuous, counts)
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT))
-    prior_precision = vectors @ (eigenvalues.clamp(min=0.0)[..., None] * vectors.mT)
+    scale = posterior.coordinates.scale[:n]
+    unit = scale[:, None] * scale[None, :]
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT) * unit)
+    prior_precision = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
     return gradient + prior_gradient, information + prior_precision, information
 
 

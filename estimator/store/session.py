@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +21,7 @@ import numpy as np
 import torch
 import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.errors import ZarrUserWarning
 
 from estimator.config import rig_from_text
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
@@ -132,10 +135,11 @@ def load_session(path: Path | str) -> Session:
         attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
         seal = attributes.pop("sha256")
-        arrays = {
-            name: (tuple(array.metadata.dimension_names or ()), np.asarray(array[...]))  # type: ignore[union-attr]
-            for name, array in group.arrays()
-        }
+        with quiet_zarr():
+            arrays = {
+                name: (tuple(array.metadata.dimension_names or ()), np.asarray(array[...]))  # type: ignore[union-attr]
+                for name, array in group.arrays()
+            }
         if digest(arrays, attributes) != seal:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
         rig = rig_from_text(attributes["rig"], f"rig inside {path}").with_values(attributes["rig_values"])
@@ -214,6 +218,14 @@ def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes:
         result.update(f"{name} {dimensions} {data.dtype.str} {data.shape}".encode())
         result.update(np.ascontiguousarray(data).tobytes())
     return result.hexdigest()
+
+
+@contextmanager
+def quiet_zarr() -> Iterator[None]:
+    """Without zarr's warnings about files that it does not know: notes of users are welcome, and what is missing is found anyway."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrUserWarning)
+        yield
 
 
 def replace_folder(finished: Path, path: Path) -> None:

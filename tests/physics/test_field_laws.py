@@ -99,7 +99,7 @@ def test_field_is_that_of_biot_and_savart():
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
 def test_ampere_line_integral_around_the_winding_is_mu0_times_the_current_through_it(tolerance):
-    """Counter-clockwise seen from +z means along -y at +x... so the path runs up inside the bore and down outside."""
+    """The current runs counter-clockwise seen from +z, so the path runs up the bore, outwards in front, and down outside."""
     inner, outer, front, back = 0.016, 0.062, 0.01, -0.0572
     rho, w_rho = gauss_legendre(inner, outer, 60)
     z, w_z = gauss_legendre(back, front, 60)

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from scipy import stats
 
-from estimator import SamplerSettings, Session, calibrate, draw_truth, load_plan, load_rig
+from estimator import Rig, SamplerSettings, Session, calibrate, draw_truth, load_plan, load_rig
 from estimator.plan import observations_of
 from tests.independent.readings import perfect_readings_T
 
@@ -26,10 +26,21 @@ NOISE_T = 20e-6
 CURRENT_A = 3.0
 
 
-def one_repeat(seed: int, target_ess: float = 600.0) -> dict[str, Any]:
-    """Calibrate one simulated visit to the paper's rig and compare with the truth."""
+def paper_rig() -> Rig:
+    """The rig of the study: 10 free parameters, pose among them."""
+    return load_rig(ROOT / "configs/paper_simulation.yaml")
+
+
+def one_repeat(seed: int, target_ess: float = 600.0, fitted_rig: Rig | None = None) -> dict[str, Any]:
+    """Calibrate one simulated visit to the paper's rig and compare with the truth.
+
+    Args:
+        seed: Of truth, noise and sampling.
+        target_ess: Effective samples of every parameter.
+        fitted_rig: What the fit believes; another rig than the true one breaks the calibration.
+    """
     torch.set_num_threads(1)
-    rig = load_rig(ROOT / "configs/paper_simulation.yaml")
+    rig = paper_rig()
     plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
     rng = np.random.default_rng([20, seed])
     observations = observations_of(plan, rig, rng).calibration
@@ -38,14 +49,15 @@ def one_repeat(seed: int, target_ess: float = 600.0) -> dict[str, Any]:
     noisy_T = perfect_T + NOISE_T * rng.normal(size=perfect_T.shape)
     session = Session(rig, observations.with_field(torch.from_numpy(noisy_T)), f"coverage study, seed {seed}")
     begin = time.perf_counter()
-    calibration = calibrate(session, seed=seed, settings=SamplerSettings(target_ess=target_ess, largest_rhat=1.05))
+    settings = SamplerSettings(target_ess=target_ess, largest_rhat=1.05)
+    calibration = calibrate(session, fitted_rig, seed=seed, settings=settings)
     record = calibration.summary()
     true_counts = (truth["coil1.axial_loops"], truth["coil1.radial_loops"])
     return {
         "seed": seed,
         "seconds": time.perf_counter() - begin,
         "is_converged": record["is_converged"],
-        "rank": {name: _rank(calibration.draws[name], truth[name], rng) for name in truth},
+        "rank": {name: _rank(draws, truth[name], rng) for name, draws in calibration.draws.items()},
         "counts": [
             [entry["probability"], (entry["axial"], entry["radial"]) == true_counts]
             for entry in record["loop_counts"]

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import MotionKind, Mover, Rig
 
@@ -46,7 +46,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read: {error}") from error
+        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
 
 def read_numbers(

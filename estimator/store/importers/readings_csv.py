@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import MotionKind, Mover, Rig
 from estimator.store.importers.common import finite_number
@@ -143,7 +143,7 @@ def write_readings_csv(session: Session, path: Path) -> None:
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
     except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {error}") from error
+        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
 
 
 def _columns(rig: Rig) -> dict[str, _Column]:
@@ -187,7 +187,7 @@ def _read_table(path: Path, known: dict[str, _Column]) -> _Table:
                     rows.append(row)
                     lines.append(reader.line_num)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidInput(f"{path} cannot be read: {error}") from error
+        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
     if not rows:
         raise InvalidInput(f"{path} must hold at least one reading; it holds none")
     return _Table(path, place, list(zip(*rows, strict=True)), lines)

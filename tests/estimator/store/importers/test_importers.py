@@ -22,7 +22,7 @@ def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> N
     assert session.hash == read_axis_scan(path, rig, {"coil1": 0.5}).hash
     assert session.observations.field_sensor_T[0, 2].item() == UNITS["G"].to_si
     for name, importer in IMPORTERS.items():
-        with pytest.raises(InvalidInput, match=r"cannot be read|name"):
+        with pytest.raises(InvalidInput, match=r"must be readable|name"):
             importer([tmp_path / "none"], rig, {} if name == "readings" else {"coil1": 0.5})
 
 

@@ -179,7 +179,7 @@ def test_joint_angles_are_never_left_out(tmp_path: Path) -> None:
 def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01" * 50)
     for name in ("missing.csv", "binary.csv", "."):
-        with pytest.raises(InvalidInput, match="cannot be read"):
+        with pytest.raises(InvalidInput, match="must be readable"):
             read_readings_csv(tmp_path / name, rig)
 
 

@@ -1,0 +1,108 @@
+"""The posterior density against SciPy's normal distribution, component by component."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from estimator.inference.likelihood import LogPosterior
+
+TWO_SENSORS = """{near: {noise_uT: 0.3, carried_by: stage}, far: {carried_by: stage, flange_from_sensor: {y_mm: 15},
+  noise_uT: {prior: {log_normal: {median: 0.8, relative_sd: 0.5}}}}}"""
+COIL = """{coil1: {radius_mm: {prior: {normal: {mean: 50, sd: 2, lower: 45}}}, wire_radius_mm: 1, axial_loops: 3, radial_loops: 2,
+  world_from_coil: {z_mm: {prior: {normal: {mean: -40, sd: 2}}}}}}"""
+
+
+@pytest.fixture(scope="module")
+def posterior(problem) -> LogPosterior:
+    """Two sensors of different noise, and readings that lack components."""
+    made = problem(COIL, TWO_SENSORS, noise_T=0.4e-6)
+    field = made.observations.field_sensor_T.clone()
+    field[0, 1] = field[3, 0] = field[3, 2] = torch.nan
+    field[5] = torch.nan
+    return LogPosterior(made.real.coordinates, made.real.chain, made.observations.with_field(field))
+
+
+def prior_draws(posterior: LogPosterior, number: int) -> torch.Tensor:
+    draws = posterior.coordinates.sample_prior(np.random.default_rng(1), 4 * number)
+    return draws[torch.isfinite(posterior.coordinates.log_prior(draws))][:number]
+
+
+def test_log_likelihood_is_the_sum_of_scipys_normal_densities_over_what_was_measured(posterior, problem):
+    observations = problem(COIL, TWO_SENSORS, noise_T=0.4e-6).observations
+    missing = {(0, 1), (3, 0), (3, 2), (5, 0), (5, 1), (5, 2)}
+    for vector in prior_draws(posterior, 4):
+        values = posterior.coordinates.values(vector)
+        predicted = posterior.chain.predict(values)
+        noise = [values["near.noise_T"].item(), values["far.noise_T"].item()]
+        expected = sum(
+            stats.norm.logpdf(
+                observations.field_sensor_T[i, j].item(),
+                predicted[i, j].item(),
+                noise[observations.sensor[i]],
+            )
+            for i in range(len(observations))
+            for j in range(3)
+            if (i, j) not in missing
+        )
+        assert posterior.log_likelihood(vector).item() == pytest.approx(expected, rel=1e-12)
+    assert len(posterior.measured_T) == 3 * len(observations) - len(missing)
+    assert posterior.n_by_sensor.sum() == len(posterior.measured_T)
+
+
+def test_posterior_is_prior_times_likelihood(posterior):
+    vectors = prior_draws(posterior, 6)
+    expected = posterior.coordinates.log_prior(vectors) + posterior.log_likelihood(vectors)
+    torch.testing.assert_close(posterior(vectors), expected, rtol=1e-14, atol=0.0)
+
+
+def test_residuals_vanish_at_the_truth_of_perfect_readings(problem):
+    made = problem(COIL, TWO_SENSORS, {"coil1.radius_m": 0.052}, noise_T=0.0)
+    truth = made.real.coordinates.vector({"coil1.radius_m": 0.052})
+    assert made.real.whitened(truth).abs().max() < 1e-6
+    assert made.real.whitened(made.real.coordinates.start()).abs().max() > 1.0
+
+
+def test_whitened_residuals_of_the_truth_are_standard_normal(problem):
+    """The noise of the readings is that of the rig here, but for the first sensor, whose noise is said to be half of it."""
+    sensors = TWO_SENSORS.replace("noise_uT: 0.3", "noise_uT: 0.2").replace("median: 0.8", "median: 0.4")
+    places_m = np.random.default_rng(2).uniform(-0.02, 0.02, (300, 3))
+    posterior = problem(COIL, sensors, noise_T=0.4e-6, places_m=places_m).real
+    whitened = posterior.whitened(posterior.coordinates.start())
+    assert stats.kstest(whitened[posterior.sensor == 1].numpy(), "norm").pvalue > 0.01
+    assert stats.kstest(0.5 * whitened[posterior.sensor == 0].numpy(), "norm").pvalue > 0.01
+
+
+def test_batch_equals_one_by_one(posterior):
+    vectors = prior_draws(posterior, 6).reshape(2, 3, -1)
+    together = posterior(vectors)
+    assert together.shape == (2, 3)
+    for i, j in np.ndindex(2, 3):
+        assert together[i, j].item() == pytest.approx(posterior(vectors[i, j]).item(), rel=1e-12)
+
+
+def test_outside_the_prior_the_density_is_zero_and_the_others_keep_theirs(posterior):
+    vectors = prior_draws(posterior, 5)
+    expected = posterior(vectors)
+    mixed = vectors.clone()
+    mixed[[1, 3]] = posterior.coordinates.vector({"coil1.radius_m": 0.0449})
+    density = posterior(mixed)
+    assert density.isneginf().tolist() == [False, True, False, True, False]
+    inside = torch.tensor([0, 2, 4])
+    torch.testing.assert_close(density[inside], expected[inside], rtol=1e-12, atol=0.0)
+    assert posterior(mixed[1]).isneginf()
+    assert posterior(mixed[[1, 3]]).isneginf().all()
+
+
+@pytest.mark.parametrize("column", range(3))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
+def test_impossible_coordinates_have_no_density_instead_of_nan(posterior, column, value):
+    vectors = prior_draws(posterior, 2)
+    vectors[1, column] = value
+    density = posterior(vectors)
+    assert torch.isfinite(density[0])
+    assert density[1].isneginf()

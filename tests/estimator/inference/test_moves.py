@@ -1,0 +1,208 @@
+"""Moves: the density they claim is the one they draw from, and the chains they make have the right law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import emcee
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from estimator.inference.convergence import convergence
+from estimator.inference.lattice import CountMixture
+from estimator.inference.moves import (
+    DEGREES_OF_FREEDOM,
+    FLOOR,
+    LatticeDifferenceMove,
+    MixtureProposal,
+    independence_move,
+)
+
+COUNTS = np.array([[5.0, 4.0], [6.0, 4.0], [8.0, 3.0]])
+WEIGHT = np.array([0.2, 0.5, 0.3])
+MEAN = np.array([[0.0, 1.0], [0.5, 0.8], [-1.0, 2.0]])
+COVARIANCE = np.array([[[1.0, 0.3], [0.3, 0.5]], [[0.4, -0.2], [-0.2, 0.6]], [[2.0, 0.0], [0.0, 0.1]]])
+
+
+def mixture(weight: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> CountMixture:
+    return CountMixture(*map(torch.from_numpy, (COUNTS, weight, mean, covariance)))
+
+
+RIGHT = mixture(WEIGHT, MEAN, COVARIANCE)
+# Weights the wrong way round, centres off by a standard deviation, and twice, half or twice the spread without its correlation.
+WRONG = mixture(
+    WEIGHT[[2, 0, 1]],
+    MEAN + np.array([[0.9, -0.6], [-0.6, 0.5], [1.0, 0.3]]),
+    np.stack((2.0 * COVARIANCE[0], 0.5 * COVARIANCE[1], np.diag([3.0, 0.3]))),
+)
+
+
+@pytest.fixture(params=[RIGHT, WRONG], ids=["right", "wrong"])
+def proposal(request) -> MixtureProposal:
+    return MixtureProposal(request.param)
+
+
+def target_log_prob(vectors: np.ndarray) -> np.ndarray:
+    """The known target: a normal mixture over the three pairs of counts."""
+    row = (vectors[:, None, 2:] == COUNTS).all(axis=-1).argmax(axis=1)
+    centred = vectors[:, :2] - MEAN[row]
+    chi2 = np.einsum("wi,wij,wj->w", centred, np.linalg.inv(COVARIANCE)[row], centred)
+    return np.log(WEIGHT[row]) - 0.5 * chi2 - 0.5 * np.log(np.linalg.det(2.0 * np.pi * COVARIANCE))[row]
+
+
+def target_draws(size: int, random: np.random.RandomState, row: np.ndarray | None = None) -> np.ndarray:
+    row = random.choice(3, size, p=WEIGHT) if row is None else row
+    continuous = [random.multivariate_normal(MEAN[i], COVARIANCE[i]) for i in row]
+    return np.concatenate((continuous, COUNTS[row]), axis=1)
+
+
+def test_density_is_the_mixture_of_students_t_that_its_arguments_say(proposal):
+    vectors = target_draws(40, np.random.RandomState(0))
+    claimed = RIGHT if np.allclose(proposal.mean, MEAN) else WRONG
+    weight = (1.0 - FLOOR) * claimed.weight.numpy() + FLOOR / 3.0
+    rows = [COUNTS.tolist().index(counts) for counts in vectors[:, 2:].tolist()]
+    expected = [
+        np.log(weight[i])
+        + stats.multivariate_t(
+            claimed.mean[i].numpy(), claimed.covariance[i].numpy(), DEGREES_OF_FREEDOM
+        ).logpdf(v[:2])
+        for i, v in zip(rows, vectors, strict=True)
+    ]
+    np.testing.assert_allclose(proposal.log_density(vectors), expected, rtol=1e-10)
+
+
+def test_density_adds_up_to_one_over_counts_and_coordinates(proposal):
+    axis, spacing = np.linspace(-25.0, 25.0, 401, retstep=True)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    total = 0.0
+    for counts in COUNTS:
+        vectors = np.concatenate((grid, np.broadcast_to(counts, grid.shape)), axis=1)
+        total += np.exp(proposal.log_density(vectors)).sum() * spacing**2
+    assert total == pytest.approx(1.0, abs=1e-4)
+
+
+def test_draws_have_the_density(proposal):
+    """Importance weights of draws average to one on every pair of counts and for every half-space."""
+    draws = proposal.draw(40_000, np.random.RandomState(1))
+    ratio = np.exp(target_log_prob(draws) - proposal.log_density(draws))
+    for i, counts in enumerate(COUNTS):
+        here = (draws[:, 2:] == counts).all(axis=1)
+        low = here & (draws[:, 0] + draws[:, 1] < MEAN[i].sum())
+        for chosen, expected in ((here, WEIGHT[i]), (low, 0.5 * WEIGHT[i])):
+            sampled = np.where(chosen, ratio, 0.0)
+            assert abs(sampled.mean() - expected) < 4.0 * sampled.std() / np.sqrt(len(draws))
+
+
+def test_no_pair_of_counts_starves_in_the_proposal():
+    draws = MixtureProposal(mixture(np.array([1.0, 0.0, 0.0]), MEAN, COVARIANCE)).draw(
+        20_000, np.random.RandomState(2)
+    )
+    for counts in COUNTS[1:]:
+        share = (draws[:, 2:] == counts).all(axis=1).mean()
+        assert share == pytest.approx(FLOOR / 3.0, rel=0.2)
+
+
+def test_whitening_is_undone_by_colouring_and_gives_unit_spread():
+    proposal = MixtureProposal(RIGHT)
+    draws = target_draws(6000, np.random.RandomState(3))
+    rows = proposal.rows(draws)
+    white = proposal.whiten(rows, draws)
+    np.testing.assert_allclose(np.cov(white.T), np.eye(2), atol=0.06)
+    np.testing.assert_allclose(proposal.mean[rows] + proposal.colour(rows, white), draws[:, :2], rtol=1e-12)
+
+
+def test_factor_of_the_independence_move_is_the_ratio_of_densities(proposal):
+    old = target_draws(50, np.random.RandomState(4))
+    new, factor = independence_move(proposal).get_proposal(old, np.random.RandomState(5))
+    np.testing.assert_array_equal(new, proposal.draw(50, np.random.RandomState(5)))
+    np.testing.assert_allclose(factor, proposal.log_density(old) - proposal.log_density(new), rtol=1e-12)
+    assert np.ptp(factor) > 0.5
+
+
+def test_difference_move_is_symmetric_keeps_the_counts_and_moves_every_walker():
+    move, random = LatticeDifferenceMove(MixtureProposal(RIGHT)), np.random.RandomState(6)
+    moved, others = target_draws(400, random), target_draws(400, random)
+    new, factor = move.get_proposal(moved, [others[:150], others[150:]], random)
+    np.testing.assert_array_equal(factor, 0.0)
+    np.testing.assert_array_equal(new[:, 2:], moved[:, 2:])
+    step = new[:, :2] - moved[:, :2]
+    assert (np.abs(step).sum(axis=1) > 0.0).all()
+    white = np.linalg.solve(
+        MixtureProposal(RIGHT).factor[MixtureProposal(RIGHT).rows(moved)], step[..., None]
+    )[..., 0]
+    assert np.abs(white.mean(axis=0)).max() < 0.15
+    assert 0.5 < white.std() < 2.5
+
+
+def test_difference_move_needs_no_walker_of_the_same_counts():
+    move, random = LatticeDifferenceMove(MixtureProposal(RIGHT)), np.random.RandomState(7)
+    lonely = target_draws(1, random, np.array([2]))
+    new, _ = move.get_proposal(lonely, [target_draws(9, random, np.zeros(9, dtype=int))], random)
+    assert np.abs(new[:, :2] - lonely[:, :2]).max() > 0.0
+
+
+MovesOf = Callable[[MixtureProposal], list[tuple[emcee.moves.Move, float]]]
+SHARES: dict[str, MovesOf] = {
+    "independence": lambda proposal: [(independence_move(proposal), 1.0)],
+    "difference": lambda proposal: [(LatticeDifferenceMove(proposal), 1.0)],
+    "both": lambda proposal: [(independence_move(proposal), 0.6), (LatticeDifferenceMove(proposal), 0.4)],
+}
+
+
+def chain_of(moves: MovesOf, proposal: MixtureProposal, steps: int, seed: int) -> np.ndarray:
+    """Step by walker by coordinate, from a start that is already distributed as the target; 20 walkers."""
+    random = np.random.RandomState(seed)
+    row = np.repeat(
+        [0, 1, 2], [4, 10, 6]
+    )  # the difference move cannot change how many walkers have which counts
+    sampler = emcee.EnsembleSampler(20, 4, target_log_prob, moves=moves(proposal), vectorize=True)
+    start = emcee.State(target_draws(20, random, row), random_state=random.get_state())
+    sampler.run_mcmc(start, steps, skip_initial_state_check=True)
+    return sampler.get_chain()
+
+
+def moments(chain: np.ndarray, row: int) -> np.ndarray:
+    """First and second moments of a chain about the centre of one pair of counts, along a last axis."""
+    x, y = np.moveaxis(chain[:, :, :2] - MEAN[row], -1, 0)
+    return np.stack((x, y, x * x, x * y, y * y), axis=-1)
+
+
+def assert_mean(sampled: np.ndarray, expected: np.ndarray) -> None:
+    """Within four standard errors, and from a sample large enough to tell."""
+    ess = convergence(sampled).ess_bulk
+    error = np.abs(sampled.mean(axis=(0, 1)) - expected)
+    assert (error < 4.0 * sampled.std(axis=(0, 1)) / np.sqrt(ess)).all()
+    assert (ess > 300.0).all()
+
+
+def exact_moments(row: int) -> np.ndarray:
+    return np.array([0.0, 0.0, *COVARIANCE[row][[0, 0, 1], [0, 1, 1]]])
+
+
+@pytest.mark.parametrize("moves", ["independence", "both"])
+def test_chain_has_the_law_of_the_target_whatever_the_proposal(proposal, moves):
+    """Probabilities of the counts, and moments of the coordinates at each of them."""
+    chain = chain_of(SHARES[moves], proposal, steps=1500, seed=8)
+    for row, counts in enumerate(COUNTS):
+        here = (chain[:, :, 2:] == counts).all(axis=-1)[..., None].astype(float)
+        assert_mean(here, WEIGHT[row])
+        assert_mean(here * moments(chain, row), WEIGHT[row] * exact_moments(row))
+
+
+def test_difference_move_alone_has_the_law_of_the_target_at_fixed_counts(proposal):
+    chain = chain_of(SHARES["difference"], proposal, steps=1500, seed=8)
+    for row, counts in enumerate(COUNTS):
+        here = (chain[:, :, 2:] == counts).all(axis=-1)
+        assert (here == here[0]).all()
+        assert_mean(moments(chain[:, here[0]], row), exact_moments(row))
+
+
+def test_good_proposal_is_accepted_more_often_than_a_bad_one():
+    moved = {}
+    for name, of in (("right", RIGHT), ("wrong", WRONG)):
+        chain = chain_of(SHARES["independence"], MixtureProposal(of), steps=300, seed=9)
+        moved[name] = (np.diff(chain[..., 0], axis=0) != 0.0).mean()
+    assert moved["right"] > 0.85
+    assert moved["wrong"] < 0.6

@@ -1,0 +1,371 @@
+"""Sessions on disk: equal when read back, open to plain xarray, and never silently wrong, half-written or lost."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+
+from estimator.config import rig_from_text
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.session import Session, load_session
+
+RIG = """\
+schema_version: 1
+name: two of each
+movers: {arm: {motion: UR3}, stage: {motion: pose}}
+coils:
+  coil1: {carried_by: arm, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+  coil2: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+sensors: {hall_a: {noise_uT: 20}, hall_b: {carried_by: stage, noise_uT: 20}}
+"""
+N = 40
+
+
+def make_session(rig: Rig | None = None) -> Session:
+    random = torch.Generator().manual_seed(1)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=random, dtype=torch.float64) / 3.0
+
+    field_T = numbers(N, 3)
+    field_T[3, 1] = field_T[7, :2] = math.nan
+    observations = Observations(
+        numbers(N),
+        torch.randint(2, (N,), generator=random),
+        numbers(N, 2),
+        {"arm": numbers(N, 6), "stage": numbers(N, 6)},
+        field_T,
+        numbers(N) > 0.2,
+        torch.randint(4, (N,), generator=random),
+        {"coil2": numbers(N), "hall_a": numbers(N)},
+    )
+    return Session(rig or rig_from_text(RIG), observations, "by hand", truth={"coil1.radius_m": 0.05})
+
+
+@pytest.fixture
+def session() -> Session:
+    return make_session()
+
+
+@pytest.fixture
+def store(session: Session, tmp_path: Path) -> Path:
+    session.save(tmp_path / "session.zarr")
+    return tmp_path / "session.zarr"
+
+
+def assert_equal(found: Session, expected: Session) -> None:
+    """Every number and word, NaN included."""
+    assert found.rig == expected.rig
+    for name in ("source", "created", "truth"):
+        assert getattr(found, name) == getattr(expected, name)
+    a, b = vars(found.observations), vars(expected.observations)
+    for name in a:
+        for one, other in zip(tensors(a[name]), tensors(b[name]), strict=True):
+            assert one.dtype == other.dtype
+            torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
+
+
+def tensors(value: torch.Tensor | dict[str, torch.Tensor]) -> list[torch.Tensor]:
+    return [value] if isinstance(value, torch.Tensor) else [value[key] for key in sorted(value)]
+
+
+def files(store: Path) -> list[Path]:
+    return sorted(path for path in store.rglob("*") if path.is_file())
+
+
+def test_a_session_is_read_back_equal(session: Session, store: Path) -> None:
+    assert_equal(load_session(store), session)
+    assert load_session(str(store)).hash == session.hash
+
+
+def test_values_set_after_the_rig_was_read_are_kept(tmp_path: Path) -> None:
+    session = make_session(rig_from_text(RIG).with_values({"coil1.radius_m": 0.0601}))
+    session.save(tmp_path / "s.zarr")
+    assert load_session(tmp_path / "s.zarr").rig.nominal_values()["coil1.radius_m"] == 0.0601
+    assert session.hash != make_session().hash
+
+
+def test_the_hash_names_readings_and_rig_and_nothing_else(session: Session) -> None:
+    assert make_session().hash == session.hash
+    assert replace(session, source="elsewhere", created="2025-01-01", truth={}).hash == session.hash
+    o = session.observations
+    for changed in (
+        replace(o, time_s=o.time_s + 1.0),
+        replace(o, repeat=o.repeat + 1),
+        replace(o, motion={**o.motion, "arm": -o.motion["arm"]}),
+        replace(o, temperature_C={}),
+        o.with_field(-o.field_sensor_T),
+        o.with_validation(~o.is_validation),
+    ):
+        assert replace(session, observations=changed).hash != session.hash
+    other = rig_from_text(RIG.replace("wire_radius_mm: 1,", "wire_radius_mm: 1.1,"))
+    assert replace(session, rig=other).hash != session.hash
+
+
+def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Path) -> None:
+    with xr.open_zarr(store, consolidated=False) as found:
+        dims = {name: array.dims for name, array in found.data_vars.items()}
+        assert dims == {
+            "time_s": ("reading",),
+            "sensor_index": ("reading",),
+            "current_A": ("reading", "coil"),
+            "field_sensor_T": ("reading", "component"),
+            "is_validation": ("reading",),
+            "repeat": ("reading",),
+            "motion_arm": ("reading", "axis"),
+            "motion_stage": ("reading", "axis"),
+            "temperature_coil2_C": ("reading",),
+            "temperature_hall_a_C": ("reading",),
+        }
+        np.testing.assert_array_equal(found["field_sensor_T"], session.observations.field_sensor_T.numpy())
+        assert (found.attrs["coil"], found.attrs["sensor"]) == (["coil1", "coil2"], ["hall_a", "hall_b"])
+        assert found.attrs["schema_version"] == 1
+
+
+def test_every_chunk_is_checksummed(store: Path) -> None:
+    for name in (path.parent for path in store.glob("*/zarr.json")):
+        codecs = json.loads((name / "zarr.json").read_text(encoding="utf-8"))["codecs"]
+        assert [codec["name"] for codec in codecs][-2:] == ["zstd", "crc32c"]
+
+
+def test_a_flipped_bit_is_found_or_changes_nothing(session: Session, store: Path) -> None:
+    random = np.random.default_rng(0)
+    n_found = 0
+    for path in files(store):
+        content = path.read_bytes()
+        for bit in random.choice(8 * len(content), 8, replace=False):
+            damaged = bytearray(content)
+            damaged[bit // 8] ^= 1 << (bit % 8)
+            path.write_bytes(damaged)
+            try:
+                assert_equal(load_session(store), session)
+            except (CorruptStore, InvalidInput):
+                n_found += 1
+            else:
+                assert path.name == "zarr.json"  # layout that stands for the same, such as the fill value
+        path.write_bytes(content)
+    assert n_found > 0.9 * 8 * len(files(store))
+    assert_equal(load_session(store), session)
+
+
+def test_every_changed_letter_of_the_attributes_is_found(session: Session, store: Path) -> None:
+    """Also in those that no array depends on: source, truth, the rig's text and values, the order of coils."""
+    group = store / "zarr.json"
+    content = group.read_text(encoding="utf-8")
+    words = (
+        "by hand",
+        "two of each",
+        "0.05",
+        "wire_radius_mm: 1",
+        "hall_b",
+        session.created,
+        '"schema_version": 1',
+        "sha256",
+    )
+    for word in words:
+        assert word in content, word
+        position = content.index(word)
+        letter = "9" if content[position] != "9" else "8"
+        group.write_text(content[:position] + letter + content[position + 1 :], encoding="utf-8")
+        with pytest.raises(CorruptStore):
+            load_session(store)
+
+
+def test_any_lost_file_is_found(store: Path) -> None:
+    for path in files(store):
+        content = path.read_bytes()
+        path.unlink()
+        with pytest.raises(InvalidInput if path == store / "zarr.json" else CorruptStore):
+            load_session(store)
+        path.write_bytes(content)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_truncated_file_is_found(store: Path) -> None:
+    for path in files(store):
+        content = path.read_bytes()
+        for length in (0, len(content) // 2, len(content) - 1):
+            path.write_bytes(content[:length])
+            with pytest.raises(CorruptStore, match=r"session must .*session\.zarr"):
+                load_session(store)
+        path.write_bytes(content)
+
+
+def test_notes_laid_beside_the_arrays_are_tolerated(session: Session, store: Path) -> None:
+    (store / "notes.txt").write_text("the coil was warm", encoding="utf-8")
+    (store / "photos").mkdir()
+    assert_equal(load_session(store), session)
+
+
+def altered(store: Path, key: str, value: object) -> None:
+    group = json.loads((store / "zarr.json").read_text(encoding="utf-8"))
+    group["attributes"][key] = value
+    (store / "zarr.json").write_text(json.dumps(group), encoding="utf-8")
+
+
+def test_another_schema_version_is_refused(store: Path) -> None:
+    altered(store, "schema_version", 2)
+    with pytest.raises(CorruptStore, match="session schema_version must be 1; received 2"):
+        load_session(store)
+
+
+def test_a_store_of_another_kind_is_refused(store: Path) -> None:
+    altered(store, "kind", "chain")
+    with pytest.raises(InvalidInput, match="session must be of kind 'coilcal session'; received 'chain'"):
+        load_session(store)
+
+
+@pytest.mark.parametrize("name", ["nowhere.zarr", "readings.csv", ""])
+def test_what_is_no_session_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "readings.csv").write_text("t_s\n", encoding="utf-8")
+    with pytest.raises(
+        InvalidInput, match="session must be a folder that coilcal import or coilcal simulate wrote"
+    ):
+        load_session(tmp_path / name)
+
+
+def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(session: Session, store: Path) -> None:
+    other = replace(session, source="another")
+    with pytest.raises(InvalidInput, match="output must not exist yet, or be replaced with --overwrite"):
+        other.save(store)
+    assert_equal(load_session(store), session)
+    other.save(store, overwrite=True)
+    assert_equal(load_session(store), other)
+    assert [path.name for path in store.parent.iterdir()] == ["session.zarr"]
+
+
+def test_only_a_session_is_overwritten(session: Session, tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("years of work", encoding="utf-8")
+    for path in (tmp_path / "thesis", tmp_path / "thesis" / "chapter1.tex", tmp_path):
+        with pytest.raises(
+            InvalidInput, match=r"only a session is replaced by a session; .* is something else"
+        ):
+            session.save(path, overwrite=True)
+    assert (tmp_path / "thesis" / "chapter1.tex").read_text(encoding="utf-8") == "years of work"
+
+
+def test_an_unwritable_output_is_refused_and_leaves_nothing(session: Session, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(InvalidInput, match=r"output must be writable; .*session\.zarr is not"):
+        session.save(tmp_path / "file" / "session.zarr")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_disk_that_fills_up_leaves_nothing(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Session._write
+
+    def fail(self: Session, path: Path) -> None:
+        write(self, path)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Session, "_write", fail)
+    with pytest.raises(InvalidInput, match=r"session\.zarr is not: No space left on device"):
+        session.save(tmp_path / "session.zarr")
+    assert list(tmp_path.iterdir()) == []
+
+
+class Killed(BaseException):
+    """Stands for kill -9: no handler of the code under test may run on it."""
+
+
+def kill_at(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, suffix: str) -> None:
+    """Let a function end the process when it is called on an existing path with this suffix."""
+    original = getattr(owner, name)
+
+    def killed(path: Path, *others: object, **options: object) -> object:
+        if path.suffix == suffix and path.exists():
+            raise Killed
+        return original(path, *others, **options)
+
+    monkeypatch.setattr(owner, name, killed)
+
+
+def test_a_kill_before_the_old_session_is_moved_leaves_it(
+    session: Session, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kill_at(monkeypatch, Path, "rename", ".zarr")
+    with pytest.raises(Killed):
+        replace(session, source="new").save(store, overwrite=True)
+    assert_equal(load_session(store), session)
+
+
+def test_a_kill_between_the_renames_leaves_both_whole_beside_the_place(
+    session: Session, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new = replace(session, source="new")
+    kill_at(monkeypatch, Path, "rename", ".partial")
+    with pytest.raises(Killed):
+        new.save(store, overwrite=True)
+    assert_equal(load_session(store.with_name("session.zarr.old")), session)
+    assert_equal(load_session(store.with_name("session.zarr.partial")), new)
+    monkeypatch.undo()
+    new.save(store)
+    assert [path.name for path in store.parent.iterdir()] == ["session.zarr"]
+
+
+def test_a_kill_while_the_old_session_is_removed_leaves_the_new_one(
+    session: Session, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new = replace(session, source="new")
+    kill_at(monkeypatch, shutil, "rmtree", ".old")
+    with pytest.raises(Killed):
+        new.save(store, overwrite=True)
+    assert_equal(load_session(store), new)
+    monkeypatch.undo()
+    new.save(store, overwrite=True)
+    assert [path.name for path in store.parent.iterdir()] == ["session.zarr"]
+
+
+def test_a_kill_while_writing_leaves_no_session_and_does_not_hinder_the_next(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kill_at(monkeypatch, Path, "rename", ".partial")
+    with pytest.raises(Killed):
+        session.save(tmp_path / "s.zarr")
+    monkeypatch.undo()
+    with pytest.raises(InvalidInput):
+        load_session(tmp_path / "s.zarr")
+    session.save(tmp_path / "s.zarr")
+    assert_equal(load_session(tmp_path / "s.zarr"), session)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "coil2:",
+            "coil3:",
+            "coils of the rig must be those of the session (coil1, coil2); received coil1, coil3",
+        ),
+        (
+            "hall_a:",
+            "hall_c:",
+            "sensors of the rig must be those of the session (hall_a, hall_b); received hall_c, hall_b",
+        ),
+        (
+            "motion: UR3}",
+            "motion: UR3e}",
+            "movers of the rig must be those of the session (arm (UR3), stage (pose)); "
+            "received arm (UR3e), stage (pose)",
+        ),
+    ],
+)
+def test_a_rig_that_names_other_things_is_refused(session: Session, old: str, new: str, message: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        session.check_rig(rig_from_text(RIG.replace(old, new)))
+    assert str(caught.value) == f"{message} (rig 'two of each')"
+    session.check_rig(rig_from_text(RIG.replace("radius_mm: 50", "radius_mm: 49")))

@@ -1,0 +1,219 @@
+"""Plans: which readings they ask for, in which order, and how mistakes in them are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.config import rig_from_text
+from estimator.errors import InvalidInput
+from estimator.plan import Plan, load_plan, observations_of
+from estimator.rig import Rig
+
+RIG = """\
+schema_version: 1
+name: two of each
+movers: {arm: {motion: UR3}, stage: {motion: displacement}}
+coils:
+  coil1: {carried_by: arm, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+  coil2: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
+sensors: {hall_a: {carried_by: stage, noise_uT: 5}, hall_b: {noise_uT: 5}}
+"""
+PLAN = """\
+schema_version: 1
+name: both arms
+poses:
+  calibration:
+    arm: {q1_deg: -90, q5_deg: {from: 0, to: 180, count: 3}}
+    stage: {z_mm: {from: -1, to: 1, count: 2}}
+  validation:
+    stage: {x_cm: 2}
+currents_A: [{coil1: 3}, {coil1: -3, coil2: 0.5}]
+order: raster
+repeats: 2
+settle_s: 0.25
+"""
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_from_text(RIG)
+
+
+def loaded(path: Path, rig: Rig, old: str = "", new: str = "") -> Plan:
+    assert PLAN.count(old) == 1 or not old, old
+    (path / "plan.yaml").write_text(PLAN.replace(old, new) if old else PLAN, encoding="utf-8")
+    return load_plan(path / "plan.yaml", rig)
+
+
+def rows(plan: Plan, rig: Rig, seed: int = 0) -> list[tuple]:
+    """Readings as hashable rows: sensor, currents, joints and displacement, role, repeat."""
+    o = observations_of(plan, rig, np.random.default_rng(seed))
+    columns = (o.sensor, o.current_A, o.motion["arm"], o.motion["stage"], o.is_validation, o.repeat)
+    return list(
+        zip(*(tuple(tuple(np.atleast_1d(row).tolist()) for row in c.numpy()) for c in columns), strict=True)
+    )
+
+
+def test_a_pose_is_every_combination_of_the_stops_in_si(rig: Rig, tmp_path: Path) -> None:
+    plan = loaded(tmp_path, rig)
+    joints = [pose["arm"].tolist() for pose in plan.calibration]
+    displacements = [pose["stage"].tolist() for pose in plan.calibration]
+    right = np.pi / 2
+    assert joints == pytest.approx(
+        np.array([[0, -right, 0, 0, 0, q5] for q5 in (0, 0, right, right, np.pi, np.pi)])
+    )
+    assert displacements == pytest.approx(np.array([[0, 0, z, 0, 0, 0] for z in (-1e-3, 1e-3) * 3]))
+    assert [pose["stage"].tolist() for pose in plan.validation] == [[0.02, 0, 0, 0, 0, 0]]
+    assert plan.validation[0]["arm"].tolist() == [0.0] * 6
+
+
+def test_every_pose_is_read_by_every_sensor_at_every_setting_and_repeat(rig: Rig, tmp_path: Path) -> None:
+    found = rows(loaded(tmp_path, rig), rig)
+    assert len(found) == len(set(found)) == (6 + 1) * 2 * 2 * 2  # poses, settings, repeats, sensors
+    assert {row[1] for row in found} == {(3.0, 0.0), (-3.0, 0.5)}  # a coil that is not named is off
+    assert sum(row[4] == (True,) for row in found) == 1 * 2 * 2 * 2
+    assert [row[5] for row in found[:4]] == [(0,)] * 4
+
+
+def test_raster_order_is_that_of_the_file_and_random_order_a_permutation_by_seed(
+    rig: Rig, tmp_path: Path
+) -> None:
+    raster = loaded(tmp_path, rig)
+    assert rows(raster, rig, seed=1) == rows(raster, rig, seed=2)
+    assert [row[3][2] for row in rows(raster, rig)[:8:4]] == [-1e-3, 1e-3]
+    random = loaded(tmp_path, rig, "order: raster", "order: random")
+    assert rows(random, rig, seed=1) == rows(random, rig, seed=1) != rows(random, rig, seed=2)
+    assert rows(random, rig, seed=1) != rows(raster, rig)
+    assert set(rows(random, rig)) == set(rows(raster, rig))
+    first, second = (
+        [row[:4] for row in rows(random, rig) if row[4:] == ((False,), (repeat,))] for repeat in (0, 1)
+    )
+    assert first != second  # a repeat has an order of its own, so that drift does not look like place
+
+
+def test_settings_at_one_pose_and_sensors_at_one_setting_follow_each_other(rig: Rig, tmp_path: Path) -> None:
+    plan = loaded(tmp_path, rig, "order: raster", "order: random")
+    o = observations_of(plan, rig, np.random.default_rng(0))
+    assert o.sensor.tolist() == [0, 1] * (len(o) // 2)
+    assert o.time_s.tolist() == [0.25 * i for i in range(len(o) // 2) for _ in range(2)]
+    stage = o.motion["stage"].reshape(-1, 4, 6)
+    assert torch.equal(stage, stage[:, :1].expand_as(stage))
+    assert torch.isnan(o.field_sensor_T).all()
+
+
+def test_what_is_left_out_has_a_default(rig: Rig, tmp_path: Path) -> None:
+    (tmp_path / "plan.yaml").write_text(
+        "schema_version: 1\nname: short\nposes: {calibration: {}}\ncurrents_A: [{coil1: 1e-3}]\n",
+        encoding="utf-8",
+    )
+    plan = load_plan(tmp_path / "plan.yaml", rig)
+    assert (plan.is_random_order, plan.repeats, plan.settle_s, plan.validation) == (False, 1, 1.0, ())
+    assert plan.currents_A == ({"coil1": 1e-3},)
+    assert len(observations_of(plan, rig, np.random.default_rng(0))) == 2
+
+
+CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
+REFUSALS = {
+    "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
+    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a key that is known here", 11),
+    "no poses": ("poses:", "pose:", "poses.calibration is missing", 1),
+    "no calibration": ("  calibration:", "  calibrate:", "poses.calibration is missing", 4),
+    "unknown mover": (
+        "    stage: {x_cm: 2}",
+        "    stages: {x_cm: 2}",
+        "poses.validation.stages must name a mover of rig 'two of each'; received 'stages' instead of arm or stage",
+        8,
+    ),
+    "no unit": (
+        "x_cm: 2",
+        "x: 2",
+        "poses.validation.stage.x must carry its unit: write x_m or x_cm or x_mm or x_um; received 2",
+        8,
+    ),
+    "joints of a stage": (
+        "x_cm: 2",
+        "q1_deg: 2",
+        "poses.validation.stage.q1_deg is not a key that is known here",
+        8,
+    ),
+    "range as text": (
+        "x_cm: 2",
+        "x_cm: -2:2:5",
+        "poses.validation.stage.x_cm must be a finite number; received '-2:2:5'",
+        8,
+    ),
+    "no stops": (
+        "count: 2",
+        "count: 0",
+        "poses.calibration.stage.z_mm.count must be a whole number of at least 1; received 0",
+        6,
+    ),
+    "half a stop": (
+        "count: 2",
+        "count: 2.5",
+        "poses.calibration.stage.z_mm.count must be a whole number of at least 1; received 2.5",
+        6,
+    ),
+    "infinite range": (
+        "from: -1",
+        "from: -.inf",
+        "poses.calibration.stage.z_mm.from must be a finite number; received -inf",
+        6,
+    ),
+    "unknown coil": (
+        "coil2: 0.5",
+        "coil3: 0.5",
+        "currents_A must name coils of the rig (coil1, coil2); received {'coil1': -3, 'coil3': 0.5}",
+        9,
+    ),
+    "currents without coils": (
+        CURRENTS,
+        "[3]",
+        "currents_A must name coils of the rig (coil1, coil2); received 3",
+        9,
+    ),
+    "one setting": (
+        CURRENTS,
+        "{coil1: 3}",
+        "currents_A must be a list of settings such as [{coil1: 3}]; received {'coil1': 3}",
+        9,
+    ),
+    "no setting": (
+        CURRENTS,
+        "[]",
+        "currents_A must be a list of settings such as [{coil1: 3}]; received []",
+        9,
+    ),
+    "current in words": (
+        CURRENTS,
+        "[{coil1: three}]",
+        "currents_A must hold finite numbers; received {'coil1': 'three'}",
+        9,
+    ),
+    "current NaN": (
+        CURRENTS,
+        "[{coil1: .nan}]",
+        "currents_A must hold finite numbers; received {'coil1': nan}",
+        9,
+    ),
+    "current on": (
+        CURRENTS,
+        "[{coil1: on}]",
+        "currents_A must hold finite numbers; received {'coil1': True}",
+        9,
+    ),
+    "unknown order": ("raster", "Raster", "order must be one of raster, random; received 'Raster'", 10),
+    "no repeat": ("repeats: 2", "repeats: 0", "repeats must be a whole number of at least 1; received 0", 11),
+    "no time": ("settle_s: 0.25", "settle_s: 0", "settle_s must be > 0; received 0", 12),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+def test_a_mistake_is_named(rig: Rig, tmp_path: Path, old: str, new: str, message: str, line: int) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        loaded(tmp_path, rig, old, new)
+    assert str(caught.value) == f"{message} ({tmp_path / 'plan.yaml'}, line {line})"
