@@ -101,6 +101,9 @@ def calibrate(
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     check_units(rig, observations, session.source)
+    Chain.build(
+        rig, session.observations
+    )  # sensors inside a winding are refused now, those of validation too
     if folder is not None:
         _make(folder)
 

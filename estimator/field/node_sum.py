@@ -16,9 +16,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.field.loop import FEWEST_STEPS, loop_terms
+from estimator.field.loop import loop_terms
 
 _log = logging.getLogger(__name__)
+
+USUAL_STEPS = 4  # AGM steps of readings some centimetres away; the compiled code is unrolled for them, and compiled anew for others
 
 
 class Nodes(NamedTuple):
@@ -57,19 +59,20 @@ def sum_over_nodes(
 
 
 @cache
-def compiled_sum(steps: int = FEWEST_STEPS) -> NodeSum:
-    """The compiled sum, or the eager one where this machine cannot compile; tried once per process and number of AGM steps.
-
-    Args:
-        steps: AGM steps; the compiled code is unrolled for them, other numbers work and are compiled when first met.
-    """
-    # Sizes that differ from each other and from the 3 of a vector are compiled as variables, once for all sizes.
-    points_m, nodes = torch.ones(2, 5, 3, dtype=torch.float64), torch.full((2, 7), 0.5, dtype=torch.float64)
+def compiled_sum() -> NodeSum:
+    """The compiled sum, or the eager one where this machine cannot compile; tried once per process."""
     try:
         compiled: NodeSum = torch.compile(sum_over_nodes, dynamic=True)
         with torch.no_grad():
-            compiled(points_m, Nodes(nodes, nodes, nodes), steps)
+            compiled(*_trial())
     except Exception as error:  # a broken compiler or a too new Python raises one of many types
-        _log.warning("the field sum is not compiled on this machine and runs about 5 times slower: %s", error)
+        _log.warning("the field sum is not compiled on this machine and runs about 4 times slower: %s", error)
         return sum_over_nodes
     return compiled
+
+
+def _trial() -> tuple[Tensor, Nodes, int]:
+    """Arguments to compile with. All sizes differ, also from the 3 of a vector: the compiler takes equal ones for one and the same."""
+    points_m = torch.ones(2, 5, 3, dtype=torch.float64)
+    nodes = Nodes(*(torch.full((2, 7), 0.5, dtype=torch.float64) for _ in range(3)))
+    return points_m, nodes, USUAL_STEPS

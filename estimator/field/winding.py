@@ -100,7 +100,7 @@ def winding_field_per_ampere(
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
     rows = Nodes(*(v.expand(*batch, *v.shape[-2:]).reshape(-1, *v.shape[-2:]) for v in loops))
     if is_compiled:
-        rows, node_sum, chunk = rows.flat(), compiled_sum(rule.steps), ELEMENTS_PER_COMPILED_CHUNK
+        rows, node_sum, chunk = rows.flat(), compiled_sum(), ELEMENTS_PER_COMPILED_CHUNK
     else:
         node_sum, chunk = sum_over_nodes, ELEMENTS_PER_CHUNK
     n_row_parts = math.ceil(len(points) / max(1, chunk // (n_points * n_nodes)))

@@ -116,6 +116,22 @@ def test_what_is_left_out_has_a_default(rig: Rig, tmp_path: Path) -> None:
     assert len(observations_of(plan, rig, np.random.default_rng(0))) == 2
 
 
+def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: Path) -> None:
+    spans = "    scattered: 200\n    arm: {q1_deg: -90, q5_deg: {from: 0, to: 180}}\n    stage: {z_mm: {from: -1, to: 1}}\n"
+    grid = PLAN[PLAN.index("    arm:") : PLAN.index("  validation:")]
+    plan = loaded(tmp_path, rig, grid, spans)
+    poses = np.array([np.concatenate([pose["arm"], pose["stage"]]) for pose in plan.calibration])
+    assert len(poses) == 200
+    moved = poses.std(axis=0) > 0.0
+    assert moved.nonzero()[0].tolist() == [5, 8]
+    assert (poses[:, 1] == -np.pi / 2).all()
+    share = (poses[:, moved] - np.array([0.0, -1e-3])) / np.array([np.pi, 2e-3])
+    assert ((share > 0.0) & (share < 1.0)).all()
+    counts, *_ = np.histogram2d(*share.T, bins=4, range=[[0, 1], [0, 1]])
+    assert counts.min() >= 9  # of 12.5 on average; random places leave cells with 5
+    assert np.abs(np.corrcoef(share.T)[0, 1]) < 0.05
+
+
 CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
 REFUSALS = {
     "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
@@ -144,6 +160,12 @@ REFUSALS = {
         "x_cm: 2",
         "x_cm: -2:2:5",
         "poses.validation.stage.x_cm must be a finite number; received '-2:2:5'",
+        8,
+    ),
+    "nothing scattered": (
+        "  validation:\n",
+        "  validation:\n    scattered: 0\n",
+        "poses.validation.scattered must be a whole number of at least 1; received 0",
         8,
     ),
     "no stops": (

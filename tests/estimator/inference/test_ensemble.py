@@ -1,0 +1,201 @@
+"""Sampling: the right law from any proposal, the same chain from the same seed, and an honest stop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from emcee.backends import Backend
+
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import Progress, Samples, SamplerSettings, reported, sample
+from estimator.inference.lattice import CountMixture, count_mixture
+from estimator.inference.polish import polish
+from estimator.store.chain import ZarrBackend
+
+NEVER = 1e9  # an effective sample size that no chain reaches
+
+
+@pytest.fixture(scope="module")
+def mixture(counts_problem) -> CountMixture:
+    fit = polish(counts_problem.real, counts_problem.real.coordinates.start()[None])
+    found = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(0))
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def samples(counts_problem, mixture) -> Samples:
+    return sample(counts_problem.whole, mixture, SamplerSettings(n_walkers=32, target_ess=3000.0, seed=1))
+
+
+def steps_of(counts_problem, mixture: CountMixture, **settings) -> Samples:
+    """A short chain that no target ends."""
+    chosen = SamplerSettings(
+        **{"n_walkers": 12, "target_ess": NEVER, "check_every": 10, "max_steps": 30} | settings
+    )
+    return sample(counts_problem.whole, mixture, chosen)
+
+
+def assert_law(samples: Samples, counts_problem, exact_counts) -> None:
+    """Probabilities of counts, and moments of gain and height, within 4 standard errors of what they are."""
+    coordinates = counts_problem.whole.coordinates
+    chain = reported(coordinates, samples.chain)
+    by_name = {name: chain[..., i] for i, name in enumerate(coordinates.names)}
+    ess = samples.convergence.smallest_ess
+    for (axial, radial), p in exact_counts.probability.items():
+        if p > 1e-3:
+            here = (by_name["coil1.axial_loops"] == axial) & (by_name["coil1.radial_loops"] == radial)
+            assert abs(here.mean() - p) < 4.0 * np.sqrt(p * (1.0 - p) / ess), (axial, radial)
+    gain, z_m = by_name["coil1.current_gain"], by_name["coil1.world_from_coil.z_m"]
+    assert abs(gain.mean() - exact_counts.gain_mean) < 4.0 * gain.std() / np.sqrt(ess)
+    assert abs(z_m.mean() - exact_counts.z_mean_m) < 4.0 * z_m.std() / np.sqrt(ess)
+    assert z_m.std() == pytest.approx(exact_counts.z_sd_m, rel=0.1)
+
+
+def test_chain_has_the_law_of_the_posterior(samples, counts_problem, exact_counts):
+    assert samples.is_converged
+    assert_law(samples, counts_problem, exact_counts)
+    assert samples.acceptance > 0.5
+
+
+def test_wrong_proposal_only_costs_time(samples, mixture, counts_problem, exact_counts):
+    """Weights the wrong way round, centres off by a standard deviation, and a fifth more and twice the spread."""
+    widths = mixture.covariance.diagonal(dim1=1, dim2=2).sqrt()
+    wrong = CountMixture(
+        mixture.counts,
+        mixture.weight.flip(0),
+        mixture.mean + torch.tensor([1.0, 0.4]) * widths,
+        mixture.covariance * torch.tensor([1.2, 2.0, 1.0]).repeat(len(widths))[: len(widths), None, None],
+    )
+    found = sample(
+        counts_problem.whole,
+        wrong,
+        SamplerSettings(n_walkers=32, target_ess=1000.0, largest_rhat=1.02, seed=2),
+    )
+    assert found.is_converged
+    assert_law(found, counts_problem, exact_counts)
+    assert found.acceptance < 0.8 * samples.acceptance
+    per_step = [s.convergence.smallest_ess / s.n_steps for s in (found, samples)]
+    assert per_step[0] < 0.8 * per_step[1]
+
+
+def test_sampling_stops_at_the_first_look_that_meets_its_targets(samples):
+    assert samples.convergence.smallest_ess >= 3000.0
+    assert samples.convergence.largest_rhat <= 1.01
+    assert samples.n_steps < 5000
+    assert samples.n_steps % SamplerSettings().check_every == 0
+    assert (
+        len(samples.chain) == len(samples.log_prob) == samples.n_steps - samples.n_steps // 10
+    )  # a tenth is burn-in
+
+
+@pytest.mark.parametrize("target", [{"target_ess": NEVER}, {"target_ess": 1.0, "largest_rhat": 1.0 - 1e-9}])
+def test_unmet_targets_are_reported(counts_problem, mixture, target):
+    found = steps_of(counts_problem, mixture, **target)
+    assert not found.is_converged
+    assert found.n_steps == 30
+
+
+def test_log_prob_belongs_to_the_chain(samples, counts_problem):
+    some = slice(None, None, 97)
+    expected = counts_problem.whole(torch.from_numpy(samples.chain[some]))
+    np.testing.assert_allclose(samples.log_prob[some], expected.numpy(), rtol=1e-10)
+
+
+def test_same_seed_gives_the_same_chain_and_another_seed_another(counts_problem, mixture):
+    first, again, other = (steps_of(counts_problem, mixture, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.chain, again.chain)
+    np.testing.assert_array_equal(first.log_prob, again.log_prob)
+    assert (first.chain[..., 0] != other.chain[..., 0]).all()
+
+
+def test_seed_is_all_that_decides(counts_problem, mixture):
+    np.random.seed(1)  # noqa: NPY002 - emcee and SciPy know this one
+    first = steps_of(counts_problem, mixture)
+    np.random.seed(2)  # noqa: NPY002
+    torch.manual_seed(2)
+    np.testing.assert_array_equal(first.chain, steps_of(counts_problem, mixture).chain)
+
+
+class Killed(Exception):
+    """What ends a run in the middle."""
+
+
+@pytest.mark.parametrize("killed_at", [10, 20, 30])
+def test_killed_run_continues_to_the_chain_of_the_uninterrupted_one(
+    counts_problem, mixture, tmp_path: Path, killed_at
+):
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=50, seed=5)
+    expected = sample(counts_problem.whole, mixture, settings)
+
+    def kill(progress: Progress) -> None:
+        if progress.step >= killed_at:
+            raise Killed
+
+    path = tmp_path / "chain.zarr"
+    backend = ZarrBackend.create(
+        path, coordinate_names=list("abcd"), n_walkers=12, checkpoint_steps=4, fingerprint="test"
+    )
+    with pytest.raises(Killed):
+        sample(counts_problem.whole, mixture, settings, backend, kill)
+    reopened = ZarrBackend.open(path, fingerprint="test")
+    assert 0 < reopened.iteration <= killed_at
+    continued = sample(counts_problem.whole, mixture, settings, reopened)
+    np.testing.assert_array_equal(continued.chain, expected.chain)
+    np.testing.assert_array_equal(continued.log_prob, expected.log_prob)
+    assert continued.n_steps == expected.n_steps == 50
+
+
+def test_finished_chain_is_looked_at_again_and_not_prolonged(counts_problem, mixture):
+    backend = Backend()
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=30)
+    first = sample(counts_problem.whole, mixture, settings, backend)
+    for max_steps in (30, 20):
+        again = sample(counts_problem.whole, mixture, replace(settings, max_steps=max_steps), backend)
+        assert again.n_steps == 30
+        np.testing.assert_array_equal(again.chain, first.chain)
+    longer = sample(counts_problem.whole, mixture, replace(settings, max_steps=40), backend)
+    assert longer.n_steps == 40
+    np.testing.assert_array_equal(longer.chain[: 40 - 8], backend.get_chain()[4:36])
+
+
+def test_progress_tells_every_look(counts_problem, mixture):
+    seen: list[Progress] = []
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=45)
+    found = sample(counts_problem.whole, mixture, settings, on_progress=seen.append)
+    assert [look.step for look in seen] == [10, 20, 30, 40, 45]
+    assert {look.max_steps for look in seen} == {45}
+    assert seen[-1].smallest_ess == found.convergence.smallest_ess
+    assert seen[-1].target_ess == NEVER
+
+
+def test_looks_grow_rarer_as_the_chain_grows(counts_problem, mixture):
+    seen: list[int] = []
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=1, max_steps=60)
+    sample(counts_problem.whole, mixture, settings, on_progress=lambda progress: seen.append(progress.step))
+    assert seen[:3] == [1, 2, 3]
+    assert seen[-1] == 60
+    assert len(seen) < 35
+
+
+def test_walkers_start_inside_the_prior(counts_problem, mixture):
+    """Two thirds of this proposal lie where a negative number of ... gain is cut off by the prior's bound."""
+    found = steps_of(counts_problem, mixture, max_steps=1, check_every=1)
+    assert np.isfinite(found.log_prob).all()
+
+
+def test_too_few_walkers_are_refused(counts_problem, mixture):
+    with pytest.raises(InvalidInput, match=r"walkers must be at least 8 for 4 free parameters; received 7"):
+        steps_of(counts_problem, mixture, n_walkers=7)
+
+
+def test_reported_chain_holds_the_free_parameters_in_their_order(counts_problem):
+    coordinates = counts_problem.real.coordinates
+    vectors = coordinates.sample_prior(np.random.default_rng(6), 6).reshape(2, 3, -1)
+    chain = reported(coordinates, vectors.numpy())
+    for i, name in enumerate(coordinates.names):
+        np.testing.assert_array_equal(chain[..., i], coordinates.values(vectors)[name].numpy())
