@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from estimator.config import rig_from_text
+from estimator.config import rig_from_state, rig_state
 from estimator.coordinates import Coordinates
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.prediction import RoomField
@@ -167,10 +167,7 @@ class Calibration:
                 )
             attributes = tree.attrs
             arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
-            rig = rig_from_text(attributes["rig"], f"rig inside {folder}")
-            rig = rig.with_values(
-                {k: v for k, v in json.loads(attributes["nominal"]).items() if rig.parameters[k].tie is None}
-            )
+            rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
             observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
             draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
         except CorruptStore:
@@ -186,8 +183,7 @@ class Calibration:
         coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
         attributes = {
             "schema_version": SCHEMA_VERSION,
-            "rig": self.rig.text,
-            "nominal": json.dumps(self.rig.nominal_values()),
+            "rig": json.dumps(rig_state(self.rig)),
             "best": json.dumps(dict(self.best)),
         }
         posterior = {name: (("chain", "draw"), draws) for name, draws in self.draws.items()}

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from estimator.errors import InvalidInput
 from estimator.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
@@ -50,6 +52,18 @@ def load_rig(path: Path | str) -> Rig:
 def rig_from_text(text: str, file: str = "rig") -> Rig:
     """Read a rig from YAML text; `file` names its origin in messages."""
     return _rig(Section.from_text(text, file), text)
+
+
+def rig_state(rig: Rig) -> dict[str, Any]:
+    """A rig as JSON can hold it: its text, and what was set or fixed since it was read."""
+    values = {name: float(p.value) for name, p in rig.parameters.items() if p.tie is None}
+    return {"text": rig.text, "values": values, "free": [parameter.name for parameter in rig.free]}
+
+
+def rig_from_state(state: Mapping[str, Any], file: str) -> Rig:
+    """The rig that `rig_state` described."""
+    rig = rig_from_text(state["text"], file).with_values(state["values"])
+    return rig.with_fixed(parameter.name for parameter in rig.free if parameter.name not in state["free"])
 
 
 def _rig(top: Section, text: str) -> Rig:

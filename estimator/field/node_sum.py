@@ -26,9 +26,9 @@ USUAL_STEPS = 4  # AGM steps of readings some centimetres away; the compiled cod
 class Nodes(NamedTuple):
     """Weighted loops that stand for a winding: any number of node axes, to whose product heights and radii broadcast."""
 
-    height_m: Float[Tensor, "rows *#node"]
-    radius_m: Float[Tensor, "rows *#node"]
-    weight: Float[Tensor, "rows *node"]
+    height_m: Float[Tensor, " rows *#node"]
+    radius_m: Float[Tensor, " rows *#node"]
+    weight: Float[Tensor, " rows *node"]
 
     def flat(self) -> Nodes:
         """The same loops along one axis."""

@@ -64,6 +64,8 @@ def convergence(chain: np.ndarray) -> Convergence:
             if np.ptp(series) > 0.0:
                 values[0, i] = arviz.ess(series, method="bulk")
                 values[1, i] = arviz.ess(series, method="tail")
-                with np.errstate(divide="ignore"):  # walkers that stand still apart from each other: R-hat is infinite
+                with np.errstate(
+                    divide="ignore"
+                ):  # walkers that stand still apart from each other: R-hat is infinite
                     values[2, i] = arviz.rhat(series, method="rank")
     return Convergence(values[0], values[1], values[2], steps * walkers)

@@ -37,7 +37,8 @@ class LogPosterior:
     def predicted(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
         """Predicted value of every measured component, in tesla."""
         field = self.chain.predict(self.coordinates.values(vector))
-        return field.flatten(-2)[..., self._flat]
+        # Where only noise is free, the field has no batch.
+        return field.flatten(-2)[..., self._flat].expand(*vector.shape[:-1], len(self._flat))
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""

@@ -86,13 +86,13 @@ def polish(
     done = torch.zeros(len(vector), dtype=torch.bool)
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
-        newton = torch.linalg.solve(precision + 1e-14 * _diagonal(precision), gradient)
+        newton = _solve(precision, gradient)
         done = done | ((gradient * newton).sum(-1) < tolerance) | (damping > LARGEST_DAMPING)
         active = (~done).nonzero().flatten()
         if not len(active):
             break
         damped = precision[active] + damping[active, None, None] * _diagonal(precision[active])
-        step = torch.linalg.solve(damped, gradient[active])
+        step = _solve(damped, gradient[active])
         trial = vector[active].clone()
         trial[:, :n] += step
         trial_value = posterior(trial)
@@ -110,7 +110,7 @@ def polish(
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
             gradient[moved], precision[moved], information[moved] = _curvature(posterior, vector[moved])
-    newton = torch.linalg.solve(precision + 1e-14 * _diagonal(precision), gradient)
+    newton = _solve(precision, gradient)
     is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
     return Polished(vector, value, precision, information, is_converged, iteration)
 
@@ -151,6 +151,16 @@ def _curvature(
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT) * unit)
     prior_precision = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
     return gradient + prior_gradient, information + prior_precision, information
+
+
+def _solve(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solution of a positive definite system, scaled to a unit diagonal first: coordinates differ in size by many powers of ten."""
+    scale = _diagonal_of(matrix).clamp(min=1e-300).rsqrt()
+    scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
+        matrix.shape[-1], dtype=matrix.dtype
+    )
+    solution: Tensor = torch.linalg.solve(scaled, scale * right)
+    return scale * solution
 
 
 def _diagonal_of(matrix: Tensor) -> Tensor:

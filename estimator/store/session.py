@@ -23,7 +23,7 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from estimator.config import rig_from_text
+from estimator.config import rig_from_state, rig_state
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
@@ -53,8 +53,7 @@ class Session:
     @property
     def hash(self) -> str:
         """SHA-256 over readings and rig; the same readings always give the same hash."""
-        rig = [self.rig.text, sorted(_own_values(self.rig).items())]
-        return digest(observation_arrays(self.observations), {"rig": rig})
+        return digest(observation_arrays(self.observations), rig_state(self.rig))
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse another description of the rig that does not name the same things in the same order.
@@ -110,8 +109,7 @@ class Session:
             "created": self.created,
             "source": self.source,
             "truth": dict(self.truth),
-            "rig": self.rig.text,
-            "rig_values": _own_values(self.rig),
+            "rig": rig_state(self.rig),
             "coil": [coil.name for coil in self.rig.coils],
             "sensor": [sensor.name for sensor in self.rig.sensors],
         }
@@ -142,7 +140,7 @@ def load_session(path: Path | str) -> Session:
             }
         if digest(arrays, attributes) != seal:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
-        rig = rig_from_text(attributes["rig"], f"rig inside {path}").with_values(attributes["rig_values"])
+        rig = rig_from_state(attributes["rig"], f"rig inside {path}")
         observations = observations_from({name: data for name, (_, data) in arrays.items()}, rig)
     except CoilcalError:
         raise
@@ -160,11 +158,6 @@ def _is_session(path: Path) -> bool:
 
 def _described(body: Body | Mover) -> str:
     return f"{body.name} ({body.motion})" if isinstance(body, Mover) else body.name
-
-
-def _own_values(rig: Rig) -> dict[str, float]:
-    """Nominal values of the parameters that follow no other; they may differ from those in the rig's text."""
-    return {name: float(p.value) for name, p in rig.parameters.items() if p.tie is None}
 
 
 def _check_kind(attributes: Mapping[str, Any], path: Path) -> None:

@@ -88,11 +88,19 @@ def test_a_session_is_read_back_equal(session: Session, store: Path) -> None:
     assert load_session(str(store)).hash == session.hash
 
 
-def test_values_set_after_the_rig_was_read_are_kept(tmp_path: Path) -> None:
-    session = make_session(rig_from_text(RIG).with_values({"coil1.radius_m": 0.0601}))
+def test_what_was_set_or_fixed_after_the_rig_was_read_is_kept(tmp_path: Path) -> None:
+    free = rig_from_text(
+        RIG.replace("noise_uT: 20}, ", "noise_uT: {prior: {uniform: {lower: 1, upper: 50}}}}, ")
+    )
+    fixed = free.with_values({"coil1.radius_m": 0.0601}).with_fixed(["hall_a.noise_T"])
+    assert len(free.free) == 1
+    session = make_session(fixed)
     session.save(tmp_path / "s.zarr")
-    assert load_session(tmp_path / "s.zarr").rig.nominal_values()["coil1.radius_m"] == 0.0601
-    assert session.hash != make_session().hash
+    assert load_session(tmp_path / "s.zarr").rig == fixed
+    assert (
+        len({session.hash, make_session(free).hash, make_session(free.with_fixed(["hall_a.noise_T"])).hash})
+        == 3
+    )
 
 
 def test_the_hash_names_readings_and_rig_and_nothing_else(session: Session) -> None:

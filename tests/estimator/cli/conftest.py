@@ -1,0 +1,90 @@
+"""A folder where every command has run once, and a way to call commands that checks what holds for all of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from click.testing import CliRunner, Result
+
+from estimator.cli.main import main
+
+CONTROL_CHARACTERS = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")  # all but line feeds
+Run = Callable[..., Result]
+
+
+def invoke(*arguments: object) -> Result:
+    """Run a command; whatever it prints has no control characters, and nothing escapes as a traceback."""
+    n_threads = torch.get_num_threads()
+    try:
+        result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    finally:
+        torch.set_num_threads(n_threads)  # `--threads` is for the whole process
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert not CONTROL_CHARACTERS.search(result.stdout + result.stderr)
+    return result
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    return invoke
+
+
+@pytest.fixture(scope="session")
+def results() -> dict[str, Result]:
+    """What the commands that made the workspace printed."""
+    return {}
+
+
+@pytest.fixture(scope="session")
+def workspace(
+    rig_text: str, plan_text: str, tmp_path_factory: pytest.TempPathFactory, results: dict[str, Result]
+) -> Path:
+    """A folder with rig.yaml, plan.yaml, simulated.zarr, readings.csv, session.zarr, calibration and field.csv; look, do not touch."""
+    folder = tmp_path_factory.mktemp("workspace")
+    rig, plan, csv = folder / "rig.yaml", folder / "plan.yaml", folder / "readings.csv"
+    rig.write_text(rig_text, encoding="utf-8")
+    plan.write_text(plan_text, encoding="utf-8")
+    simulate = ["simulate", "--rig", rig, "--plan", plan, "--seed", 1, "--set", "coil1.axial_loops=13"]
+    results["simulate"] = invoke(*simulate, "--out", folder / "simulated.zarr", "--csv", csv, "--json")
+    results["import"] = invoke("import", csv, "--rig", rig, "--out", folder / "session.zarr")
+    calibrate = ["calibrate", folder / "session.zarr", "--ess", 200, "--walkers", 16]
+    results["calibrate"] = invoke(*calibrate, "--out", folder / "calibration", "--json")
+    predict = ["predict", folder / "calibration", "--grid", "x_mm=-20:20:5", "--grid", "z_mm=10"]
+    results["predict"] = invoke(*predict, "--current", "coil1=2", "--out", folder / "field.csv")
+    return folder
+
+
+@pytest.fixture
+def in_workspace(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The working directory is the workspace, and nothing in it may have changed afterwards."""
+    monkeypatch.chdir(workspace)
+    before = contents(workspace)
+    yield workspace
+    assert contents(workspace) == before
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Every path below a folder with the bytes of the files."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.fixture(scope="session")
+def refused() -> Callable[[Result, int], str]:
+    """The one sentence that a refused command prints."""
+
+    def sentence(result: Result, exit_code: int = 2) -> str:
+        assert (result.exit_code, result.stdout) == (exit_code, "")
+        assert result.stderr.count("\n") == 1
+        assert result.stderr.startswith("coilcal: ")
+        assert "Errno" not in result.stderr
+        return result.stderr.removeprefix("coilcal: ").strip()
+
+    return sentence

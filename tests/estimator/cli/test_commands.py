@@ -1,0 +1,305 @@
+"""From a rig file to a report, as a user calls it: what every command prints and writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import torch
+from click.testing import Result
+
+from estimator.calibration import Calibration
+from estimator.store.session import load_session
+
+Run = Callable[..., Result]
+COMMANDS = ["simulate", "import", "calibrate", "predict", "report"]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_simulate_draws_a_truth_and_writes_session_and_csv(
+    workspace: Path, results: dict[str, Result]
+) -> None:
+    printed = json.loads(results["simulate"].stdout)
+    assert (results["simulate"].exit_code, results["simulate"].stderr) == (0, "")
+    session = load_session(workspace / "simulated.zarr")
+    assert printed["readings"] == len(session.observations) == len(rows(workspace / "readings.csv")) == 36
+    assert printed["validation"] == int(session.observations.is_validation.sum()) == 9
+    assert printed["truth"] == dict(session.truth)
+    assert printed["truth"]["coil1.axial_loops"] == 13.0
+    assert printed["truth"]["coil1.radius_m"] not in (0.051, 0.048)
+
+
+def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dict[str, Result]) -> None:
+    simulated, imported = load_session(workspace / "simulated.zarr"), load_session(workspace / "session.zarr")
+    assert imported.hash == simulated.hash
+    assert imported.truth == {}
+    assert results["import"].exit_code == 0
+    assert (
+        results["import"].stdout
+        == f"36 readings (9 of them for validation) written to {workspace / 'session.zarr'}\n"
+    )
+
+
+def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tmp_path: Path) -> None:
+    header, *lines = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    whole = tmp_path / "whole.csv"
+    whole.write_text("\n".join(line.rpartition(",")[0] for line in (header, *lines)), encoding="utf-8")
+    masks = []
+    for i, options in enumerate(
+        (
+            ["--validation", 0.4],
+            ["--validation", 0.4],
+            ["--validation", 0.4, "--seed", 1],
+            ["--validation", 0],
+        )
+    ):
+        out = tmp_path / f"{i}.zarr"
+        result = run("import", whole, "--rig", workspace / "rig.yaml", "--out", out, *options, "--json")
+        masks.append(load_session(out).observations.is_validation)
+        printed = json.loads(result.stdout)
+        assert printed == {
+            "session": str(out),
+            "readings": 36,
+            "validation": int(masks[-1].sum()),
+            "session_hash": load_session(out).hash,
+        }
+    assert torch.equal(masks[0], masks[1])
+    assert not torch.equal(masks[0], masks[2])
+    assert 0.4 <= masks[0].double().mean() < 0.6
+    assert not masks[3].any()
+
+
+def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
+    workspace: Path, results: dict[str, Result]
+) -> None:
+    result = results["calibrate"]
+    assert result.exit_code == 0
+    assert sorted(path.name for path in (workspace / "calibration").iterdir()) == [
+        "chain.zarr",
+        "posterior.zarr",
+        "report.html",
+        "summary.json",
+    ]
+    summary = json.loads((workspace / "calibration" / "summary.json").read_text(encoding="utf-8"))
+    assert json.loads(result.stdout) == summary
+    assert summary["is_converged"] is True
+    truth = json.loads(results["simulate"].stdout)["truth"]
+    for name, value in truth.items():
+        found = summary["parameters"][name]
+        assert abs(found["median"] - value) <= 4 * found["sd"]
+    assert "Calibration of small" in (workspace / "calibration" / "report.html").read_text(encoding="utf-8")
+
+
+def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dict[str, Result]) -> None:
+    lines = results["calibrate"].stderr.splitlines()
+    assert lines[0] == "point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"
+    assert "posterior sampling with emcee" in lines
+    assert any(line.startswith("  step 50, effective samples ") for line in lines)
+    assert len(set(lines)) == len(lines)
+
+
+def test_predict_writes_field_and_intervals_of_the_calibration(
+    workspace: Path, results: dict[str, Result]
+) -> None:
+    assert results["predict"].stdout == f"5 points written to {workspace / 'field.csv'}\n"
+    table = rows(workspace / "field.csv")
+    assert list(table[0]) == [
+        *("x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T"),
+        *(
+            "Bx_lower_T",
+            "Bx_upper_T",
+            "By_lower_T",
+            "By_upper_T",
+            "Bz_lower_T",
+            "Bz_upper_T",
+            "inside_winding",
+        ),
+    ]
+    points_m = torch.tensor(
+        [[float(row[f"{axis}_m"]) for axis in "xyz"] for row in table], dtype=torch.float64
+    )
+    assert points_m.tolist() == [[x, 0.0, 0.01] for x in (-0.02, -0.01, 0.0, 0.01, 0.02)]
+    calibration = Calibration.load(workspace / "calibration")
+    field_T = torch.tensor(
+        [[float(row[f"B{axis}_T"]) for axis in "xyz"] for row in table], dtype=torch.float64
+    )
+    torch.testing.assert_close(field_T, calibration.field(points_m, {"coil1": 2.0}), rtol=1e-6, atol=1e-15)
+    lower, upper = calibration.field_interval(points_m, {"coil1": 2.0})
+    for row, low, high in zip(table, lower, upper, strict=True):
+        assert float(row["Bz_lower_T"]) == pytest.approx(low[2].item(), rel=1e-6)
+        assert float(row["Bz_upper_T"]) == pytest.approx(high[2].item(), rel=1e-6)
+
+
+def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, run: Run, tmp_path: Path) -> None:
+    best = Calibration.load(workspace / "calibration").best
+    inside = [
+        f"--grid=x_m={best['coil1.radius_m'] - 0.003}:0.08:2",
+        f"--grid=z_m={best['coil1.world_from_coil0.z_m'] - 0.01}",
+    ]
+    result = run(
+        "predict", workspace / "calibration", *inside, "--current", "coil1=3", "--out", tmp_path / "f.csv"
+    )
+    assert "1 lie inside a winding and are empty" in result.stdout
+    first, second = rows(tmp_path / "f.csv")
+    assert (first["Bz_T"], first["Bx_lower_T"], first["inside_winding"]) == ("", "", "1")
+    assert float(second["Bz_T"]) < 0.0
+    assert second["inside_winding"] == "0"
+
+
+def test_predict_takes_motion_and_level(workspace: Path, run: Run, tmp_path: Path) -> None:
+    folder, widths = workspace / "calibration", []
+    for level in (0.5, 0.95):
+        call = [
+            "--grid",
+            "x_mm=0",
+            "--current",
+            "coil1=3",
+            "--motion",
+            "arm1=0,0,0.01,0,0,0",
+            "--level",
+            level,
+            "--overwrite",
+        ]
+        result = run("predict", folder, *call, "--out", tmp_path / "f.csv", "--json")
+        assert json.loads(result.stdout) == {
+            "file": str(tmp_path / "f.csv"),
+            "points": 1,
+            "inside_winding": 0,
+            "level": level,
+        }
+        (row,) = rows(tmp_path / "f.csv")
+        widths.append(float(row["Bz_upper_T"]) - float(row["Bz_lower_T"]))
+    assert widths[1] > 2 * widths[0]
+    at_rest = Calibration.load(folder).field(torch.tensor([[0.0, 0.0, -0.01]]).double(), {"coil1": 3.0})
+    assert float(row["Bz_T"]) == pytest.approx(at_rest[0, 2].item(), rel=1e-6)
+
+
+def test_report_writes_the_page_again(workspace: Path, run: Run, tmp_path: Path) -> None:
+    result = run("report", workspace / "calibration", "--out", tmp_path / "page.html", "--json")
+    assert json.loads(result.stdout) == {"report": str(tmp_path / "page.html")}
+    assert "<html" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_every_command_has_help(run: Run, command: str) -> None:
+    for option in ("--help", "-h"):
+        result = run(*command.split(), option)
+        assert result.exit_code == 0
+        assert result.stdout.startswith("Usage: ")
+        assert result.stderr == ""
+    if command:
+        assert "--json" in result.stdout
+        assert "--out" in result.stdout
+    else:
+        assert (
+            "Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge." in result.stdout
+        )
+        assert all(name in result.stdout for name in COMMANDS)
+
+
+def test_the_version_is_that_of_the_package(run: Run) -> None:
+    assert version("coilcal") in run("--version").stdout
+
+
+def test_without_json_the_summary_is_a_table(workspace: Path, run: Run, tmp_path: Path) -> None:
+    """And a run that did not converge says so on standard error, with exit code 4 and the way on."""
+    call = [
+        "calibrate",
+        workspace / "session.zarr",
+        "--walkers",
+        16,
+        "--max-steps",
+        20,
+        "--out",
+        tmp_path / "c",
+    ]
+    result = run(*call)
+    assert result.exit_code == 4
+    *_, last = result.stderr.splitlines()
+    assert last == (
+        "coilcal: sampling did not converge in 20 steps; intervals are provisional (the same command with more --max-steps continues)"
+    )
+    lines = result.stdout.splitlines()
+    assert lines[0].split() == ["parameter", "median", "90", "%", "credible", "interval", "unit"]
+    assert [line.split()[0] for line in lines[1:4]] == [
+        "coil1.radius_m",
+        "coil1.world_from_coil0.z_m",
+        "coil1.axial_loops",
+    ]
+    assert any(line.startswith("coil1: 13 x 3 loops with probability ") for line in lines)
+    assert any(line.startswith("validation: error ") for line in lines)
+    assert lines[-1] == f"report: {tmp_path / 'c' / 'report.html'}"
+    assert json.loads((tmp_path / "c" / "summary.json").read_text(encoding="utf-8"))["is_converged"] is False
+
+
+def test_damaged_files_give_exit_code_3(
+    workspace: Path, run: Run, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    shutil.copytree(workspace / "session.zarr", tmp_path / "session.zarr")
+    shutil.copytree(workspace / "calibration", tmp_path / "calibration")
+    before = sorted(tmp_path.rglob("*"))
+    for store, command in (
+        ("session.zarr/field_sensor_T", ["calibrate", tmp_path / "session.zarr", "--out", tmp_path / "new"]),
+        ("calibration/posterior.zarr/posterior/coil1.radius_m", ["report", tmp_path / "calibration"]),
+        (
+            "calibration/posterior.zarr/posterior/coil1.radius_m",
+            [
+                "predict",
+                tmp_path / "calibration",
+                "--grid",
+                "x_m=0",
+                "--current",
+                "coil1=1",
+                "--out",
+                tmp_path / "new.csv",
+            ],
+        ),
+    ):
+        chunk = next(path for path in (tmp_path / store / "c").rglob("*") if path.is_file())
+        content = chunk.read_bytes()
+        chunk.write_bytes(content[:-3] + b"???")
+        assert "is damaged" in refused(run(*command), 3)
+        chunk.unlink()
+        assert "was altered or lost a chunk" in refused(run(*command), 3)
+        chunk.write_bytes(content)
+    (tmp_path / "calibration" / "summary.json").write_text("{", encoding="utf-8")
+    assert "is damaged" in refused(run("report", tmp_path / "calibration"), 3)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_the_program_prints_json_alone_in_a_pipe_even_where_colours_are_forced(
+    workspace: Path, tmp_path: Path
+) -> None:
+    """In a process of its own, as scripts call it."""
+    call = [
+        "calibrate",
+        workspace / "session.zarr",
+        "--walkers",
+        "16",
+        "--max-steps",
+        "20",
+        "--out",
+        tmp_path / "c",
+        "--json",
+    ]
+    program = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')", *call]
+    environment = {"FORCE_COLOR": "1", "TTY_COMPATIBLE": "1", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+    result = subprocess.run(
+        program, capture_output=True, env=environment, cwd=Path(__file__).parents[3], check=False
+    )
+    assert result.returncode == 4
+    assert json.loads(result.stdout)["is_converged"] is False
+    for stream in (result.stdout, result.stderr):
+        assert all(byte >= 32 or byte == 10 for byte in stream)
+    assert result.stderr.decode().splitlines()[0].startswith("point estimate")

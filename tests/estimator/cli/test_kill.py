@@ -1,0 +1,74 @@
+"""kill -9 in the middle of sampling: the same command again gives, bit by bit, the chain of the run that was let alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from estimator.calibration import Calibration
+from estimator.store.chain import ZarrBackend
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
+STEPS = 300
+
+
+def start(session: Path, out: Path) -> subprocess.Popen[bytes]:
+    call = [
+        "calibrate",
+        session,
+        "--out",
+        out,
+        "--walkers",
+        "16",
+        "--ess",
+        "1e9",
+        "--max-steps",
+        str(STEPS),
+        "--seed",
+        "3",
+    ]
+    return subprocess.Popen(
+        [*PROGRAM, *map(str, call)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+
+
+def committed_steps(out: Path) -> int:
+    try:
+        return int(
+            json.loads((out / "chain.zarr" / "zarr.json").read_text(encoding="utf-8"))["attributes"][
+                "n_steps"
+            ]
+        )
+    except FileNotFoundError:
+        return 0
+
+
+def test_a_killed_calibration_continues_to_the_same_posterior(workspace: Path, tmp_path: Path) -> None:
+    session = workspace / "session.zarr"
+    killed = start(session, tmp_path / "killed")
+    while committed_steps(tmp_path / "killed") < 100:
+        assert killed.poll() is None
+        time.sleep(0.005)
+    killed.kill()
+    killed.communicate()
+    survived = committed_steps(tmp_path / "killed")
+    assert 100 <= survived < STEPS
+    assert [path.name for path in (tmp_path / "killed").iterdir()] == ["chain.zarr"]
+
+    again, alone = start(session, tmp_path / "killed"), start(session, tmp_path / "alone")
+    for process in (again, alone):
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 4  # an effective sample size of 1e9 is never reached
+        assert f"coilcal: sampling did not converge in {STEPS} steps".encode() in errors
+    chains = [ZarrBackend.open(tmp_path / name / "chain.zarr") for name in ("killed", "alone")]
+    assert np.array_equal(chains[0].get_chain(), chains[1].get_chain())
+    assert np.array_equal(chains[0].get_log_prob(), chains[1].get_log_prob())
+    one, other = (Calibration.load(tmp_path / name) for name in ("killed", "alone"))
+    assert one.summary() == other.summary()
+    assert all(np.array_equal(draws, other.draws[name]) for name, draws in one.draws.items())

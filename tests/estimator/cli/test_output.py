@@ -1,0 +1,105 @@
+"""Progress on a terminal and in a pipe, and faults as sentences."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from estimator.calibrate import Stage
+from estimator.cli.output import StageReporter, explain_errors, named_number, named_numbers
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.inference.ensemble import Progress
+from estimator.inference.laplace import OpenDirection
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+STAGES = (
+    Stage("point estimate"),
+    Stage("Laplace", open_directions=(OpenDirection("coil1 thickness", 3.0, {"coil1 thickness": 1.0}),)),
+    Stage("sampling", Progress(50, 1000, 120.0, 2000.0, 1.0123)),
+    Stage("sampling", Progress(100, 1000, 250.0, 2000.0, 1.0071)),
+)
+WORDS = (
+    "point estimate",
+    "not determined by the data: coil1 thickness",
+    "step 100, effective samples 250 of 2000, R-hat 1.0071",
+)
+
+
+def report(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> str:
+    monkeypatch.setattr(sys, "stderr", stream)
+    with StageReporter() as reporter:
+        for stage in STAGES:
+            reporter(stage)
+    return stream.getvalue()
+
+
+def test_a_pipe_gets_every_line_once_and_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert report(monkeypatch, io.StringIO()).splitlines() == [
+        "point estimate",
+        "Laplace",
+        "  not determined by the data: coil1 thickness",
+        "sampling",
+        "  step 50, effective samples 120 of 2000, R-hat 1.0123",
+        "  step 100, effective samples 250 of 2000, R-hat 1.0071",
+    ]
+
+
+def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    shown = report(monkeypatch, Terminal())
+    assert "\x1b[" in shown
+    assert all(word in shown for word in WORDS[:2])
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "sentence"),
+    [
+        (InvalidInput("a must be b"), 2, "coilcal: a must be b\n"),
+        (CorruptStore("c is damaged"), 3, "coilcal: c is damaged\n"),
+        (
+            PermissionError(13, "Permission denied", "/x"),
+            2,
+            "coilcal: /x must be readable and writable: Permission denied\n",
+        ),
+    ],
+)
+def test_a_fault_becomes_a_sentence_and_an_exit_code(
+    capsys: pytest.CaptureFixture[str], fault: Exception, code: int, sentence: str
+) -> None:
+    @explain_errors
+    def command() -> None:
+        raise fault
+
+    with pytest.raises(SystemExit) as caught:
+        command()
+    assert caught.value.code == code
+    assert capsys.readouterr() == ("", sentence)
+
+
+@pytest.mark.parametrize("fault", [BrokenPipeError(), ZeroDivisionError()])
+def test_a_closed_pipe_and_a_bug_are_not_explained_away(fault: Exception) -> None:
+    @explain_errors
+    def command() -> None:
+        raise fault
+
+    with pytest.raises(type(fault)):
+        command()
+
+
+def test_options_name_numbers() -> None:
+    assert named_number(["coil1=3", "coil2=-2e-3"], "--current") == {"coil1": 3.0, "coil2": -2e-3}
+    assert named_numbers("arm1=0,0,0.1,0,0,-1", "--motion", 6) == ("arm1", [0.0, 0.0, 0.1, 0.0, 0.0, -1.0])
+
+
+@pytest.mark.parametrize("text", ["coil1", "coil1=", "coil1=3 A", "coil1=1,2", "coil1=inf", "3", ""])
+def test_what_is_no_named_number_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match=r"--current must look like NAME=1\.0; received"):
+        named_number([text], "--current")

@@ -1,0 +1,106 @@
+"""The names that other people's scripts import, pinned; and that everything public says what it is for."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from types import ModuleType
+
+import pytest
+
+import estimator
+
+NAMES = [
+    "Calibration",
+    "CoilcalError",
+    "CorruptStore",
+    "InvalidInput",
+    "Observations",
+    "Plan",
+    "Rig",
+    "SamplerSettings",
+    "Session",
+    "Stage",
+    "block_split",
+    "calibrate",
+    "draw_truth",
+    "load_plan",
+    "load_rig",
+    "load_session",
+    "simulate",
+]
+SIGNATURES = {
+    "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, on_stage",
+    "simulate": "rig, plan, truth, seed",
+    "draw_truth": "rig, seed",
+    "load_plan": "path, rig",
+    "load_rig": "path",
+    "load_session": "path",
+    "block_split": "observations, share, seed",
+    "Calibration.field": "self, points_m, currents_A, motion",
+    "Calibration.gradient": "self, points_m, currents_A, motion",
+    "Calibration.field_interval": "self, points_m, currents_A, level, motion",
+    "Calibration.summary": "self",
+    "Calibration.save": "self, folder",
+    "Calibration.load": "folder",
+    "Session.save": "self, path, overwrite",
+}
+MODULES = sorted(
+    module.name
+    for module in pkgutil.walk_packages(estimator.__path__, "estimator.")
+    if module.name != "estimator.cli.main"
+)
+
+
+def test_the_public_names_are_these() -> None:
+    assert sorted(estimator.__all__) == NAMES
+    assert list(estimator.__all__) == NAMES
+    assert all(hasattr(estimator, name) for name in NAMES)
+
+
+@pytest.mark.parametrize(("name", "parameters"), SIGNATURES.items())
+def test_public_calls_take_these_arguments(name: str, parameters: str) -> None:
+    found: object = estimator
+    for part in name.split("."):
+        found = getattr(found, part)
+    assert ", ".join(inspect.signature(found).parameters) == parameters  # type: ignore[arg-type]
+
+
+def public_members(module: ModuleType) -> list[tuple[str, object]]:
+    """Functions and classes that a module defines, and what the classes define."""
+    own = [
+        (name, member)
+        for name, member in vars(module).items()
+        if not name.startswith("_")
+        and (inspect.isfunction(member) or inspect.isclass(member))
+        and member.__module__ == module.__name__
+    ]
+    methods = [
+        (f"{name}.{key}", value)
+        for name, cls in own
+        if inspect.isclass(cls)
+        for key, value in vars(cls).items()
+        if not key.startswith("_")
+        and (inspect.isfunction(value) or isinstance(value, property | classmethod))
+    ]
+    return own + methods
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_public_function_and_class_has_a_docstring(name: str) -> None:
+    module = importlib.import_module(name)
+    assert module.__doc__
+    inherited = {"Normal", "LogNormal", "Uniform"}  # documented once, in Prior
+    undocumented = [
+        member
+        for member, value in public_members(module)
+        if member.partition(".")[0] not in inherited and not is_documented(value)
+    ]
+    assert not undocumented
+
+
+def is_documented(value: object) -> bool:
+    """Whether a person wrote a docstring; a dataclass without one gets its signature for a docstring."""
+    text = inspect.getdoc(value) or ""
+    return bool(text) and not text.startswith(f"{getattr(value, '__name__', '?')}(")
