@@ -62,27 +62,6 @@ def test_chain_has_the_law_of_the_posterior(samples, counts_problem, exact_count
     assert samples.acceptance > 0.5
 
 
-def test_wrong_proposal_only_costs_time(samples, mixture, counts_problem, exact_counts):
-    """Weights the wrong way round, centres off by a third of a standard deviation, and half as much variance again."""
-    widths = mixture.covariance.diagonal(dim1=1, dim2=2).sqrt()
-    wrong = CountMixture(
-        mixture.counts,
-        mixture.weight.flip(0),
-        mixture.mean + 0.3 * widths,
-        1.5 * mixture.covariance,
-    )
-    found = sample(
-        counts_problem.whole,
-        wrong,
-        SamplerSettings(n_walkers=32, target_ess=600.0, largest_rhat=1.05, seed=2),
-    )
-    assert found.is_converged
-    assert_law(found, counts_problem, exact_counts)
-    assert found.acceptance < 0.8 * samples.acceptance
-    per_step = [s.convergence.smallest_ess / s.n_steps for s in (found, samples)]
-    assert per_step[0] < 0.8 * per_step[1]
-
-
 def test_sampling_stops_at_the_first_look_that_meets_its_targets(samples):
     assert samples.convergence.smallest_ess >= 3000.0
     assert samples.convergence.largest_rhat <= 1.01
