@@ -1,8 +1,9 @@
 """Between the vector a sampler moves and the numbers of a rig.
 
-A sampler sees coordinates in which a coil's posterior is close to normal (DESIGN decision 3): positive numbers as logarithms, the
-external radius through the mean radius, and wire radius and loop counts through turns, length and thickness, which the data determine
-separately. With `integer_counts` the free loop counts stand unchanged in the last columns and are whole numbers.
+A sampler sees coordinates in which a coil's posterior is close to normal (DESIGN decision 3, docs/decisions/0007): positive numbers as
+logarithms, the external radius through the rms radius of the loops, the position of the front face through that of the winding's
+middle, and wire radius and loop counts through turns, length and thickness, which the data determine separately. With
+`integer_counts` the free loop counts stand unchanged in the last columns and are whole numbers.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import jacfwd
 
+from estimator.frames import rotation_from_vector
 from estimator.parameters import Parameter
 from estimator.rig import Rig
 
@@ -52,6 +54,7 @@ class Coordinates:
         self.n_counts = len(counts)
         self._column = {parameter.name: i for i, parameter in enumerate(self.parameters)}
         self._is_log = [p.is_positive and p not in counts and not self._is_radius(p) for p in self.parameters]
+        self._axis = self._nominal_axes()
         self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
         self._mix = self._natural_mix()
         self._unmix = np.linalg.inv(self._mix)
@@ -78,7 +81,9 @@ class Coordinates:
         for i, parameter in enumerate(self.parameters):
             coil, _, quantity = parameter.name.partition(".")
             if self._is_radius(parameter):
-                words.append(f"{coil} mean radius")
+                words.append(f"{coil} rms radius")
+            elif parameter.name in self._axis:
+                words.append(f"{parameter.name} of the winding's middle")
             elif self._mix[i].sum() > 1.5:
                 natural = {
                     "wire_radius_m": "winding thickness",
@@ -119,11 +124,20 @@ class Coordinates:
             value = get[parameter.name]
             if self._is_radius(parameter):
                 coil = parameter.name.partition(".")[0]
-                value = value - 0.5 * get[f"{coil}.radial_pitch_m"] * get[f"{coil}.radial_loops"]
+                half, spread = _layers(coil, get.__getitem__)
+                value = torch.sqrt((value - half) ** 2 + spread)
+            elif parameter.name in self._axis:
+                value = value - self._to_front(parameter.name, get.__getitem__)
             columns.append(torch.log(value) if is_log else value)
         if not columns:
             return torch.zeros(0, dtype=torch.float64)
         return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ torch.as_tensor(self._mix).T
+
+    def bounds(self) -> tuple[Float[Tensor, " coordinate"], Float[Tensor, " coordinate"]]:
+        """Smallest and largest value that the prior allows each free parameter, in the parameter's own unit."""
+        priors = [parameter.prior for parameter in self.parameters if parameter.prior]
+        lower, upper = ([getattr(prior, end) for prior in priors] for end in ("lower", "upper"))
+        return torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64)
 
     def start(self) -> Float[Tensor, " coordinate"]:
         """Coordinates of the nominal values."""
@@ -150,6 +164,9 @@ class Coordinates:
             total = total + parameter.prior.log_density(value)
             if is_log:
                 total = total + torch.log(value)
+            elif self._is_radius(parameter):
+                half, spread = _layers(parameter.name.partition(".")[0], values.__getitem__)
+                total = total + 0.5 * torch.log1p(spread / (value - half) ** 2)
         return total
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
@@ -172,8 +189,10 @@ class Coordinates:
             return torch.tensor(parameter.value, dtype=elementary.dtype, device=elementary.device)
         value = elementary[..., column]
         if self._is_radius(parameter):
-            coil = name.partition(".")[0]
-            return value + 0.5 * resolve(f"{coil}.radial_pitch_m") * resolve(f"{coil}.radial_loops")
+            half, spread = _layers(name.partition(".")[0], resolve)
+            return half + torch.sqrt(value**2 - spread)
+        if name in self._axis:
+            return value + self._to_front(name, resolve)
         return torch.exp(value) if self._is_log[column] else value
 
     def _follow_tie(self, name: str, values: Mapping[str, Tensor]) -> Tensor:
@@ -183,6 +202,41 @@ class Coordinates:
     def _is_radius(self, parameter: Parameter) -> bool:
         coil, _, quantity = parameter.name.partition(".")
         return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
+
+    def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
+        """From the middle of the winding to its front face, along the nominal axis: what tilts add is linear enough."""
+        coil = name.partition(".")[0]
+        return 0.5 * self._axis[name] * resolve(f"{coil}.axial_pitch_m") * resolve(f"{coil}.axial_loops")
+
+    def _nominal_axes(self) -> dict[str, float]:
+        """Component of the coil's nominal axis along each free position of a coil whose length may change."""
+        nominal = self.rig.nominal_values()
+        axes: dict[str, float] = {}
+        for coil in self.rig.coils:
+            if not any(
+                self._depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
+            ):
+                continue
+            for block in ("world_from_coil", "world_from_coil0", "flange_from_coil"):
+                prefix = f"{coil.name}.{block}"
+                if f"{prefix}.rx_rad" not in nominal:
+                    continue
+                turn, own = (
+                    rotation_from_vector(torch.tensor([nominal[f"{prefix}.{key}"] for key in keys]).double())
+                    for keys in (("rx_rad", "ry_rad", "rz_rad"), ("tilt_x_rad", "tilt_y_rad", "spin_rad"))
+                )
+                axis = (turn @ own)[:, 2].tolist()
+                names = [f"{prefix}.{key}" for key in ("x_m", "y_m", "z_m")]
+                axes |= {
+                    name: a
+                    for name, a in zip(names, axis, strict=True)
+                    if name in self._column and abs(a) > 1e-9
+                }
+        return axes
+
+    def _depends_on_data(self, name: str) -> bool:
+        parameter = self.rig.parameters[name]
+        return self._depends_on_data(parameter.tie.to) if parameter.tie else parameter.is_free
 
     def _natural_mix(self) -> np.ndarray:
         """Rows that turn (log R_w, log N_a, log N_r) into (log thickness, log turns, log length) where all three are free."""
@@ -201,3 +255,9 @@ class Coordinates:
                 mix[radial] = 0.0
                 mix[radial, [wire, axial]] = 1.0
         return mix
+
+
+def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:
+    """Half the thickness of a winding, and the variance of the radii of its loops."""
+    pitch_m, loops = resolve(f"{coil}.radial_pitch_m"), resolve(f"{coil}.radial_loops")
+    return 0.5 * pitch_m * loops, pitch_m**2 * (loops**2 - 1.0) / 12.0

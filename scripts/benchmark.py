@@ -1,198 +1,147 @@
-"""Speed beside magpylib, SciPy and plain emcee, in one run on one machine; `make bench` runs it.
+"""Speed beside magpylib, SciPy, plain emcee and NumPyro, in one run on one machine; `make bench` runs it.
 
-Times are medians over repeats. Look at the ratios: absolute numbers belong to the machine that is printed with them.
+Two questions: how many loop and winding fields a second (`benchmark_field`), and how many effective samples a second of the slowest
+parameter (`benchmark_sampling`). Numbers are medians over repeats with the extremes beside them. Look at the ratios: absolute
+numbers belong to the machine that is printed with them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import resource
 import sys
-import time
-from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
-
-import emcee
-import magpylib
-import numpy as np
-import scipy
-import torch
-from scipy.special import ellipe, ellipk
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from estimator import SamplerSettings, load_plan, load_rig, simulate
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
-from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
-from estimator.inference.convergence import convergence
-from estimator.inference.ensemble import reported, sample
-from estimator.inference.lattice import count_mixture
-from estimator.inference.likelihood import LogPosterior
-from estimator.inference.point_estimate import point_estimate
-from estimator.units import MU0_T_M_PER_A
-
-WINDING = (0.051, 48, 25, 0.98e-3)  # external radius, axial and radial loops, pitch
-SEED = 5
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+GOAL_S, GOAL_ESS, GOAL_GB = 10.0, 10_000.0, 1.5  # on two cores
+PACKAGES = ("torch", "numpy", "scipy", "emcee", "arviz", "magpylib")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--ess", type=float, default=10_000.0)
-    parser.add_argument("--stretch-steps", type=int, default=3000)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    options = arguments()
+    cores = use_cores(options.threads)
+    # Imported now: OpenMP, MKL and XLA count the cores when they are loaded.
+    import torch
+    from benchmark_field import fields
+    from benchmark_sampling import sampling
+
     torch.set_num_threads(1)
-    print(
-        f"{platform.processor() or platform.machine()}, {processor()}, one thread; seed {SEED}, {options.repeats} repeats"
-    )
-    packages = {"torch": torch, "numpy": np, "scipy": scipy, "emcee": emcee, "magpylib": magpylib}
-    print(", ".join(f"{name} {module.__version__}" for name, module in packages.items()))
-    result = {"fields": fields(options.repeats), "sampling": sampling(options.ess, options.stretch_steps)}
-    result["peak_memory_GB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"\npeak memory of this process: {result['peak_memory_GB']:.2f} GB")
+    machine = {
+        "processor": processor(),
+        "cores_used": cores,
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in (*PACKAGES, *(("jax", "numpyro") if options.numpyro else ()))},
+    }
+    print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    print(f"seed {options.seed}, {options.repeats} repeats: median (smallest to largest)")
+    result: dict[str, Any] = {"machine": machine, "seed": options.seed, "repeats": options.repeats}
+    if options.only != "fields":
+        result["sampling"] = sampling(options)
+        show_sampling(result["sampling"], options.ess)
+        if options.ess >= GOAL_ESS:
+            result["goal"] = goal(result["sampling"], options.ess, cores)
+    if options.only != "sampling":
+        result["fields"] = fields(options)
+        for title, rows in result["fields"].items():
+            show_fields(title, rows)
+    result["peak_memory_GB"] = peak_memory_GB()
+    print(f"\npeak memory of the whole process, all contenders: {result['peak_memory_GB']:.2f} GB")
     if options.json:
         options.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--threads", type=int, default=1, help="cores to use; fields are split over them")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--ess", type=float, default=GOAL_ESS, help="effective samples of every parameter")
+    parser.add_argument("--stretch-steps", type=int, default=3000, help="steps on the real-valued counts")
+    parser.add_argument("--numpyro", action="store_true", help="NUTS as well (pip install '.[bench]')")
+    parser.add_argument("--no-compile", action="store_true", help="leave out the compiled sums")
+    parser.add_argument("--only", choices=("fields", "sampling"))
+    parser.add_argument("--tiny", action="store_true", help="seconds in all, to see that it runs; no timings")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    if options.tiny:
+        options.repeats, options.ess, options.stretch_steps, options.no_compile = 1, 200.0, 60, True
+    return options
+
+
+def use_cores(number: int) -> int:
+    """Keep this process and all its threads on so many cores, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:number])
+        return len(os.sched_getaffinity(0))
+    return number
+
+
 def processor() -> str:
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    return next(
-        (line.split(":")[1].strip() for line in lines if line.startswith("model name")), "unknown processor"
-    )
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = (line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
 
 
-def fields(repeats: int) -> dict[str, float]:
-    """Full sums over 1200 loops at 500 points: time per loop field, and how far the results differ."""
-    radius_m, n_axial, n_radial, pitch_m = WINDING
-    points_m = np.random.default_rng(SEED).uniform([-0.05, -0.05, 0.015], [0.05, 0.05, 0.065], (500, 3))
-    heights_m = -pitch_m * (np.arange(n_axial) + 0.5)
-    radii_m = radius_m - pitch_m * (np.arange(n_radial) + 0.5)
-    torch_points = torch.from_numpy(points_m)
-    one = torch.ones((), dtype=torch.float64)
-    winding = Winding(radius_m * one, n_axial * one, n_radial * one, pitch_m * one, pitch_m * one)
-    rule = exact_rule(winding, torch_points)
-
-    def coilcal(is_compiled: bool) -> np.ndarray:
-        with torch.no_grad():
-            return winding_field_per_ampere(torch_points, winding, rule, is_compiled).numpy()
-
-    def by_loops(loop: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
-        return sum(loop(points_m - [0.0, 0.0, height_m], a_m) for height_m in heights_m for a_m in radii_m)
-
-    methods: dict[str, Callable[[], np.ndarray]] = {
-        "coilcal, compiled": lambda: coilcal(True),
-        "coilcal, eager": lambda: coilcal(False),
-        "SciPy ellipk/ellipe, eq 4": lambda: by_loops(scipy_loop),
-        "magpylib core": lambda: by_loops(magpylib_loop),
-    }
-    n = len(points_m) * n_axial * n_radial
-    reference = coilcal(False)
-    print(f"\n{'field of loops':28} {'ns a loop':>10} {'ratio to magpylib':>18} {'largest difference':>19}")
-    rows = {}
-    for name, method in methods.items():
-        difference = np.linalg.norm(method() - reference, axis=1) / np.linalg.norm(reference, axis=1)
-        rows[name] = (median_time(method, repeats) / n * 1e9, difference.max())
-    for name, (time_ns, difference) in rows.items():
-        print(f"{name:28} {time_ns:10.1f} {rows['magpylib core'][0] / time_ns:18.1f} {difference:19.1e}")
-    return {name: float(time_ns) for name, (time_ns, _) in rows.items()}
+def peak_memory_GB() -> float:
+    unit = 1e9 if sys.platform == "darwin" else 1e6  # ru_maxrss counts bytes there and kilobytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
-def scipy_loop(points_m: np.ndarray, a_m: float) -> np.ndarray:
-    x, y, z = points_m.T
-    rho = np.hypot(x, y)
-    alpha2, beta2 = (a_m - rho) ** 2 + z**2, (a_m + rho) ** 2 + z**2
-    m = 1.0 - alpha2 / beta2
-    k, e = ellipk(m), ellipe(m)
-    common = MU0_T_M_PER_A / (2.0 * np.pi * np.sqrt(beta2))
-    b_rho = common * z / rho * (-k + (a_m**2 + rho**2 + z**2) / alpha2 * e)
-    return np.stack(
-        (b_rho * x / rho, b_rho * y / rho, common * (k + (a_m**2 - rho**2 - z**2) / alpha2 * e)), axis=1
-    )
+def show_fields(title: str, rows: dict[str, dict[str, Any]]) -> None:
+    slowest = next(name for name in rows if name.startswith("magpylib"))
+    print(f"\n{title}")
+    print(f"{'':40} {'fields a second':>29} {'ratio to':>9} {'largest':>10}")
+    print(f"{'':40} {'':>29} {'magpylib':>9} {'difference':>10}")
+    for name, row in rows.items():
+        ratio = row["per_second"][0] / rows[slowest]["per_second"][0]
+        print(
+            f"{name:40} {spread(row['per_second'], '.3g'):>29} {ratio:9.1f} {row['largest_difference']:10.0e}"
+        )
 
 
-def magpylib_loop(points_m: np.ndarray, a_m: float) -> np.ndarray:
-    x, y, z = points_m.T
-    rho = np.hypot(x, y)
-    n = len(rho)
-    h_rho, _, h_z = magpylib.core.current_circle_Hfield(r0=np.full(n, a_m), r=rho, z=z, i0=np.ones(n))
-    return MU0_T_M_PER_A * np.stack((h_rho * x / rho, h_rho * y / rho, h_z), axis=1)
-
-
-def sampling(target_ess: float, stretch_steps: int) -> dict[str, float]:
-    """125 readings, 10 parameters, 20 uT: effective samples a second of the slowest parameter."""
-    rig = load_rig(ROOT / "configs/paper_simulation.yaml")
-    plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
-    truth = json.loads((ROOT / "configs/truth/paper_simulation.json").read_text())
-    observations = simulate(rig, plan, truth, SEED).calibration
-    begin = time.perf_counter()
-    chain = Chain.build(rig, observations)
-    continuous = LogPosterior(Coordinates(rig), chain, observations)
-    estimate = point_estimate(continuous, observations, SEED)
-    lattice = LogPosterior(Coordinates(rig, integer_counts=True), chain, observations)
-    on_lattice = count_mixture(continuous, lattice, estimate.fit, np.random.default_rng(SEED))
-    if on_lattice is None:
-        raise RuntimeError("the loop counts of this session are too uncertain for a table")
-    set_up_s = time.perf_counter() - begin
-    on_reals = count_mixture(continuous, continuous, estimate.fit, np.random.default_rng(SEED))
-    assert on_reals is not None
+def show_sampling(result: dict[str, Any], target_ess: float) -> None:
+    print(f"\n{result['title']}")
+    for name, seconds in result["set_up_s"].items():
+        print(f"  {name}: {spread(seconds, '.1f')} s")
     print(
-        f"\n{len(observations)} readings, {lattice.coordinates.n} parameters; set-up (point estimate, Laplace) {set_up_s:.1f} s"
+        f"{'':46} {'evaluations':>11} {'smallest ESS':>12} {'R-hat':>6} {'ESS a second':>25} {'ratio':>6} "
+        f"{f's to {target_ess:.0f}':>12}"
     )
-    print(f"{'sampler':44} {'s':>7} {'evaluations':>12} {'smallest ESS':>13} {'ESS/s':>8} {'R-hat':>7}")
-    rates = {"set_up_s": set_up_s}
-    for name, posterior, mixture in (
-        ("coilcal, whole loop counts", lattice, on_lattice),
-        ("coilcal, real-valued counts", continuous, on_reals),
-    ):
-        begin = time.perf_counter()
-        samples = sample(posterior, mixture, SamplerSettings(target_ess=target_ess, seed=SEED))
-        elapsed = time.perf_counter() - begin
-        n_evaluations = samples.n_steps * samples.log_prob.shape[1]
-        ess, rhat = samples.convergence.smallest_ess, samples.convergence.largest_rhat
-        rates[name] = ess / elapsed
-        print(f"{name:44} {elapsed:7.1f} {n_evaluations:12d} {ess:13.0f} {rates[name]:8.0f} {rhat:7.4f}")
-    rates["stretch"] = stretch(continuous, estimate.vector, estimate.fit.precision[0], stretch_steps)
+    plain = next(row for name, row in result["rows"].items() if name.startswith("emcee"))
+    for name, row in result["rows"].items():
+        rate = row["ess_per_s"]
+        reached = spread(row["seconds"], ".1f") if row["is_reached"] else f"about {target_ess / rate[0]:.0f}"
+        print(
+            f"{name:46} {row['evaluations']:11d} {row['smallest_ess']:12.0f} {row['largest_rhat']:6.3f} "
+            f"{spread(rate, '.3g'):>25} {rate[0] / plain['ess_per_s'][0]:6.1f} {reached:>12}"
+        )
+    print("ESS is the smaller of bulk and tail of the slowest parameter; R-hat above 1.01 makes it a guess.")
+
+
+def goal(result: dict[str, Any], target_ess: float, cores: int) -> dict[str, Any]:
+    seconds, memory_GB = (
+        result["rows"]["coilcal, whole counts, eager"]["seconds"][0],
+        result["peak_memory_GB"],
+    )
+    is_met = seconds <= GOAL_S and memory_GB < GOAL_GB
     print(
-        f"coilcal over plain emcee, same posterior: {rates['coilcal, real-valued counts'] / rates['stretch']:.0f} times"
+        f"goal, {GOAL_ESS:.0f} effective samples of every parameter in {GOAL_S:.0f} s on two cores below {GOAL_GB} GB: "
+        f"{target_ess:.0f} in {seconds:.1f} s on {cores}, peak {memory_GB:.2f} GB, {'met' if is_met else 'not met'}"
     )
-    return rates
+    return {"seconds": seconds, "peak_memory_GB": memory_GB, "is_met": is_met}
 
 
-def stretch(posterior: LogPosterior, centre: torch.Tensor, precision: torch.Tensor, steps: int) -> float:
-    """Plain emcee with its default move on the same kernel, started in the posterior; the first quarter is dropped."""
-
-    def log_prob(vectors: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            return posterior(torch.from_numpy(vectors)).numpy()
-
-    random = np.random.default_rng(SEED)
-    n, n_walkers = len(centre), 32
-    start = random.multivariate_normal(centre.numpy(), torch.linalg.inv(precision).numpy(), n_walkers)
-    sampler = emcee.EnsembleSampler(n_walkers, n, log_prob, vectorize=True)
-    begin = time.perf_counter()
-    sampler.run_mcmc(start, steps, skip_initial_state_check=True)
-    elapsed = time.perf_counter() - begin
-    result = convergence(reported(posterior.coordinates, sampler.get_chain(discard=steps // 4)))
-    rate = result.smallest_ess / (0.75 * elapsed)
-    print(
-        f"{'emcee, stretch move, real-valued counts':44} {elapsed:7.1f} {steps * n_walkers:12d} {result.smallest_ess:13.0f} "
-        f"{rate:8.1f} {result.largest_rhat:7.4f}"
-    )
-    return rate
-
-
-def median_time(function: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
+def spread(values: list[float], form: str) -> str:
+    middle, low, high = (format(value, form) for value in values)
+    return f"{middle} ({low} to {high})"
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from torch.func import hessian, jacfwd, jacrev, vmap
 from estimator.inference.likelihood import LogPosterior
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
+APPROACH = 0.9  # of the way to a bound in one step, for bounds are curved in these coordinates
 LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and what the data leave open would have no width
 
 
@@ -96,6 +97,10 @@ def polish(
         trial = vector[active].clone()
         trial[:, :n] += step
         trial_value = posterior(trial)
+        for i in torch.isinf(trial_value).nonzero().flatten().tolist():
+            step[i] = _along_bounds(posterior, vector[active[i]], damped[i], step[i])
+            trial[i, :n] = vector[active[i], :n] + step[i]
+            trial_value[i] = posterior(trial[i])
         expected = 0.5 * (
             (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
         ).sum(-1)
@@ -151,6 +156,36 @@ def _curvature(
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT) * unit)
     prior_precision = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
     return gradient + prior_gradient, information + prior_precision, information
+
+
+def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
+    """The best damped step that stays inside the prior: bounds it would overstep are approached, and it slides along them.
+
+    References: Nocedal and Wright, Numerical Optimization, 2nd ed., section 16.1 (equality-constrained quadratic programs).
+    """
+    coordinates = posterior.coordinates
+    n = coordinates.n_continuous
+
+    def free_values(continuous: Tensor) -> Tensor:
+        values = coordinates.values(torch.cat((continuous, vector[n:])))
+        return torch.stack([values[name] for name in coordinates.names])
+
+    lower, upper = coordinates.bounds()
+    here, slope = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
+    is_held, bound = torch.zeros(coordinates.n, dtype=torch.bool), here.clone()
+    best = step
+    for _ in range(coordinates.n):
+        there = here + slope @ best
+        over = ((there < lower) | (there > upper)) & ~is_held
+        if not over.any():
+            break
+        is_held |= over
+        bound = torch.where(over, torch.where(there < lower, lower, upper), bound)
+        normal = slope[is_held]
+        across = torch.stack([_solve(damped, row) for row in normal], dim=-1)
+        miss = normal @ step - APPROACH * (bound - here)[is_held]
+        best = step - across @ torch.linalg.lstsq(normal @ across, miss[:, None]).solution[:, 0]
+    return best
 
 
 def _solve(matrix: Tensor, right: Tensor) -> Tensor:

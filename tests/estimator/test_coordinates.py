@@ -151,7 +151,7 @@ def test_scale_of_the_papers_prior_is_that_of_its_draws():
     torch.testing.assert_close(coordinates.scale, draws.std(0), rtol=0.08, atol=0.0)
 
 
-def test_natural_coordinates_are_thickness_turns_length_and_mean_radius():
+def test_natural_coordinates_are_thickness_turns_length_rms_radius_and_middle():
     coordinates = Coordinates(rig(RIGS["one coil, all natural"]))
     values = {
         "coil1.radius_m": 0.051,
@@ -164,12 +164,15 @@ def test_natural_coordinates_are_thickness_turns_length_and_mean_radius():
         0.0005 * 26.0,
         0.0005 * 47.0,
     )  # without the constant 2 of the pitch
-    assert by_label["coil1 mean radius"] == pytest.approx(0.051 - 0.5 * 0.001 * 26.0, rel=1e-12)
+    assert by_label["coil1 rms radius"] == pytest.approx(
+        math.sqrt(np.mean((0.051 - 0.0005 - 0.001 * np.arange(26)) ** 2)), rel=1e-12
+    )
     assert by_label["coil1 winding thickness"] == pytest.approx(math.log(thickness_over_pitch), rel=1e-12)
     assert by_label["coil1 turns"] == pytest.approx(math.log(47.0 * 26.0), rel=1e-12)
     assert by_label["coil1 winding length"] == pytest.approx(math.log(length_over_pitch), rel=1e-12)
     assert by_label["hall.noise_T"] == pytest.approx(math.log(20e-6), rel=1e-12)
-    assert by_label["coil1.world_from_coil.z_m"] == pytest.approx(-0.04, rel=1e-12)
+    middle_m = -0.04 - 0.5 * 0.001 * 47.0
+    assert by_label["coil1.world_from_coil.z_m of the winding's middle"] == pytest.approx(middle_m, rel=1e-12)
 
 
 def test_with_whole_counts_they_are_the_last_columns_as_they_are():
@@ -186,10 +189,10 @@ def test_with_whole_counts_they_are_the_last_columns_as_they_are():
 
 def test_labels_name_every_coil_and_what_is_not_natural_keeps_its_name():
     labels = Coordinates(rig(RIGS["two coils, both natural"])).labels
-    assert {"coil1 turns", "coil2 turns", "coil1 mean radius", "coil2 winding length"} <= set(labels)
+    assert {"coil1 turns", "coil2 turns", "coil1 rms radius", "coil2 winding length"} <= set(labels)
     assert len(set(labels)) == len(labels)
     assert Coordinates(rig(RIGS["wire fixed, counts free"])).labels == (
-        "coil1 mean radius",
+        "coil1 rms radius",
         "coil1.axial_loops",
         "coil1.radial_loops",
         "hall.noise_T",
@@ -226,7 +229,6 @@ def test_values_are_differentiable_in_the_vector():
     start = coordinates.start()
     slope = jacfwd(lambda v: coordinates.values(v)["coil1.radius_m"])(start)
     by_label = dict(zip(coordinates.labels, slope.tolist(), strict=True))
-    half_thickness_m = 0.5 * 2 * 0.49e-3 * 25
-    assert by_label["coil1 mean radius"] == pytest.approx(1.0, rel=1e-12)
-    assert by_label["coil1 winding thickness"] == pytest.approx(half_thickness_m, rel=1e-12)
-    assert by_label["coil1 turns"] == pytest.approx(0.0, abs=1e-15)
+    pitch_m, loops, radius_m = 2 * 0.49e-3, 25, coordinates.values(start)["coil1.radius_m"].item()
+    loop_m = radius_m - pitch_m * (np.arange(loops) + 0.5)
+    assert by_label["coil1 rms radius"] == pytest.approx(math.sqrt(np.mean(loop_m**2)) / loop_m.mean(), rel=1e-9)
