@@ -87,12 +87,14 @@ class Nuts:
         )
 
     def log_posterior(self, own: jax.Array) -> jax.Array:
+        """Log posterior of this class's coordinates."""
         values = to_values(own)
         log_prior = sum(log_density(prior, value) for prior, value in zip(self.priors, values, strict=True))
         log_jacobian = jnp.log(values[jnp.array([1, 2, 3, 9])]).sum()
         return log_prior + log_jacobian + self.log_likelihood(values)
 
     def log_likelihood(self, values: jax.Array) -> jax.Array:
+        """Log likelihood of the values that are reported."""
         radius_m, wire_m, n_axial, n_radial, *pose, noise_T = values
         rotation = Rotation.from_rotvec(jnp.array([pose[3], pose[4], 0.0])).as_matrix()
         points_m = -self.displacement_m - jnp.array(pose[:3]) @ rotation

@@ -231,4 +231,6 @@ def test_values_are_differentiable_in_the_vector():
     by_label = dict(zip(coordinates.labels, slope.tolist(), strict=True))
     pitch_m, loops, radius_m = 2 * 0.49e-3, 25, coordinates.values(start)["coil1.radius_m"].item()
     loop_m = radius_m - pitch_m * (np.arange(loops) + 0.5)
-    assert by_label["coil1 rms radius"] == pytest.approx(math.sqrt(np.mean(loop_m**2)) / loop_m.mean(), rel=1e-9)
+    assert by_label["coil1 rms radius"] == pytest.approx(
+        math.sqrt(np.mean(loop_m**2)) / loop_m.mean(), rel=1e-9
+    )
