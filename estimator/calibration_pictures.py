@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from estimator import plots
 from estimator.calibration import Calibration
-from estimator.chain import Chain, base_from_motion, winding_of, world_from_body
+from estimator.chain import Chain, winding_of, world_from_body
 from estimator.field.winding import Winding
+from estimator.motion import base_from_motion
 from estimator.prediction import RoomField
 from estimator.report import Picture
 from estimator.rig import Coil
@@ -131,7 +132,7 @@ def _places(
         points, _ = chain.sensor_in_coil(coil, rows, best)
         everywhere = np.full((len(chain.sensor), 3), np.nan)
         everywhere[rows.numpy()] = points.numpy()
-        yield coil, everywhere[chain.place.numpy()], winding_of(coil, best)
+        yield coil, everywhere[chain.place.numpy()], winding_of(calibration.rig, coil, best)
 
 
 def _plane(

@@ -1,7 +1,8 @@
 """From commanded currents and poses to predicted readings.
 
-The measuring chain runs in one direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils at the
-sensor -> components in the sensor's frame. One call predicts a whole batch of parameter sets.
+The measuring chain runs in one direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils and of
+the room at the sensor -> components as the sensor says them. The rig's effects act at their stage. One call predicts a whole batch of
+parameter sets.
 """
 
 from __future__ import annotations
@@ -12,8 +13,23 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.func import jacfwd
 
 from estimator.coordinates import Values
+from estimator.effects.base import (
+    CurrentEffect,
+    Effect,
+    ElementEffect,
+    MotionEffect,
+    MountEffect,
+    PerAmpere,
+    ReadingEffect,
+    RoomEffect,
+    SourceEffect,
+    WindingEffect,
+)
+from estimator.effects.scene import Scene
+from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
@@ -23,10 +39,10 @@ from estimator.field.winding import (
     distance_to_winding,
     winding_field_per_ampere,
 )
-from estimator.frames import Transform, rotation_from_vector
-from estimator.kinematics import base_from_flange
+from estimator.frames import Transform
+from estimator.motion import base_from_motion, pose_of
 from estimator.records import Observations
-from estimator.rig import Body, Coil, DisplacementFrame, MotionKind, Mover, Rig
+from estimator.rig import Body, Coil, MotionKind, Rig
 
 
 @dataclass(frozen=True)
@@ -38,20 +54,22 @@ class Chain:
 
     Attributes:
         rig: What is modelled.
-        current_A: Commanded current, reading by coil.
+        scene: Circumstances of the readings.
         place: Row of distinct poses that each reading stands at.
         sensor: Sensor of each distinct pose.
         flange: Per mover base_from_flange (or the displacement) of each distinct pose; one rotation for all where it is the same.
+        columns: Per effect that moves bodies, what else it depends on, by distinct pose.
         powered: Per coil the distinct poses where it ever carries current.
         rules: Per coil the quadrature rule.
         is_compiled: Sum with compiled code, for long sampling; no derivatives then.
     """
 
     rig: Rig
-    current_A: Float[Tensor, "reading coil"]
+    scene: Scene
     place: Int[Tensor, " reading"]
     sensor: Int[Tensor, " place"]
     flange: dict[str, Transform]
+    columns: dict[str, Float[Tensor, "place column"]]
     powered: dict[str, Int[Tensor, " rows"]]
     rules: dict[str, Rule]
     is_compiled: bool = False
@@ -63,20 +81,31 @@ class Chain:
         Raises:
             InvalidInput: A sensor would stand inside a winding.
         """
+        nominal = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}
+        return cls.unruled(rig, observations).with_rules(nominal, tolerance)
+
+    @classmethod
+    def unruled(cls, rig: Rig, observations: Observations) -> Chain:
+        """The chain before quadrature rules are chosen; `with_rules` or `rules` of a similar chain complete it."""
+        scene = Scene(rig, observations)
+        columns = _columns(rig, scene)
         motions = [observations.motion[mover.name] for mover in rig.movers]
-        key = torch.cat([observations.sensor[:, None].to(torch.float64), *motions], dim=1)
+        key = torch.cat([observations.sensor[:, None].to(torch.float64), *motions, *columns.values()], dim=1)
         distinct, place = torch.unique(key, dim=0, return_inverse=True)
         flange = {
             mover.name: _sharing_rotation(base_from_motion(mover, distinct[:, 1 + 6 * i : 7 + 6 * i]))
             for i, mover in enumerate(rig.movers)
         }
+        widths = [values.shape[1] for values in columns.values()]
+        parts = distinct[:, 1 + 6 * len(rig.movers) :].split(widths, dim=1) if widths else ()
+        columns = dict(zip(columns, parts, strict=True))
+        leaks = any(isinstance(use.effect, CurrentEffect) for use in uses_of(rig, Effect))
         powered = {
-            coil.name: place[observations.current_A[:, i] != 0.0].unique() for i, coil in enumerate(rig.coils)
+            coil.name: place[(observations.current_A[:, i] != 0.0) | leaks].unique()
+            for i, coil in enumerate(rig.coils)
         }
         sensor = distinct[:, 0].to(torch.int64)
-        chain = cls(rig, observations.current_A, place, sensor, flange, powered, {})
-        nominal = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}
-        return chain.with_rules(nominal, tolerance)
+        return cls(rig, scene, place, sensor, flange, columns, powered, {})
 
     def with_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
         """The same chain with quadrature rules chosen at these values (no batch)."""
@@ -84,8 +113,8 @@ class Chain:
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
             if len(rows):
-                points_m, _ = self.sensor_in_coil(coil, rows, values)
-                winding = winding_of(coil, values)
+                points_m = self._in_coil(coil, rows, values).translation_m
+                winding = winding_of(self.rig, coil, values)
                 self._refuse_inside(coil, rows, points_m, winding)
                 rules[coil.name] = choose_rule(winding, points_m, tolerance)
         return replace(self, rules=rules)
@@ -96,46 +125,154 @@ class Chain:
         Args:
             values: Every number of the rig by name, from `Coordinates.values`; a batch where free.
         """
-        total: Tensor | None = None
-        for i, coil in enumerate(self.rig.coils):
-            if coil.name not in self.rules:
-                continue
-            per_ampere = self._field_per_ampere(coil, values)
-            gain = values[f"{coil.name}.current_gain"]
-            delivered_A = gain[..., None] * self.current_A[:, i]
-            field = delivered_A[..., None] * per_ampere[..., self.place, :]
-            total = field if total is None else total + field
-        if total is None:
-            return torch.zeros((*self.current_A.shape[:1], 3), dtype=self.current_A.dtype)
-        return self._gain(values)[..., None] * total
+        field_T = self._true_field(values)
+        for use in uses_of(self.rig, ReadingEffect):
+            changed = use.effect.apply(field_T, use.theta(values), self.scene, use.place)
+            mine = self.scene.sensor == use.index(self.rig.sensors)
+            field_T = torch.where(mine[:, None], changed, field_T)
+        return field_T
+
+    def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
+        """Change of each component per displacement of a mover along its axes, at the rig's nominal values."""
+        values = {k: torch.tensor(v, dtype=torch.float64) for k, v in self.rig.nominal_values().items()}
+        poses = self.flange[mover]
+
+        def moved(shift_m: Tensor) -> Tensor:
+            displaced = Transform(poses.rotation, poses.translation_m + shift_m)
+            return replace(self, flange={**self.flange, mover: displaced}).predict(values)
+
+        slope: Tensor = jacfwd(moved)(torch.zeros(3, dtype=torch.float64))
+        return slope
 
     def loop_evaluations(self) -> int:
         """Loop fields that one prediction of one parameter set costs."""
         return sum(len(self.powered[n]) * r.axial_nodes * r.radial_nodes for n, r in self.rules.items())
 
-    def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
-        gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
-        return torch.stack(gains, dim=-1)[..., self.sensor[self.place]]
+    def delivered_A(self, values: Values) -> Float[Tensor, "*batch reading coil"]:
+        """Currents that the supplies really deliver."""
+        gains = torch.stack(
+            torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils)), dim=-1
+        )
+        current_A = gains[..., None, :] * self.scene.current_A
+        for use in uses_of(self.rig, CurrentEffect):
+            current_A = use.effect.apply(current_A, use.theta(values), self.scene, use.index(self.rig.coils))
+        return current_A
 
-    def _field_per_ampere(self, coil: Coil, values: Values) -> Float[Tensor, "*batch place 3"]:
+    def _true_field(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+        """Field at the sensor's elements, in the sensor's frame."""
+        displaced = uses_of(self.rig, ElementEffect)
+        gain = self._gain(values)[..., None]
+        if not displaced:
+            return gain * self._field_at(values, None)
+        elements_m: Tensor | None = None
+        for use in displaced:
+            offset_m = use.effect.apply(use.theta(values))[..., None, :]  # batch, element, place, axis
+            offset_m = offset_m * (self.sensor == use.index(self.rig.sensors))[:, None]
+            elements_m = offset_m if elements_m is None else elements_m + offset_m
+        assert elements_m is not None
+        components = [self._field_at(values, elements_m[..., i, :, :])[..., i] for i in range(3)]
+        return gain * torch.stack(torch.broadcast_tensors(*components), dim=-1)
+
+    def _field_at(
+        self, values: Values, offset_m: Float[Tensor, "*#batch place 3"] | None
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field in the sensor's frame, at a point off its origin where one is given."""
+        total = torch.zeros(len(self.scene), 3, dtype=self.scene.current_A.dtype)
+        delivered_A = self.delivered_A(values)
+        everywhere = torch.arange(len(self.sensor))
+        world_from_sensor: Transform | None = None
+        if uses_of(self.rig, RoomEffect):
+            world_from_sensor = self._world_from_sensor(everywhere, values)
+            for use in uses_of(self.rig, RoomEffect):
+                constant_T = use.effect.constant_T(use.theta(values), self.scene)
+                if constant_T is not None:
+                    rotation = world_from_sensor.rotation
+                    of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
+                    total = total + (of_reading.mT @ constant_T[..., None])[..., 0]
+        for i, coil in enumerate(self.rig.coils):
+            if coil.name not in self.rules:
+                continue
+            current_A = delivered_A[..., i]
+            for rows, per_unit, drive in self._sources(coil, values, offset_m, current_A, world_from_sensor):
+                field = self._everywhere(per_unit, rows)
+                total = total + drive[..., None] * field[..., self.place, :]
+        return total
+
+    def _sources(
+        self,
+        coil: Coil,
+        values: Values,
+        offset_m: Tensor | None,
+        current_A: Tensor,
+        world_from_sensor: Transform | None,
+    ) -> list[tuple[Tensor, Tensor, Tensor]]:
+        """What the coil's current makes: rows of poses, field in the sensor frame per unit of drive, and the drive."""
         rows = self.powered[coil.name]
-        points_m, sensor_from_coil = self.sensor_in_coil(coil, rows, values)
-        winding = winding_of(coil, values)
-        field = winding_field_per_ampere(points_m, winding, self.rules[coil.name], self.is_compiled)
-        field = (sensor_from_coil @ field[..., None])[..., 0]
+        coil_from_sensor = self._in_coil(coil, rows, values)
+        points_m = (
+            coil_from_sensor.translation_m
+            if offset_m is None
+            else coil_from_sensor.apply(offset_m[..., rows, :])
+        )
+        winding = winding_of(self.rig, coil, values)
+        rule = self.rules[coil.name]
+        field = winding_field_per_ampere(points_m, winding, rule, self.is_compiled)
+        found = []
+        for use in uses_of(self.rig, SourceEffect, coil.name):
+            theta = use.theta(values)
+            more = use.effect.apply(points_m, winding, rule, theta)
+            drive = use.effect.drive(current_A, theta)
+            if drive is current_A:
+                field = field + more
+            else:
+                found.append((rows, coil_from_sensor.unrotate(more), drive))
+        field = coil_from_sensor.unrotate(field)
+        if world_from_sensor is not None:
+            of_rows = world_from_sensor.rows(rows)
+            points_world_m = (
+                of_rows.translation_m if offset_m is None else of_rows.apply(offset_m[..., rows, :])
+            )
+            field = field + of_rows.unrotate(self._answer(coil, values, rows, points_world_m, points_m))
+        return [(rows, field, current_A), *found]
+
+    def _answer(
+        self, coil: Coil, values: Values, rows: Tensor, points_world_m: Tensor, points_coil_m: Tensor
+    ) -> Tensor:
+        """What iron in the room answers to one ampere in the coil, in the world frame."""
+        answer = torch.zeros_like(points_coil_m)
+        winding = winding_of(self.rig, coil, values)
+        world_from_coil = self._world_from_body(coil, "coil", rows, values)
+        per_ampere = CoilInRoom(world_from_coil, winding, self.rules[coil.name])
+        for answering in uses_of(self.rig, RoomEffect):
+            response = answering.effect.response(
+                per_ampere, points_world_m + answer * 0.0, answering.theta(values)
+            )
+            if response is not None:
+                answer = answer + response
+        return answer
+
+    def _everywhere(self, field: Tensor, rows: Tensor) -> Tensor:
+        """Field at the rows of some poses as one at all poses."""
         if len(rows) == len(self.sensor):
             return field
         full = torch.zeros((*field.shape[:-2], len(self.sensor), 3), dtype=field.dtype, device=field.device)
         return full.index_copy(-2, rows, field)
 
+    def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
+        gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
+        return torch.stack(gains, dim=-1)[..., self.sensor[self.place]]
+
     def sensor_in_coil(
         self, coil: Coil, rows: Int[Tensor, " rows"], values: Values
     ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:
         """Sensor position in the coil frame and the rotation sensor_from_coil, at distinct poses."""
-        coil_from_world = self._world_from_body(coil, "coil", rows, values).inverse()
-        world_from_sensor = self._world_from_sensor(rows, values)
-        coil_from_sensor = coil_from_world @ world_from_sensor
+        coil_from_sensor = self._in_coil(coil, rows, values)
         return coil_from_sensor.translation_m, coil_from_sensor.rotation.mT
+
+    def _in_coil(self, coil: Coil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+        """coil_from_sensor at distinct poses."""
+        coil_from_world = self._world_from_body(coil, "coil", rows, values).inverse()
+        return coil_from_world @ self._world_from_sensor(rows, values)
 
     def _world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         which = self.sensor[rows]
@@ -152,14 +289,9 @@ class Chain:
     def _world_from_body(
         self, body: Body, kind: str, rows: Int[Tensor, " rows"], values: Values
     ) -> Transform:
-        flange = {
-            name: Transform(
-                whole.rotation if len(whole.rotation) == 1 else whole.rotation[rows],
-                whole.translation_m[rows],
-            )
-            for name, whole in self.flange.items()
-        }
-        return world_from_body(self.rig, body, kind, flange, values)
+        flange = {name: poses.rows(rows) for name, poses in self.flange.items()}
+        columns = {label: whole[rows] for label, whole in self.columns.items()}
+        return world_from_body(self.rig, body, kind, flange, values, columns)
 
     def _refuse_inside(self, coil: Coil, rows: Tensor, points_m: Tensor, winding: Winding) -> None:
         inside = (distance_to_winding(points_m, winding) <= 0.0).nonzero().flatten()
@@ -171,68 +303,95 @@ class Chain:
             )
 
 
+@dataclass(frozen=True)
+class CoilInRoom(PerAmpere):
+    """One coil as seen from the room, at every distinct pose."""
+
+    world_from_coil: Transform
+    winding: Winding
+    rule: Rule
+
+    def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
+        """Field per ampere in the world frame at one point per pose."""
+        points_coil_m = self.world_from_coil.inverse().apply(points_m)
+        return self.world_from_coil.rotate(winding_field_per_ampere(points_coil_m, self.winding, self.rule))
+
+
+def _columns(rig: Rig, scene: Scene) -> dict[str, Tensor]:
+    """What the effects that move bodies depend on besides the pose, by reading."""
+    found = {}
+    nominal = rig.nominal_values()
+    for use in uses_of(rig, Effect):
+        if isinstance(use.effect, MotionEffect):
+            found[use.label] = use.effect.columns(scene, use.place)
+        elif isinstance(use.effect, MountEffect):
+            own = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
+            found[use.label] = use.effect.columns(scene, own)
+    return found
+
+
 def world_from_body(
-    rig: Rig, body: Body, kind: str, flange: Mapping[str, Transform], values: Values
+    rig: Rig,
+    body: Body,
+    kind: str,
+    flange: Mapping[str, Transform],
+    values: Values,
+    columns: Mapping[str, Tensor] | None = None,
 ) -> Transform:
     """Pose of a coil or sensor, given where the movers stand.
 
     Args:
-        rig: Names the mover that carries the body.
+        rig: Names the mover that carries the body, and the effects of robot and mounts.
         body, kind: The body and its kind, `coil` or `sensor`.
         flange: Per mover base_from_flange, or the displacement in the end-effector frame (`base_from_motion`).
         values: Every number of the rig.
+        columns: Per effect that moves bodies what else it depends on; without them the effects of robot and mounts are left out.
     References: Osinde et al., eq 14-22, with the frames of DESIGN section 2.
     """
+    columns = columns or {}
     if body.carried_by is None:
-        return pose_of(f"{body.name}.world_from_{kind}", values)
+        return pose_of(f"{body.name}.world_from_{kind}", values) @ _mount(rig, body, values, columns, False)
     mover = rig.mover(body.carried_by)
-    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values)
+    moved = flange[mover.name]
+    for use in uses_of(rig, MotionEffect, mover.name):
+        if use.label in columns:
+            moved = use.effect.apply(moved, columns[use.label], use.theta(values))
+    at_reference = _mount(rig, body, values, columns, True)
+    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
+    real = moved @ flange_from_body @ _mount(rig, body, values, columns, False)
     if mover.motion is MotionKind.DISPLACEMENT:
-        world_from_flange0 = pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse()
-        return world_from_flange0 @ flange[mover.name] @ flange_from_body
-    return pose_of(f"{mover.name}.world_from_base", values) @ flange[mover.name] @ flange_from_body
+        return pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ real
+    return pose_of(f"{mover.name}.world_from_base", values) @ real
 
 
-def winding_of(coil: Coil, values: Values) -> Winding:
+def static_columns(rig: Rig) -> dict[str, Tensor]:
+    """Columns for one pose of those effects of robot and mounts that depend on the pose alone."""
+    static = (MotionEffect.columns, MountEffect.columns)
+    return {
+        use.label: torch.zeros(1, 0, dtype=torch.float64)
+        for use in uses_of(rig, Effect)
+        if isinstance(use.effect, (MotionEffect, MountEffect)) and type(use.effect).columns in static
+    }
+
+
+def _mount(
+    rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
+) -> Transform:
+    """nominal_from_real of a body on what carries it, by the effects that were there already at the reference pose, or by the others."""
+    total = Transform.identity()
+    for use in uses_of(rig, MountEffect, body.name):
+        if use.label in columns and use.effect.is_at_reference == is_at_reference:
+            total = total @ use.effect.apply(columns[use.label], use.theta(values))
+    return total
+
+
+def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding:
     """The coil's winding at these values."""
     keys = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
-    return Winding(*torch.broadcast_tensors(*(values[f"{coil.name}.{key}"] for key in keys)))
-
-
-def pose_of(prefix: str, values: Values) -> Transform:
-    """Transform of a pose block, with a row axis of 1 to broadcast over poses.
-
-    The rotation is the rotation vector (rx, ry, rz) followed by the small rotation (tilt_x, tilt_y, spin) about the body's own axes, so
-    that a coil's spin about its axis stays one parameter whatever its nominal direction.
-    """
-
-    def three(*keys: str) -> Tensor:
-        return torch.stack(torch.broadcast_tensors(*(values[f"{prefix}.{key}"] for key in keys)), dim=-1)
-
-    turn, own_turn = torch.broadcast_tensors(
-        three("rx_rad", "ry_rad", "rz_rad"), three("tilt_x_rad", "tilt_y_rad", "spin_rad")
-    )
-    rotation, own = rotation_from_vector(torch.stack((turn, own_turn))).unbind()  # one call costs half of two
-    translation_m = three("x_m", "y_m", "z_m")
-    return Transform((rotation @ own)[..., None, :, :], translation_m[..., None, :])
-
-
-def base_from_motion(mover: Mover, motion: Float[Tensor, "place 6"]) -> Transform:
-    """Flange pose of a mover's readings: base_from_flange, or the displacement in the end-effector frame.
-
-    References: Osinde et al., eq 18-22; a controller that reports displacements in its base frame needs base_from_flange(q0)^T first
-        (DESIGN section 2).
-    """
-    if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
-        return base_from_flange(str(mover.motion), motion)
-    pose = Transform.from_pose(motion[:, :3], motion[:, 3:])
-    if mover.motion is MotionKind.DISPLACEMENT and mover.displacement_frame is DisplacementFrame.BASE:
-        base_from_flange0 = rotation_from_vector(
-            torch.tensor(mover.reference_rotation_rad, dtype=motion.dtype)
-        )
-        turned = base_from_flange0.mT @ pose.rotation @ base_from_flange0
-        return Transform(turned, pose.translation_m @ base_from_flange0)
-    return pose
+    winding = Winding(*torch.broadcast_tensors(*(values[f"{coil.name}.{key}"] for key in keys)))
+    for use in uses_of(rig, WindingEffect, coil.name):
+        winding = use.effect.apply(winding, use.theta(values))
+    return winding
 
 
 def _sharing_rotation(poses: Transform) -> Transform:

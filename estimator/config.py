@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from estimator.effects import EFFECTS
+from estimator.effects.scene import Extent
 from estimator.errors import InvalidInput
 from estimator.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig import Coil, DisplacementFrame, MotionKind, Mover, Rig, Sensor
+from estimator.rig import Cause, Coil, DisplacementFrame, MotionKind, Mover, Rig, Sensor
 from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
 NAME = re.compile(
     r"[A-Za-z0-9_-]+"
 )  # names become columns of tables, arrays of stores and parts of dotted names
+CAUSE = re.compile(r"(?P<name>[a-z_]+)\[(?P<place>[A-Za-z0-9_-]+)\]")
 SI_SYMBOL = {"length": "m", "angle": "rad", "field": "T", "current": "A"}
 POSE_QUANTITIES = (
     ("x", "length"),
@@ -83,8 +87,13 @@ def _rig(top: Section, text: str) -> Rig:
         if number == 0:
             raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
     _check_names((mover_sections, coil_sections, sensor_sections))
-    top.finish()
     rig = Rig(name, coils, sensors, movers, numbers.parameters, text)
+    effect_sections = top.section("effects")
+    causes = tuple(
+        _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections
+    )
+    rig = replace(rig, effects=causes)
+    top.finish()
     _check_ties(numbers)
     broken = rig.broken_rule()
     if broken is not None:
@@ -92,6 +101,29 @@ def _rig(top: Section, text: str) -> Rig:
         section, key = numbers.origin[parameter]
         section.refuse(key, rule, value)
     return rig
+
+
+def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Numbers) -> Cause:
+    """One entry `cause[place]` with its numbers, by their SI keys."""
+    found = CAUSE.fullmatch(label)
+    if found is None:
+        above.refuse(label, "must be written as cause[place], such as axis_gain[hall]", repr(label))
+    if found["name"] not in EFFECTS:
+        closest = " ".join(get_close_matches(found["name"], EFFECTS, n=1, cutoff=0.0))
+        above.refuse(label, f"must be a cause that coilcal knows, such as {closest}", repr(found["name"]))
+    effect = EFFECTS[found["name"]]
+    places = effect.places(rig)
+    if found["place"] not in places:
+        above.refuse(
+            label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(found["place"])
+        )
+    for quantity in effect.quantities(Extent()):
+        if quantity.key not in section:
+            section.required(quantity.key)
+        name = f"{label}.{quantity.key}"
+        _store(section, quantity.key, name, quantity.unit, 1.0, numbers, quantity.is_positive)
+    section.finish()
+    return Cause(effect.name, found["place"])
 
 
 def _check_names(sections: tuple[Section, ...]) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
@@ -61,6 +61,14 @@ class Transform:
     def inverse(self) -> Transform:
         """b_from_a. Uses the transpose, so the rotation must be orthonormal."""
         return Transform(self.rotation.mT, -self.unrotate(self.translation_m))
+
+    def rows(self, index: Int[Tensor, " row"]) -> Transform:
+        """Chosen rows of the last batch axis; one that stands for all rows stays as it is."""
+        rotation, translation_m = self.rotation, self.translation_m
+        return Transform(
+            rotation if rotation.shape[-3] == 1 else rotation[..., index, :, :],
+            translation_m if translation_m.shape[-2] == 1 else translation_m[..., index, :],
+        )
 
     def apply(self, points_m: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Coordinates in a of points given in b."""

@@ -35,6 +35,11 @@ class Prior(ABC):
     def sd(self) -> float:
         """Width of the prior: its standard deviation, before truncation."""
 
+    @property
+    @abstractmethod
+    def log_normaliser(self) -> float:
+        """What `log_density` leaves out so that the density integrates to 1 (truncation aside)."""
+
     @abstractmethod
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Log density up to a constant; -inf outside the support."""
@@ -78,6 +83,10 @@ class Normal(Prior):
     def sd(self) -> float:
         return self.standard_deviation
 
+    @property
+    def log_normaliser(self) -> float:
+        return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi)
+
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)
 
@@ -110,6 +119,10 @@ class LogNormal(Prior):
     def sd(self) -> float:
         return self.median * self.relative_sd
 
+    @property
+    def log_normaliser(self) -> float:
+        return -math.log(self.relative_sd) - 0.5 * math.log(2.0 * math.pi)
+
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         log_value = torch.log(value.clamp(min=1e-300))
         density = -0.5 * ((log_value - math.log(self.median)) / self.relative_sd) ** 2 - log_value
@@ -141,6 +154,10 @@ class Uniform(Prior):
     @property
     def sd(self) -> float:
         return (self.upper - self.lower) / math.sqrt(12.0)
+
+    @property
+    def log_normaliser(self) -> float:
+        return -math.log(self.upper - self.lower)
 
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return self._inside(value, torch.zeros_like(value))

@@ -9,8 +9,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.func import jvp
 
-from estimator.chain import base_from_motion, winding_of, world_from_body
+from estimator.chain import CoilInRoom, static_columns, winding_of, world_from_body
 from estimator.coordinates import Values
+from estimator.effects.base import RoomEffect, SourceEffect
+from estimator.effects.supply import CurrentGain, CurrentOffset
+from estimator.effects.surroundings import BackgroundField
+from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
@@ -20,6 +24,7 @@ from estimator.field.winding import (
     winding_field_per_ampere,
 )
 from estimator.frames import Transform
+from estimator.motion import base_from_motion
 from estimator.rig import Coil, Rig
 
 
@@ -59,8 +64,8 @@ class RoomField:
         self.rules: dict[str, Rule] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
         for coil in rig.coils:
-            points_coil_m = self._coil_from_world(coil, values).apply(points_m)
-            winding = winding_of(coil, values)
+            points_coil_m = self._world_from_coil(coil, values).inverse().apply(points_m)
+            winding = winding_of(rig, coil, values)
             within = distance_to_winding(points_coil_m, winding) <= 0.0
             inside |= within
             if not within.all():
@@ -79,12 +84,27 @@ class RoomField:
         for i, coil in enumerate(self.rig.coils):
             if coil.name not in self.rules:
                 continue
-            coil_from_world = self._coil_from_world(coil, values)
-            per_ampere = winding_field_per_ampere(
-                coil_from_world.apply(points_m), winding_of(coil, values), self.rules[coil.name]
-            )
-            delivered_A = (values[f"{coil.name}.current_gain"] * current_A[..., i])[..., None, None]
-            total = total + delivered_A * coil_from_world.unrotate(per_ampere)
+            winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
+            world_from_coil = self._world_from_coil(coil, values)
+            points_coil_m = world_from_coil.inverse().apply(points_m)
+            per_ampere = winding_field_per_ampere(points_coil_m, winding, rule)
+            delivered_A = self._delivered_A(coil, i, values, current_A)
+            field = delivered_A[..., None, None] * per_ampere
+            for use in uses_of(self.rig, SourceEffect, coil.name):
+                theta = use.theta(values)
+                drive = use.effect.drive(delivered_A[..., None], theta)[..., None]
+                field = field + drive * use.effect.apply(points_coil_m, winding, rule, theta)
+            field = world_from_coil.rotate(field)
+            for answering in uses_of(self.rig, RoomEffect):
+                theta = answering.theta(values)
+                answer = answering.effect.response(
+                    CoilInRoom(world_from_coil, winding, rule), points_m, theta
+                )
+                if answer is not None:
+                    field = field + delivered_A[..., None, None] * answer
+            total = total + field
+        for room in uses_of(self.rig, BackgroundField):
+            total = total + room.effect.field_T(room.theta(values))[..., None, :]
         return torch.where(self.is_inside[:, None], torch.nan, total)
 
     def gradient_T_per_m(
@@ -101,5 +121,14 @@ class RoomField:
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)
 
-    def _coil_from_world(self, coil: Coil, values: Values) -> Transform:
-        return world_from_body(self.rig, coil, "coil", self.flange, values).inverse()
+    def _delivered_A(self, coil: Coil, i: int, values: Values, current_A: Tensor) -> Tensor:
+        """Current that flows when this much is commanded to a cold coil: gain and offset; what heats or leaks needs a history."""
+        delivered_A = values[f"{coil.name}.current_gain"] * current_A[..., i]
+        for gain in uses_of(self.rig, CurrentGain, coil.name):
+            delivered_A = delivered_A * (1.0 + gain.theta(values)["excess"])
+        for offset in uses_of(self.rig, CurrentOffset, coil.name):
+            delivered_A = delivered_A + offset.theta(values)["offset_A"]
+        return delivered_A
+
+    def _world_from_coil(self, coil: Coil, values: Values) -> Transform:
+        return world_from_body(self.rig, coil, "coil", self.flange, values, static_columns(self.rig))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -23,6 +24,8 @@ class Observations:
         is_validation: Rows kept out of the fit.
         repeat: Number of the repeat of one and the same setting; 0 where there are none.
         temperature_C: Per sensor or coil name, where it was recorded.
+        whole: The session that these readings were chosen from, in the order of time; None where they are all of it.
+        chosen: Their rows in it.
     """
 
     time_s: Float[Tensor, " reading"]
@@ -33,12 +36,31 @@ class Observations:
     is_validation: Bool[Tensor, " reading"]
     repeat: Int[Tensor, " reading"]
     temperature_C: Mapping[str, Float[Tensor, " reading"]]
+    whole: Observations | None = field(default=None, repr=False)
+    chosen: Int[Tensor, " reading"] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.time_s.shape[0]
 
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
         """The chosen readings only."""
+        return self._taken(index, self.history, self.row[index])
+
+    @cached_property
+    def history(self) -> Observations:
+        """The whole session in the order of time, also for a part of it: what went before a reading may matter."""
+        if self.whole is not None:
+            return self.whole
+        return self._taken(torch.argsort(self.time_s, stable=True), None, None)
+
+    @cached_property
+    def row(self) -> Int[Tensor, " reading"]:
+        """Row of each reading in `history`."""
+        if self.chosen is not None:
+            return self.chosen
+        return torch.argsort(torch.argsort(self.time_s, stable=True))
+
+    def _taken(self, index: Tensor, whole: Observations | None, chosen: Tensor | None) -> Observations:
         return Observations(
             self.time_s[index],
             self.sensor[index],
@@ -48,6 +70,8 @@ class Observations:
             self.is_validation[index],
             self.repeat[index],
             {name: values[index] for name, values in self.temperature_C.items()},
+            whole,
+            chosen,
         )
 
     @property

@@ -73,6 +73,19 @@ class Sensor(Body):
 
 
 @dataclass(frozen=True)
+class Cause:
+    """An effect that a rig is known or supposed to have; its numbers are parameters named `cause[place].quantity`."""
+
+    name: str
+    place: str
+
+    @property
+    def label(self) -> str:
+        """Cause and place, as in rig files."""
+        return f"{self.name}[{self.place}]"
+
+
+@dataclass(frozen=True)
 class Rig:
     """A laboratory as the model sees it.
 
@@ -81,6 +94,7 @@ class Rig:
         coils, sensors, movers: In the order of the session's columns.
         parameters: Every number by its dotted name, in file order.
         text: The YAML it was read from; its hash identifies the rig.
+        effects: What is known or supposed to be wrong with it.
     """
 
     name: str
@@ -89,6 +103,7 @@ class Rig:
     movers: tuple[Mover, ...]
     parameters: Mapping[str, Parameter]
     text: str = ""
+    effects: tuple[Cause, ...] = ()
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -98,7 +113,7 @@ class Rig:
     @property
     def hash(self) -> str:
         """SHA-256 over the structure and every parameter."""
-        lines = [repr((self.name, self.coils, self.sensors, self.movers))]
+        lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.effects))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -129,6 +144,16 @@ class Rig:
         """The same rig with some parameters fixed at their nominal values."""
         fixed = {name: replace(self.parameters[name], prior=None) for name in names}
         return replace(self, parameters={**self.parameters, **fixed})
+
+    def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
+        """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
+        more = {parameter.name: parameter for parameter in parameters}
+        return replace(self, parameters={**self.parameters, **more}, effects=(*self.effects, cause))
+
+    def without_cause(self, cause: Cause) -> Rig:
+        """The same rig without an effect."""
+        kept = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
+        return replace(self, parameters=kept, effects=tuple(c for c in self.effects if c != cause))
 
     def broken_rule(self) -> tuple[str, str, str] | None:
         """First nominal value that no rig can have: the parameter, the rule it breaks, and what it is; None where all are possible."""

@@ -55,6 +55,24 @@ class Winding:
         """Mean of the loops' radii."""
         return self.radius_m - 0.5 * self.thickness_m
 
+    @property
+    def moment_m2(self) -> Float[Tensor, "*batch"]:
+        """Magnetic moment per ampere: turns times the mean area of the loops."""
+        rms2 = self.mean_radius_m**2 + self.radial_pitch_m**2 * (self.radial_loops**2 - 1.0) / 12.0
+        return math.pi * rms2 * self.axial_loops * self.radial_loops
+
+    def with_pitches(self, axial: Tensor, radial: Tensor) -> Winding:
+        """The same loops wound wider: both pitches times a factor, which may carry a batch."""
+        radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m, _ = torch.broadcast_tensors(
+            self.radius_m,
+            self.axial_loops,
+            self.radial_loops,
+            self.axial_pitch_m * axial,
+            self.radial_pitch_m * radial,
+            axial * radial,
+        )
+        return Winding(radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m)
+
     def with_integer_loops(self) -> Winding:
         """The same winding with its loop counts rounded to the nearest whole numbers, at least 1."""
         return Winding(
@@ -94,7 +112,20 @@ def winding_field_per_ampere(
         >>> round(winding_field_per_ampere(centre, loop, exact_rule(loop, centre))[0, 2].item() * 1e6, 6)
         12.566371
     """
-    loops = _nodes(winding, rule)
+    return field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps, is_compiled)
+
+
+def field_of_loops(
+    points_coil_m: Float[Tensor, "*#batch point 3"], loops: Nodes, steps: int, is_compiled: bool = False
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of weighted loops about the axis of a coil, in T per ampere and weight.
+
+    Args:
+        points_coil_m: Points in the coil frame, off the loops.
+        loops: Heights, radii and weights on a grid of two node axes, after the batch.
+        steps: AGM steps of each loop.
+        is_compiled: Use the compiled sum.
+    """
     batch = torch.broadcast_shapes(points_coil_m.shape[:-2], *(value.shape[:-2] for value in loops))
     n_points, n_nodes = points_coil_m.shape[-2], loops.weight.shape[-2:].numel()
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
@@ -107,7 +138,7 @@ def winding_field_per_ampere(
     n_point_parts = math.ceil(n_points / max(1, chunk // n_nodes))
     field = [
         torch.cat(
-            [node_sum(part, Nodes(*some), rule.steps) for part in few.tensor_split(n_point_parts, dim=1)],
+            [node_sum(part, Nodes(*some), steps) for part in few.tensor_split(n_point_parts, dim=1)],
             dim=1,
         )
         for few, *some in zip(*(value.tensor_split(n_row_parts) for value in (points, *rows)), strict=True)
@@ -115,8 +146,8 @@ def winding_field_per_ampere(
     return torch.cat(field).reshape(*batch, n_points, 3)
 
 
-def _nodes(winding: Winding, rule: Rule) -> Nodes:
-    """Loops of the rule on a grid of axial and radial nodes; the leading axes are the winding's batch."""
+def loops_of(winding: Winding, rule: Rule) -> Nodes:
+    """The loops that stand for a winding, on a grid of axial and radial nodes; the leading axes are the winding's batch."""
     axial = discrete_gauss(winding.axial_loops, rule.axial_nodes)
     radial = discrete_gauss(winding.radial_loops, rule.radial_nodes)
     height_m = winding.axial_pitch_m[..., None] * axial.nodes - 0.5 * winding.length_m[..., None]

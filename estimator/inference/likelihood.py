@@ -10,14 +10,16 @@ from torch import Tensor
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
+from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.use import uses_of
 from estimator.records import Observations
 
 
 class LogPosterior:
     """Log posterior density over coordinates, batched over walkers, starts or hypotheses.
 
-    Each measured component is normal about its prediction with the noise of its sensor; the sum runs over squared whitened residuals
-    (erratum to eq 2, 3 of the paper).
+    Each measured component is normal about its prediction with the noise of its sensor, unless the rig has effects of noise; the sum
+    runs over squared whitened residuals (erratum to eq 2, 3 of the paper).
 
     Attributes:
         coordinates: Meaning of the vector.
@@ -33,12 +35,22 @@ class LogPosterior:
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]
         self.sensor = observations.sensor[:, None].expand(-1, 3).flatten()[self._flat]
         self.n_by_sensor = torch.bincount(self.sensor, minlength=len(chain.rig.sensors)).to(torch.float64)
+        self._jitter = {
+            use.label: self.measured_components(chain.gradient_T_per_m(use.place).norm(dim=-1))
+            for use in uses_of(chain.rig, PositionJitter)
+        }
+
+    def measured_components(
+        self, field_T: Float[Tensor, "*batch reading 3"]
+    ) -> Float[Tensor, "*batch component"]:
+        """Of anything given by reading and axis, the entries that were measured."""
+        return field_T.flatten(-2)[..., self._flat]
 
     def predicted(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
         """Predicted value of every measured component, in tesla."""
         field = self.chain.predict(self.coordinates.values(vector))
         # Where only noise is free, the field has no batch.
-        return field.flatten(-2)[..., self._flat].expand(*vector.shape[:-1], len(self._flat))
+        return self.measured_components(field).expand(*vector.shape[:-1], len(self._flat))
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""
@@ -46,16 +58,51 @@ class LogPosterior:
         noises = (values[f"{sensor.name}.noise_T"] for sensor in self.chain.rig.sensors)
         return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
 
+    def component_sigma_T(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component"]:
+        """Noise of every measured component; a mover that scatters adds its part through the field's gradient."""
+        sigma_T = self.sigma_T(vector)[..., self.sensor]
+        for label, gradient_T_per_m in self._jitter.items():
+            jitter_m = self.coordinates.values(vector)[f"{label}.sd_m"][..., None]
+            sigma_T = torch.sqrt(sigma_T**2 + (jitter_m * gradient_T_per_m) ** 2)
+        return sigma_T
+
     def whitened(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
         """(measured - predicted) / noise of every measured component."""
-        return (self.measured_T - self.predicted(vector)) / self.sigma_T(vector)[..., self.sensor]
+        return (self.measured_T - self.predicted(vector)) / self.component_sigma_T(vector)
 
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log probability density of the measured components."""
-        sigma = self.sigma_T(vector)
-        chi2 = (self.whitened(vector) ** 2).sum(-1)
+        sigma_T = self.component_sigma_T(vector)
+        whitened = (self.measured_T - self.predicted(vector)) / sigma_T
+        log_density, _ = self._scatter(whitened, vector)
         constant = 0.5 * math.log(2.0 * math.pi) * len(self.measured_T)
-        return -0.5 * chi2 - (self.n_by_sensor * torch.log(sigma)).sum(-1) - constant
+        return (log_density - torch.log(sigma_T)).sum(-1) - constant
+
+    def weight(
+        self, whitened: Float[Tensor, "*batch component"], vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component"]:
+        """How much each component counts: 1, or less where it is probably an outlier."""
+        return self._scatter(whitened, vector)[1]
+
+    def _scatter(self, whitened: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
+        """Log density of whitened residuals without its constant, and their weights: normal, contaminated where outliers are known.
+
+        References: Hogg, Bovy and Lang, arXiv:1008.4686, section 3 (mixture of good and bad readings).
+        """
+        log_density, weight = -0.5 * whitened**2, torch.ones_like(whitened)
+        for use in uses_of(self.chain.rig, Outliers):
+            theta = use.theta(self.coordinates.values(vector))
+            share, ratio = theta["share"][..., None], theta["ratio"][..., None]
+            good = torch.log1p(-share) + log_density
+            bad = torch.log(share) - torch.log(ratio) - 0.5 * (whitened / ratio) ** 2
+            mixed = torch.logaddexp(good, bad)
+            is_good = torch.exp(good - mixed)
+            mine = self.sensor == use.index(self.chain.rig.sensors)
+            log_density = torch.where(mine, mixed, log_density)
+            weight = torch.where(mine, is_good + (1.0 - is_good) / ratio**2, weight)
+        return log_density, weight
 
     def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log posterior up to a constant; -inf outside the prior or where the model has no value, never NaN."""

@@ -131,20 +131,23 @@ def _curvature(
 
     def residual_and_log_sigma(continuous: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
         whole = join(continuous, counts)
-        return posterior.predicted(whole), torch.log(posterior.sigma_T(whole))
+        return posterior.predicted(whole), torch.log(posterior.component_sigma_T(whole))
 
     continuous, counts = vector[:, :n], vector[:, n:]
     predicted_jacobian, log_sigma_jacobian = vmap(jacfwd(residual_and_log_sigma))(continuous, counts)
-    sigma = posterior.sigma_T(vector)[:, posterior.sensor]
-    whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma
-    jacobian = predicted_jacobian / sigma[..., None]
-    chi2 = torch.zeros(len(vector), len(posterior.n_by_sensor), dtype=vector.dtype)
-    chi2.index_add_(1, posterior.sensor, whitened**2)
-    gradient = (jacobian.mT @ whitened[..., None])[..., 0]
-    gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - posterior.n_by_sensor)[..., None])[..., 0]
-    information = jacobian.mT @ jacobian
-    weight = torch.maximum(2.0 * chi2, 0.5 * posterior.n_by_sensor)[..., None]
-    information = information + log_sigma_jacobian.mT @ (weight * log_sigma_jacobian)
+    sigma_T = posterior.component_sigma_T(vector)
+    whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
+    weight = posterior.weight(whitened, vector)
+    jacobian = predicted_jacobian / sigma_T[..., None]
+    chi2 = weight * whitened**2
+    gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
+    gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]
+    information = jacobian.mT @ (weight[..., None] * jacobian)
+    by_sensor = torch.zeros(len(vector), len(posterior.n_by_sensor), dtype=vector.dtype)
+    by_sensor.index_add_(1, posterior.sensor, chi2)
+    mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
+    curvature = torch.maximum(2.0 * mean_chi2, torch.tensor(0.5, dtype=vector.dtype))[..., None]
+    information = information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
 
     def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
         return posterior.coordinates.log_prior(join(continuous, counts))

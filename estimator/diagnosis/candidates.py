@@ -1,0 +1,112 @@
+"""What each cause would look like in a session: its whitened columns at the base fit, for every place and every start of its shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.chain import Chain
+from estimator.diagnosis.fitting import Fit, with_effect
+from estimator.effects import EFFECTS
+from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.record import RECORD
+from estimator.rig import Cause, Rig
+
+STEP = 1e-3  # of the prior's width: central differences of smooth effects
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause at one place with one start of its shapes.
+
+    Attributes:
+        cause: Name and place.
+        shapes: Where its shapes start.
+        keys: The quantities that its columns belong to.
+        columns: Whitened change of the predictions per unit of each quantity.
+        prior_sd: Of the quantities.
+        subsets: Which columns may be there alone: one of them, the pairs, or all.
+    """
+
+    cause: Cause
+    shapes: dict[str, float]
+    keys: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: Float[Tensor, "component column"]
+    prior_sd: Float[Tensor, " column"]
+
+    @property
+    def subsets(self) -> tuple[tuple[int, ...], ...]:
+        """Columns that may be there alone: each, each pair, and all."""
+        n = len(self.keys)
+        if n == 1:
+            return ((0,),)
+        pairs = tuple(combinations(range(n), 2)) if n > 2 else ()
+        return (*((i,) for i in range(n)), *pairs, tuple(range(n)))
+
+
+def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
+    """Continuous causes that the rig has not got yet and that the session could show."""
+    scene = fit.posterior.chain.scene
+    present = set(rig.effects)
+    return [
+        cause
+        for name, effect in EFFECTS.items()
+        if name not in RECORD and not isinstance(effect, NoiseEffect)
+        for place in effect.places(rig)
+        if (cause := Cause(name, place)) not in present and effect.concerns(scene, place)
+    ]
+
+
+def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
+    """Columns of every cause at a fit, start by start; starts at which a cause has no effect are left out."""
+    found = []
+    for cause in causes:
+        effect = EFFECTS[cause.name]
+        scene = fit.posterior.chain.scene
+        for shapes in effect.starts(scene):
+            candidate = _candidate(fit, cause, shapes)
+            if candidate is not None:
+                found.append(candidate)
+    return found
+
+
+def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
+    observations = fit.posterior.chain.scene.observations
+    rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
+    chain = replace(Chain.unruled(rig, observations), rules=fit.posterior.chain.rules)
+    quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
+    own = {
+        name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)
+        for name in rig.parameters
+        if name.startswith(f"{cause.label}.")
+    }
+    values = {**fit.values, **own}
+    sign = torch.tensor([1.0, -1.0], dtype=torch.float64)
+    columns = []
+    for quantity in quantities:
+        name = f"{cause.label}.{quantity.key}"
+        start, step = shapes.get(quantity.key, quantity.null), STEP * quantity.prior.sd
+        with torch.no_grad():
+            ends = chain.predict({**values, name: start + step * sign})
+        slope = (ends[0] - ends[1]) / (2.0 * step)
+        columns.append(fit.posterior.measured_components(slope))
+    whitened = torch.stack(columns, dim=-1) / fit.posterior.component_sigma_T(fit.vector)[:, None].detach()
+    if not bool(torch.isfinite(whitened).all()):
+        return None
+    return Candidate(
+        cause,
+        shapes,
+        tuple(q.key for q in quantities),
+        tuple(q.unit for q in quantities),
+        whitened,
+        torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64),
+    )
+
+
+def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
+    return EFFECTS[cause.name].quantities(fit.posterior.chain.scene.extent)

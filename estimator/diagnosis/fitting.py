@@ -1,0 +1,132 @@
+"""One hypothesis fitted: a rig with its effects, the maximum of its posterior, and the Laplace evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import jacfwd
+
+from estimator.chain import Chain
+from estimator.coordinates import Coordinates
+from estimator.diagnosis.linear import Projector
+from estimator.effects import EFFECTS
+from estimator.field.winding import Rule
+from estimator.inference.laplace import covariance, log_evidence
+from estimator.inference.likelihood import LogPosterior
+from estimator.inference.polish import Polished, polish
+from estimator.parameters import Parameter
+from estimator.records import Observations
+from estimator.rig import Cause, Rig
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The maximum of the posterior of one rig over some readings.
+
+    Attributes:
+        posterior: The density, with continuous loop counts.
+        polished: The maximum and its curvature; one start.
+    """
+
+    posterior: LogPosterior
+    polished: Polished
+
+    @property
+    def rig(self) -> Rig:
+        """The rig with its effects."""
+        return self.posterior.chain.rig
+
+    @property
+    def vector(self) -> Float[Tensor, " coordinate"]:
+        """Coordinates of the maximum."""
+        return self.polished.vector[0]
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Laplace estimate, with normalised priors of the effects and a constant common to all rigs that differ only in effects."""
+        return float(log_evidence(self.polished)[0]) + sum(_log_normaliser(p) for p in _of_effects(self.rig))
+
+    @cached_property
+    def values(self) -> dict[str, Tensor]:
+        """Every number of the rig at the maximum."""
+        with torch.no_grad():
+            return self.posterior.coordinates.values(self.vector)
+
+    @cached_property
+    def residual(self) -> Float[Tensor, " component"]:
+        """Whitened residuals of the measured components."""
+        with torch.no_grad():
+            return self.posterior.whitened(self.vector)
+
+    @cached_property
+    def jacobian(self) -> Float[Tensor, "component coordinate"]:
+        """Whitened derivative of the predictions in the coordinates."""
+        with torch.no_grad():
+            sigma_T = self.posterior.component_sigma_T(self.vector)
+            slope: Tensor = jacfwd(self.posterior.predicted)(self.vector)
+        return slope / sigma_T[:, None]
+
+    @cached_property
+    def projector(self) -> Projector:
+        """What the fit can follow."""
+        prior = (self.polished.precision - self.polished.information)[0]
+        return Projector.of(self.jacobian, prior)
+
+    @cached_property
+    def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
+        """Of the coordinates, by Laplace."""
+        return covariance(self.polished.precision)[0]
+
+    @property
+    def is_noise_free(self) -> bool:
+        """Whether the noise of the sensors was fitted."""
+        return any(self.rig.parameters[f"{s.name}.noise_T"].is_free for s in self.rig.sensors)
+
+
+def fit_rig(
+    rig: Rig,
+    observations: Observations,
+    start: Mapping[str, Tensor | float],
+    rules: Mapping[str, Rule],
+    max_iterations: int = 60,
+) -> Fit:
+    """Climb from given values of the rig's parameters to the nearest maximum."""
+    chain = replace(Chain.unruled(rig, observations), rules=dict(rules))
+    coordinates = Coordinates(rig)
+    posterior = LogPosterior(coordinates, chain, observations)
+    vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})
+    return Fit(posterior, polish(posterior, vector[None], max_iterations, tolerance=1e-4))
+
+
+def with_effect(
+    rig: Rig, cause: Cause, observations: Observations, shapes: Mapping[str, float], is_free: bool = True
+) -> Rig:
+    """The rig with an effect at its null, its shapes where a start puts them, and its quantities free (or fixed)."""
+    scene = Chain.unruled(rig, observations).scene
+    parameters = [
+        Parameter(
+            f"{cause.label}.{quantity.key}",
+            quantity.unit,
+            shapes.get(quantity.key, quantity.prior.centre if quantity.is_positive else quantity.null),
+            None if quantity.is_fixed or not is_free else quantity.prior,
+            is_positive=quantity.is_positive,
+        )
+        for quantity in EFFECTS[cause.name].quantities(scene.extent)
+    ]
+    return rig.with_cause(cause, parameters)
+
+
+def _of_effects(rig: Rig) -> list[Parameter]:
+    labels = tuple(f"{cause.label}." for cause in rig.effects)
+    return [p for p in rig.free if p.name.startswith(labels)] if labels else []
+
+
+def _log_normaliser(parameter: Parameter) -> float:
+    """Log of the constant that `Prior.log_density` leaves out."""
+    assert parameter.prior is not None
+    return parameter.prior.log_normaliser

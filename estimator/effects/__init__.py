@@ -1,0 +1,102 @@
+"""Every cause of a difference between simulation and measurement that coilcal knows; names are stable (DESIGN section 5)."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from estimator.effects.base import Effect
+from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.record import (
+    AxesSwapped,
+    CurrentSign,
+    DisplacementFrameError,
+    LeftHanded,
+    UnitError,
+)
+from estimator.effects.robot import Backlash, MountTilt, PositionLag, RobotScale, RobotShear, SensorBumped
+from estimator.effects.sensor import (
+    AxisGain,
+    CrossAxis,
+    CubicResponse,
+    ElementDisplacement,
+    OffsetDrift,
+    PlanarHall,
+    RangeClipping,
+    SensorOffset,
+    TemperatureDrift,
+)
+from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
+from estimator.effects.surroundings import BackgroundDrift, BackgroundField, IronBody, IronPlate
+from estimator.effects.winding import (
+    AxialPitch,
+    CoilOvality,
+    CoreSaturation,
+    DipoleModel,
+    IronCore,
+    LeadWire,
+    RadialPitch,
+    ShortLayer,
+    TurnsGradient,
+)
+from estimator.errors import InvalidInput
+
+# In the order in which a reading comes about; those of one stage are applied in this order.
+EFFECTS: dict[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        CurrentSign(),
+        CurrentGain(),
+        CurrentOffset(),
+        CoilHeating(),
+        NeighbourCoil(),
+        AxialPitch(),
+        RadialPitch(),
+        TurnsGradient(),
+        ShortLayer(),
+        CoilOvality(),
+        LeadWire(),
+        IronCore(),
+        CoreSaturation(),
+        DipoleModel(),
+        BackgroundField(),
+        BackgroundDrift(),
+        IronPlate(),
+        IronBody(),
+        DisplacementFrameError(),
+        RobotScale(),
+        RobotShear(),
+        PositionLag(),
+        Backlash(),
+        MountTilt(),
+        SensorBumped(),
+        ElementDisplacement(),
+        CrossAxis(),
+        AxisGain(),
+        CubicResponse(),
+        PlanarHall(),
+        TemperatureDrift(),
+        SensorOffset(),
+        OffsetDrift(),
+        RangeClipping(),
+        AxesSwapped(),
+        LeftHanded(),
+        UnitError(),
+        Outliers(),
+        PositionJitter(),
+    )
+}
+ORDER = {name: i for i, name in enumerate(EFFECTS)}
+
+
+def effect_of(name: str) -> Effect:
+    """The effect of that name.
+
+    Raises:
+        InvalidInput: There is none; the message names the closest.
+    """
+    if name not in EFFECTS:
+        closest = get_close_matches(name, EFFECTS, n=1, cutoff=0.0)
+        raise InvalidInput(
+            f"cause must be one that coilcal knows; received {name!r}, the closest is {' '.join(closest)}"
+        )
+    return EFFECTS[name]

@@ -1,0 +1,235 @@
+"""The contract of an effect: one named cause of a difference between simulation and measurement.
+
+An effect is declared once: where it acts, which quantities say how large it is, what they are when nothing is wrong (null), how large
+they are in laboratories (prior), and one `apply`. Simulating with it, screening for it, fitting it and carrying it in a calibrated model
+all come from that declaration. A rig holds effects as entries `cause[place]`, whose quantities are parameters like any others.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.scene import Extent, Scene
+from estimator.field.winding import Rule, Winding
+from estimator.frames import Transform
+from estimator.parameters import LogNormal, Normal, Prior, Uniform
+from estimator.rig import Body, Mover, Rig
+
+Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
+
+
+class Kind(StrEnum):
+    """What an effect belongs to; a rig with several of them has the effect several times."""
+
+    COIL = "coil"
+    SENSOR = "sensor"
+    MOVER = "mover"
+    ROOM = "room"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of an effect.
+
+    Attributes:
+        key: Name with its SI unit as suffix; pure numbers have none.
+        unit: SI unit; "1" for pure numbers.
+        prior: What is known of it where the effect is present.
+        null: Value at which it changes nothing.
+        is_shape: Says where or how the effect acts and does nothing by itself: a position, a time constant.
+        is_fixed: A shape that a fit leaves where the start has put it: an instant, an axis.
+    """
+
+    key: str
+    unit: str
+    prior: Prior
+    null: float = 0.0
+    is_shape: bool = False
+    is_fixed: bool = False
+
+    @property
+    def is_positive(self) -> bool:
+        """Fitted as a logarithm."""
+        return isinstance(self.prior, LogNormal)
+
+
+def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
+    """A quantity that scatters normally about its null."""
+    return Quantity(key, unit, Normal(null, sd), null)
+
+
+def triple(keys: str, suffix: str, unit: str, sd: float) -> tuple[Quantity, ...]:
+    """Quantities alike but for their letters: `triple("xyz", "_T", "T", 1e-5)`."""
+    return tuple(normal(f"{letter}{suffix}", unit, sd) for letter in keys)
+
+
+def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = False) -> Quantity:
+    """A shape that may lie anywhere in a range."""
+    return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, is_fixed)
+
+
+class Effect(ABC):
+    """A cause. Subclasses say at which link of the chain they act.
+
+    Attributes:
+        name: Stable name of the cause, as in `diagnosis.json`.
+        kind: What it belongs to.
+        words: What has happened, in a few words, for reports.
+        source: Where the width of its priors comes from.
+    """
+
+    name: ClassVar[str]
+    kind: ClassVar[Kind]
+    words: ClassVar[str]
+    source: ClassVar[str]
+
+    @abstractmethod
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Its numbers, in a session like this."""
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """Shapes to start fits from; none needed where the effect has no shapes."""
+        return ({},)
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Names of the coils, sensors or movers that may have it; `room` for the room."""
+        if self.kind is Kind.ROOM:
+            return ("room",)
+        bodies: dict[Kind, tuple[Body | Mover, ...]] = {
+            Kind.COIL: rig.coils,
+            Kind.SENSOR: rig.sensors,
+            Kind.MOVER: rig.movers,
+        }
+        return tuple(body.name for body in bodies[self.kind])
+
+    def concerns(self, scene: Scene, place: str) -> bool:
+        """Whether the session could show it at all; what needs a temperature is not asked without a thermometer."""
+        return True
+
+
+class CurrentEffect(Effect):
+    """Changes what the supply delivers."""
+
+    @abstractmethod
+    def apply(
+        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading coil"]:
+        """Delivered currents."""
+
+
+class WindingEffect(Effect):
+    """Changes the geometry of a winding."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+
+
+class SourceEffect(Effect):
+    """Adds a source that moves with the coil and is driven by its current."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Additional field in the coil frame per unit of `drive`."""
+
+    def drive(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta
+    ) -> Float[Tensor, "*batch reading"]:
+        """What the additional field is proportional to; the coil's current unless said otherwise."""
+        return current_A
+
+
+class PerAmpere(ABC):
+    """Field of one ampere in a coil, in the room, at any points: what things that stand in the room respond to."""
+
+    @abstractmethod
+    def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
+        """Field in the world frame at one point per distinct pose."""
+
+
+class RoomEffect(Effect):
+    """Adds a field that stays in the room."""
+
+    kind = Kind.ROOM
+
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"] | None:
+        """Field in the world frame that is there without current."""
+        return None
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*batch place 3"] | None:
+        """Field in the world frame per ampere in a coil."""
+        return None
+
+
+class MotionEffect(Effect):
+    """Changes where a mover really stands."""
+
+    kind = Kind.MOVER
+
+    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+        """What the error depends on besides the pose."""
+        return torch.zeros(len(scene), 0, dtype=torch.float64)
+
+    @abstractmethod
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose of the flange, or real displacement."""
+
+
+class MountEffect(Effect):
+    """Changes how a body sits on what carries it, in the body's own frame.
+
+    Attributes:
+        is_at_reference: It was so when the reference pose was taken, which therefore is right.
+    """
+
+    is_at_reference: ClassVar[bool]
+
+    def columns(self, scene: Scene, theta: Mapping[str, float]) -> Float[Tensor, "reading column"]:
+        """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
+        return torch.zeros(len(scene), 0, dtype=torch.float64)
+
+    @abstractmethod
+    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """nominal_from_real of the body."""
+
+
+class ElementEffect(Effect):
+    """Puts the elements of a three-axis sensor at different places."""
+
+    kind = Kind.SENSOR
+
+    @abstractmethod
+    def apply(self, theta: Theta) -> Float[Tensor, "*batch 3 3"]:
+        """Position of the x, y and z element in the sensor frame."""
+
+
+class ReadingEffect(Effect):
+    """Changes what a sensor says, given the true field in its frame."""
+
+    kind = Kind.SENSOR
+
+    @abstractmethod
+    def apply(
+        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Components as they are read."""
+
+
+class NoiseEffect(Effect):
+    """Changes the scatter of readings; the chain predicts the same, the likelihood is another."""

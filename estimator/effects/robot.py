@@ -1,0 +1,163 @@
+"""Where a mover or a mount really is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Kind, MotionEffect, MountEffect, Quantity, Theta, normal, shape, triple
+from estimator.effects.scene import SECONDS_PER_HOUR, Extent, Scene
+from estimator.frames import Transform, rotation_from_vector
+from estimator.rig import MotionKind, Rig
+
+N_INSTANTS = 24  # at which a bump is looked for
+
+
+def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
+    return Transform(pose.rotation, pose.translation_m + shift_m)
+
+
+class RobotScale(MotionEffect):
+    """The robot moves a fixed multiple of what it says, axis by axis."""
+
+    name: ClassVar[str] = "robot_scale"
+    words: ClassVar[str] = "the robot's axes have a wrong scale"
+    source: ClassVar[str] = "uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of each axis."""
+        return triple("xyz", "", "1", 0.005)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose."""
+        scale = torch.stack([theta[axis] for axis in "xyz"], dim=-1)[..., None, :]
+        return _shifted(pose, scale * pose.translation_m)
+
+
+class RobotShear(MotionEffect):
+    """The robot's axes are not at right angles."""
+
+    name: ClassVar[str] = "robot_shear"
+    words: ClassVar[str] = "the robot's axes are not at right angles"
+    source: ClassVar[str] = "portal axes are squared to 1 mrad and better; arms err as in robot_scale"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """How far x leans along y, x along z, and y along z."""
+        return tuple(normal(key, "1", 0.005) for key in ("xy", "xz", "yz"))
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose."""
+        _, y, z = pose.translation_m.unbind(-1)
+        xy, xz, yz = (theta[key][..., None] for key in ("xy", "xz", "yz"))
+        shift = torch.broadcast_tensors(xy * y + xz * z, yz * z, torch.zeros_like(z))
+        return _shifted(pose, torch.stack(shift, dim=-1))
+
+
+class PositionLag(MotionEffect):
+    """The mover stops short of its target by a fixed length, along its last move."""
+
+    name: ClassVar[str] = "position_lag"
+    words: ClassVar[str] = "the mover stops short along its last move"
+    source: ClassVar[str] = "in-position windows of controllers, 10 to 100 um"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """What is missing."""
+        return (normal("lag_m", "m", 200e-6),)
+
+    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+        """Direction of the last move."""
+        return torch.nn.functional.normalize(scene.last_move_m(mover), dim=-1, eps=1e-12)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose."""
+        return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
+
+
+class Backlash(MotionEffect):
+    """Each axis stands half its play short of its target, on the side it came from."""
+
+    name: ClassVar[str] = "backlash"
+    words: ClassVar[str] = "the axes have play: the place depends on the side it was reached from"
+    source: ClassVar[str] = "spindles and gears, 10 to 200 um"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Play of each axis."""
+        return triple("xyz", "_m", "m", 200e-6)
+
+    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+        """Side each axis was reached from."""
+        return scene.approach(mover)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose."""
+        play_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
+        return _shifted(pose, -0.5 * play_m * columns)
+
+
+class MountTilt(MountEffect):
+    """The body sits turned on its flange, so that the mover's displacements run askew in its frame."""
+
+    name: ClassVar[str] = "mount_tilt"
+    is_at_reference: ClassVar[bool] = True
+    kind: ClassVar[Kind] = Kind.MOVER
+    words: ClassVar[str] = (
+        "the body sits askew on its flange: displacements run in other directions than assumed"
+    )
+    source: ClassVar[str] = "a printed or bolted mount, 1 to 2 degrees"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Rotation vector across the body's axis; a turn about it is absorbed by the pose (DESIGN section 2)."""
+        return (normal("x_rad", "rad", math.radians(1.5)), normal("y_rad", "rad", math.radians(1.5)))
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Bodies that a displaced or joint-driven mover carries."""
+        carried = [body for body in (*rig.coils, *rig.sensors) if body.carried_by is not None]
+        return tuple(
+            b.name for b in carried if rig.mover(str(b.carried_by)).motion is MotionKind.DISPLACEMENT
+        )
+
+    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """nominal_from_real of the mount."""
+        zero = torch.zeros_like(theta["x_rad"])
+        rotation = rotation_from_vector(torch.stack((theta["x_rad"], theta["y_rad"], zero), dim=-1))
+        return Transform(rotation[..., None, :, :], torch.zeros(1, 3, dtype=rotation.dtype))
+
+
+class SensorBumped(MountEffect):
+    """Somebody touched the sensor: from one instant on it sits elsewhere."""
+
+    name: ClassVar[str] = "sensor_bumped"
+    is_at_reference: ClassVar[bool] = False
+    kind: ClassVar[Kind] = Kind.SENSOR
+    words: ClassVar[str] = "from one instant on the sensor sits elsewhere"
+    source: ClassVar[str] = "a touch moves a clamped probe by 0.1 to 1 mm"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift in the sensor's frame, and the time since the session began at which it happened."""
+        return (
+            *triple("xyz", "_m", "m", 500e-6),
+            shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True),
+        )
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """Instants after each of which, and before, enough was read."""
+        time_h = (
+            scene.observations.history.time_s - scene.observations.history.time_s.min()
+        ) / SECONDS_PER_HOUR
+        rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
+        rows = rows[rows > 0]
+        return tuple({"since_h": float(0.5 * (time_h[row - 1] + time_h[row]))} for row in rows)
+
+    def columns(self, scene: Scene, theta: Mapping[str, float]) -> Float[Tensor, "reading column"]:
+        """1 afterwards."""
+        return (scene.hours >= theta["since_h"]).to(torch.float64)[:, None]
+
+    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """nominal_from_real of the sensor."""
+        shift = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :] * columns
+        return Transform(torch.eye(3, dtype=shift.dtype).expand(1, 3, 3), shift)

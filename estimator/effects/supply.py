@@ -1,0 +1,127 @@
+"""What the supply delivers instead of the commanded current."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import CurrentEffect, Kind, Quantity, Theta, normal
+from estimator.effects.scene import Extent, Scene
+from estimator.parameters import LogNormal
+from estimator.rig import Rig
+
+
+class _OneCoilCurrent(CurrentEffect):
+    """Changes the current of one coil and leaves the others."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def delivered(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading"]:
+        """Current in the coil."""
+
+    def apply(
+        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading coil"]:
+        """Delivered currents."""
+        own = self.delivered(current_A[..., coil], theta, scene, coil)
+        others = current_A.expand(*own.shape, current_A.shape[-1])
+        is_own = torch.arange(current_A.shape[-1]) == coil
+        return torch.where(is_own, own[..., None], others)
+
+
+class CurrentGain(_OneCoilCurrent):
+    """The supply delivers a fixed multiple of the commanded current."""
+
+    name: ClassVar[str] = "current_gain"
+    words: ClassVar[str] = "the supply delivers a fixed multiple of the commanded current"
+    source: ClassVar[str] = "read-back accuracy of bench supplies, 0.1 to 1 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of the current."""
+        return (normal("excess", "1", 0.01),)
+
+    def delivered(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 + theta["excess"][..., None])
+
+
+class CurrentOffset(_OneCoilCurrent):
+    """A constant current flows on top of the commanded one, also at zero."""
+
+    name: ClassVar[str] = "current_offset"
+    words: ClassVar[str] = "a constant current flows on top of the commanded one"
+    source: ClassVar[str] = "offset of bipolar supplies, about 0.1 % of a range of 20 A"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """The constant current."""
+        return (normal("offset_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
+
+    def delivered(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading"]:
+        """Current in the coil."""
+        return current_A + theta["offset_A"][..., None]
+
+
+class CoilHeating(_OneCoilCurrent):
+    """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit)."""
+
+    name: ClassVar[str] = "coil_heating"
+    words: ClassVar[str] = "the current sags while the coil warms up by its own losses"
+    source: ClassVar[str] = (
+        "copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative loss of current per square ampere held for long, and the time constant of the warming."""
+        tau = LogNormal(extent.duration_h, 1.5)
+        return (
+            normal("loss_per_A2", "1/A2", 0.02 / extent.largest_current_A**2),
+            Quantity("tau_h", "h", tau, extent.duration_h, is_shape=True),
+        )
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """Quick, slow, and slower than the session is long."""
+        return tuple({"tau_h": share * scene.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
+
+    def delivered(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading"]:
+        """Current in the coil."""
+        heat = scene.heat_A2(coil, theta["tau_h"])
+        return current_A * (1.0 - theta["loss_per_A2"][..., None] * heat)
+
+
+class NeighbourCoil(CurrentEffect):
+    """This coil carries a share of the other coils' currents, by coupling or leakage of its supply."""
+
+    name: ClassVar[str] = "neighbour_coil"
+    kind: ClassVar[Kind] = Kind.COIL
+    words: ClassVar[str] = "this coil carries a share of its neighbours' currents"
+    source: ClassVar[str] = "wide: nothing is specified for wiring"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of the summed current of the other coils."""
+        return (normal("share", "1", 0.05),)
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Every coil that has a neighbour."""
+        return tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else ()
+
+    def apply(
+        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*batch reading coil"]:
+        """Delivered currents."""
+        others = current_A.sum(-1) - current_A[..., coil]
+        leak = theta["share"][..., None] * others
+        is_own = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
+        return current_A + leak[..., None] * is_own

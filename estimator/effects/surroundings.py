@@ -1,0 +1,156 @@
+"""Fields of the room: what is there without current, and iron that answers the coils."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, normal, shape, triple
+from estimator.effects.scene import Extent, Scene
+from estimator.units import MU0_T_M_PER_A
+
+MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
+
+
+class BackgroundField(RoomEffect):
+    """A uniform field of the room, such as the Earth's."""
+
+    name: ClassVar[str] = "background_field"
+    words: ClassVar[str] = "a constant field of the room adds to that of the coils"
+    source: ClassVar[str] = "the Earth's field, 25 to 65 uT (IGRF-13)"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Components in the world frame."""
+        return triple("xyz", "_T", "T", 50e-6)
+
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"]:
+        """The same at every reading."""
+        field = self.field_T(theta)
+        return field[..., None, :].expand(*field.shape[:-1], len(scene), 3)
+
+    def field_T(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
+        """The field, in the world frame."""
+        return torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
+
+
+class BackgroundDrift(RoomEffect):
+    """The field of the room changes steadily."""
+
+    name: ClassVar[str] = "background_drift"
+    words: ClassVar[str] = "the field of the room drifts"
+    source: ClassVar[str] = "lifts, trams and magnets next door: some 10 uT within a session"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Change per hour in the world frame."""
+        return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
+
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"]:
+        """Proportional to the time since the session's middle."""
+        rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
+        return rate[..., None, :] * (scene.hours - 0.5 * scene.duration_h)[:, None]
+
+
+class IronPlate(RoomEffect):
+    """A large plane of iron mirrors the coils."""
+
+    name: ClassVar[str] = "iron_plate"
+    words: ClassVar[str] = "a plane of iron mirrors the coils"
+    source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Strength of the image, direction from the world's origin to the plane, and its distance."""
+        return (
+            normal("strength", "1", 0.5),
+            shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
+            shape("elevation_rad", "rad", -math.pi, math.pi),
+            shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
+        )
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """Planes across the world's axes, behind whatever stands there."""
+        starts = []
+        for azimuth, elevation in [(0.5 * math.pi * i, 0.0) for i in range(4)] + [
+            (0.0, s * 0.5 * math.pi) for s in (-1, 1)
+        ]:
+            normal_vector = torch.tensor(
+                [
+                    math.cos(elevation) * math.cos(azimuth),
+                    math.cos(elevation) * math.sin(azimuth),
+                    math.sin(elevation),
+                ]
+            ).double()
+            farthest_m = float((scene.places_m @ normal_vector).max())
+            starts += [
+                {
+                    "azimuth_rad": azimuth,
+                    "elevation_rad": elevation,
+                    "distance_m": farthest_m + gap * scene.reach_m,
+                }
+                for gap in (0.3, 1.0)
+            ]
+        return tuple(starts)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Image of the coil (Jackson, Classical Electrodynamics, 3rd ed., section 5.17)."""
+        azimuth, elevation = theta["azimuth_rad"], theta["elevation_rad"]
+        across = torch.stack(
+            (
+                torch.cos(elevation) * torch.cos(azimuth),
+                torch.cos(elevation) * torch.sin(azimuth),
+                torch.sin(elevation),
+            ),
+            dim=-1,
+        )[..., None, :]
+        depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
+        mirrored = per_ampere.at(points_m - 2.0 * depth_m[..., None] * across)
+        turned = mirrored - 2.0 * (mirrored * across).sum(-1, keepdim=True) * across
+        return -theta["strength"][..., None, None] * turned
+
+
+class IronBody(RoomEffect):
+    """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
+
+    name: ClassVar[str] = "iron_body"
+    words: ClassVar[str] = "a piece of iron in the room answers the coils"
+    source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and screws of 1 to 5 cm"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
+        ends = 8.0 * extent.reach_m
+        return (
+            normal("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
+            *(shape(f"{axis}_m", "m", -ends, ends) for axis in "xyz"),
+        )
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """Around the middle of the places, at two distances."""
+        middle = scene.places_m.mean(0)
+        directions = [
+            (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
+        ]
+        starts = []
+        for direction in directions:
+            along = torch.tensor(direction).double()
+            along = along / along.norm()
+            farthest_m = float(((scene.places_m - middle) @ along).max())
+            for gap in (0.4, 1.2):
+                point = middle + along * (farthest_m + gap * scene.reach_m)
+                starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
+        return tuple(starts)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
+        body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
+        at_body = per_ampere.at(body_m + torch.zeros_like(points_m))
+        r = points_m - body_m
+        r2 = (r**2).sum(-1, keepdim=True)
+        dipole = (3.0 * r * (r * at_body).sum(-1, keepdim=True) - r2 * at_body) * r2**-2.5
+        return theta["volume_m3"][..., None, None] * dipole

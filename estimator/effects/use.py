@@ -1,0 +1,60 @@
+"""The effects of a rig, ready for the chain: declaration and place together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from estimator.effects import EFFECTS, ORDER
+from estimator.effects.base import Effect, Theta
+from estimator.rig import Body, Cause, Mover, Rig
+
+E_co = TypeVar("E_co", bound=Effect, covariant=True)
+
+
+@dataclass(frozen=True)
+class Use(Generic[E_co]):
+    """One effect at one place of a rig."""
+
+    effect: E_co
+    place: str
+
+    @property
+    def label(self) -> str:
+        """Cause and place, as in rig files."""
+        return Cause(self.effect.name, self.place).label
+
+    def keys(self, rig: Rig) -> tuple[str, ...]:
+        """Keys of its quantities in that rig."""
+        prefix = f"{self.label}."
+        return tuple(name[len(prefix) :] for name in rig.parameters if name.startswith(prefix))
+
+    def theta(self, values: Mapping[str, Tensor]) -> Theta:
+        """Its quantities among all numbers of the rig, broadcast to one batch."""
+        prefix = f"{self.label}."
+        own = {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}
+        return dict(zip(own, torch.broadcast_tensors(*own.values()), strict=True))
+
+    def index(self, bodies: Sequence[Body | Mover]) -> int:
+        """Where its place stands among the rig's coils, sensors or movers."""
+        return [body.name for body in bodies].index(self.place)
+
+
+def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[E_co], ...]:
+    """Effects of a stage (and place), in the order in which they act."""
+    return tuple(
+        Use(use.effect, use.place)
+        for use in _uses(rig.effects)
+        if isinstance(use.effect, stage) and (place is None or use.place == place)
+    )
+
+
+@lru_cache(maxsize=4096)
+def _uses(causes: tuple[Cause, ...]) -> tuple[Use[Effect], ...]:
+    ordered = sorted(causes, key=lambda cause: ORDER[cause.name])
+    return tuple(Use(EFFECTS[cause.name], cause.place) for cause in ordered)

@@ -1,0 +1,269 @@
+"""How a real winding, with its leads and its core, differs from N_a x N_r equal circular loops."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Quantity, SourceEffect, Theta, WindingEffect, normal, shape
+from estimator.effects.scene import Extent, Scene
+from estimator.field.node_sum import Nodes
+from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
+from estimator.units import MU0_T_M_PER_A
+
+OVAL_NODES = 64  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
+LAYER_NODES = 8  # along the missing part of a layer
+MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
+
+
+class AxialPitch(WindingEffect):
+    """The wire lies wider (or closer) along the axis than its diameter."""
+
+    name: ClassVar[str] = "axial_pitch"
+    words: ClassVar[str] = "turns lie wider along the axis than the wire is thick"
+    source: ClassVar[str] = "play between turns of orthocyclic windings, 0 to 2 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of the pitch."""
+        return (normal("excess", "1", 0.02),)
+
+    def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+        factor = 1.0 + theta["excess"]
+        return winding.with_pitches(factor, torch.ones_like(factor))
+
+
+class RadialPitch(WindingEffect):
+    """Layers lie closer (or wider) than the wire is thick."""
+
+    name: ClassVar[str] = "radial_pitch"
+    words: ClassVar[str] = "layers lie closer than the wire is thick"
+    source: ClassVar[str] = "layers in each other's grooves: up to 13 % closer; the MICE coils 39 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of the pitch."""
+        return (normal("excess", "1", 0.05),)
+
+    def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+        factor = 1.0 + theta["excess"]
+        return winding.with_pitches(torch.ones_like(factor), factor)
+
+
+class TurnsGradient(SourceEffect):
+    """Turns lie denser towards one end of the winding."""
+
+    name: ClassVar[str] = "turns_gradient"
+    words: ClassVar[str] = "turns lie denser towards one end"
+    source: ClassVar[str] = "wide: hand-wound coils"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of turns per length at the front face."""
+        return (normal("slope", "1", 0.05),)
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Field of the excess per ampere."""
+        loops = loops_of(winding, rule)
+        half_m = 0.5 * winding.length_m[..., None, None]
+        excess = loops._replace(weight=loops.weight * (loops.height_m + half_m) / half_m)
+        return theta["slope"][..., None, None] * field_of_loops(points_coil_m, excess, rule.steps)
+
+
+class ShortLayer(SourceEffect):
+    """The outermost layer ends before the face of the winding."""
+
+    name: ClassVar[str] = "short_layer"
+    words: ClassVar[str] = "the outermost layer is not wound to its end"
+    source: ClassVar[str] = "up to a whole layer may be missing"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of the layer that is missing, and at which end."""
+        return (normal("missing", "1", 0.5), shape("at_front", "1", 0.0, 1.0, is_fixed=True))
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """At the front and at the back."""
+        return ({"at_front": 1.0}, {"at_front": 0.0})
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Field of what is missing, per ampere."""
+        nodes, weights = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(LAYER_NODES))
+        share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
+        depth = 0.5 * (nodes + 1.0) * share  # from the end, in units of the length
+        height_m = -winding.length_m[..., None] * torch.where(at_front > 0.5, depth, 1.0 - depth)
+        radius_m = (winding.radius_m - 0.5 * winding.radial_pitch_m)[..., None]
+        weight = -0.5 * weights * share * winding.axial_loops[..., None]
+        height_m, radius_m, weight = torch.broadcast_tensors(height_m, radius_m, weight)
+        loops = Nodes(height_m[..., None], radius_m[..., None], weight[..., None])
+        return field_of_loops(points_coil_m, loops, rule.steps)
+
+
+class CoilOvality(SourceEffect):
+    """Loops are ellipses: r = a (1 + e cos 2(phi - phi0))."""
+
+    name: ClassVar[str] = "coil_ovality"
+    words: ClassVar[str] = "the loops are oval"
+    source: ClassVar[str] = "a coil pressed in a vice or wound on a printed former, 0 to 2 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Cosine and sine part of the relative change of radius."""
+        return (normal("cos2", "1", 0.01), normal("sin2", "1", 0.01))
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Oval less round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
+        few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
+        loops = torch.broadcast_tensors(*loops_of(winding, few))
+        height, radius, weight = (value.flatten(-2) for value in loops)
+        phi = 2.0 * math.pi * torch.arange(OVAL_NODES, dtype=points_coil_m.dtype) / OVAL_NODES
+        cos, sin = torch.cos(phi), torch.sin(phi)
+        swell = theta["cos2"][..., None] * torch.cos(2.0 * phi) + theta["sin2"][..., None] * torch.sin(
+            2.0 * phi
+        )
+        turn = 2.0 * (
+            theta["sin2"][..., None] * torch.cos(2.0 * phi) - theta["cos2"][..., None] * torch.sin(2.0 * phi)
+        )
+        # axes: batch, place, loop, phi
+        a = radius[..., None, :, None]
+        x, y, z = (points_coil_m[..., i, None, None] for i in range(3))
+        dx, dy, dz = x - a * cos, y - a * sin, z - height[..., None, :, None]
+        e, t = swell[..., None, None, :], turn[..., None, None, :]
+        lx, ly = -a * sin, a * cos
+        ex, ey = a * (t * cos - e * sin), a * (t * sin + e * cos)  # change of dl
+        px, py = -a * e * cos, -a * e * sin  # change of the vector to the point
+        r2 = dx**2 + dy**2 + dz**2
+        inverse = r2**-1.5
+        shrink = -3.0 * (dx * px + dy * py) / r2
+        cross = (ly * dz, -lx * dz, lx * dy - ly * dx)
+        change = (ey * dz, -ex * dz, ex * dy + lx * py - ey * dx - ly * px)
+        parts = [((d + shrink * c) * inverse).mean(-1) for c, d in zip(cross, change, strict=True)]
+        scale = MU0_OVER_4PI * 2.0 * math.pi
+        return scale * torch.stack([(weight[..., None, :] * part).sum(-1) for part in parts], dim=-1)
+
+
+class LeadWire(SourceEffect):
+    """A wire runs along the outside of the winding from its back to its front face, without a return beside it."""
+
+    name: ClassVar[str] = "lead_wire"
+    words: ClassVar[str] = "a lead runs along the winding without its return beside it"
+    source: ClassVar[str] = (
+        "the lead carries the whole current or none; pairs that are not twisted, a part of it"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of the coil's current and the azimuth of the lead."""
+        return (normal("share", "1", 1.0), shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi))
+
+    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+        """All around."""
+        return tuple({"azimuth_rad": math.pi * i / 4.0} for i in range(-3, 5))
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Field of the straight wire per ampere."""
+        azimuth = theta["azimuth_rad"]
+        radius_m = winding.radius_m + 0.5 * winding.radial_pitch_m
+        x = points_coil_m[..., 0] - (radius_m * torch.cos(azimuth))[..., None]
+        y = points_coil_m[..., 1] - (radius_m * torch.sin(azimuth))[..., None]
+        front, back = points_coil_m[..., 2], points_coil_m[..., 2] + winding.length_m[..., None]
+        rho2 = x**2 + y**2
+        sines = back / torch.sqrt(rho2 + back**2) - front / torch.sqrt(rho2 + front**2)
+        azimuthal = MU0_OVER_4PI * theta["share"][..., None] * sines / rho2
+        return torch.stack((-y * azimuthal, x * azimuthal, torch.zeros_like(azimuthal)), dim=-1)
+
+
+def _rod_per_moment(
+    points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding
+) -> Float[Tensor, "*batch place 3"]:
+    """Field of a rod in the bore, as long as the winding and magnetised along the axis, in units of the winding's own moment."""
+    pole = (MU0_OVER_4PI * winding.moment_m2 / winding.length_m)[..., None, None]
+    front = points_coil_m
+    length_m = winding.length_m[..., None]
+    back = torch.stack(
+        torch.broadcast_tensors(front[..., 0], front[..., 1], front[..., 2] + length_m), dim=-1
+    )
+    field: Tensor = (
+        front / front.norm(dim=-1, keepdim=True) ** 3 - back / back.norm(dim=-1, keepdim=True) ** 3
+    )
+    return pole * field
+
+
+class IronCore(SourceEffect):
+    """Iron in the bore adds a moment along the axis, proportional to the current."""
+
+    name: ClassVar[str] = "iron_core"
+    words: ClassVar[str] = "iron in the bore adds to the coil's moment"
+    source: ClassVar[str] = "wide: a screw adds per mille, a core multiplies"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Moment of the rod in units of the winding's."""
+        return (normal("share", "1", 0.1),)
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Field of the rod per ampere."""
+        return theta["share"][..., None, None] * _rod_per_moment(points_coil_m, winding)
+
+
+class CoreSaturation(SourceEffect):
+    """Iron in the bore that gives less the more current flows."""
+
+    name: ClassVar[str] = "core_saturation"
+    words: ClassVar[str] = "iron in the bore saturates"
+    source: ClassVar[str] = "wide: a core in a coil of some amperes may lose any part of its moment"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Moment at small current in units of the winding's, and what is lost of it per square ampere."""
+        loss = 0.05 / extent.largest_current_A**2
+        return (normal("share", "1", 0.1), normal("loss_per_A2", "1/A2", loss))
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Field of a rod with the winding's moment."""
+        return _rod_per_moment(points_coil_m, winding)
+
+    def drive(
+        self, current_A: Float[Tensor, "*batch reading"], theta: Theta
+    ) -> Float[Tensor, "*batch reading"]:
+        """Moment of the rod over that of the winding at one ampere."""
+        share, loss = theta["share"][..., None], theta["loss_per_A2"][..., None]
+        return (share - loss * current_A**2) * current_A
+
+
+class DipoleModel(SourceEffect):
+    """The readings follow a point dipole at the middle of the winding instead of loops."""
+
+    name: ClassVar[str] = "dipole_model"
+    words: ClassVar[str] = "the readings follow a point dipole, not a winding"
+    source: ClassVar[str] = "0 or 1: which simulation made the data"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Weight of the dipole against the loops."""
+        return (normal("weight", "1", 1.0),)
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Dipole less winding, per ampere."""
+        moment = winding.moment_m2[..., None]
+        x, y = points_coil_m[..., 0], points_coil_m[..., 1]
+        z = points_coil_m[..., 2] + 0.5 * winding.length_m[..., None]
+        r2 = x**2 + y**2 + z**2
+        common = MU0_OVER_4PI * moment * r2**-2.5
+        dipole = torch.stack(
+            torch.broadcast_tensors(3 * x * z * common, 3 * y * z * common, (3 * z**2 - r2) * common), dim=-1
+        )
+        loops = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
+        return theta["weight"][..., None, None] * (dipole - loops)
