@@ -20,7 +20,6 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from estimator import SamplerSettings, Session, block_split, calibrate, load_rig
-from estimator.calibrate import remove_result
 from estimator.calibration import write_text
 from estimator.calibration_report import calibration_report
 from estimator.chain import Chain
@@ -98,9 +97,8 @@ def run(data_set: DataSet, data: Path, out: Path, ess: float, seed: int) -> None
     winding = [p.name for p in rig.free if p.name.endswith(WINDING)]
     pose = rig.with_fixed(winding)
     show("pose, current and noise", session, pose, fit(session, pose, seed))
-    remove_result(out)
     settings = SamplerSettings(target_ess=ess)
-    calibration = calibrate(session, out=out, seed=seed, settings=settings)
+    calibration = calibrate(session, out=out, overwrite=True, seed=seed, settings=settings)
     show("posterior, winding too", session, rig, values(calibration.best), by_sensor=True)
     record = calibration.summary()
     write_text(out / "report.html", calibration_report(calibration, f"scripts/real_data.py {data_set.name}"))
