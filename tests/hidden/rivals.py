@@ -1,0 +1,68 @@
+"""What of a hidden flaw another cause could imitate: two causes of a session, or a cause outside the library beside those within.
+
+A cause is given as draws of everything but its size, and imitates with as many of them as it has numbers, mixed freely: those that fit
+best, one after another. That stands for the fit of a cause, which may be curved in its numbers (the place of an iron body).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.hidden.flaw import Cause, Flaw
+from tests.hidden.library import CAUSES, names
+from tests.hidden.protocols import Array
+from tests.hidden.visible_size import Adjustable, effect_T, whiten
+
+DRAWS = 24
+SMALL_SHARE = 0.02  # of the largest plausible size, where most causes are linear
+FIRST_SEED = 9000
+LEAST_SIGMA = 1.0  # a draw less visible than this at its largest plausible size imitates nothing
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Effects of a cause on the whitened components, less what the base model imitates.
+
+    Attributes:
+        columns: Component by draw.
+        freedom: How many draws may be mixed.
+    """
+
+    name: str
+    columns: Array
+    freedom: int
+
+    def left_over(self, left_over: Array) -> float:
+        """Norm of what stays of a whitened effect (that the base model is cleared from) when this cause imitates what it can."""
+        rest, columns = left_over, self.columns
+        for _ in range(min(self.freedom, columns.shape[1])):
+            length = np.linalg.norm(columns, axis=0)
+            usable = length > 1e-6 * length.max()
+            fit = np.where(usable, np.abs(rest @ columns) / np.where(usable, length, 1.0), -1.0)
+            unit = columns[:, np.argmax(fit)] / length[np.argmax(fit)]
+            rest = rest - unit * (unit @ rest)
+            columns = columns - np.outer(unit, unit @ columns)
+        return float(np.linalg.norm(rest))
+
+
+def rival_of(adjustable: Adjustable, cause: Cause) -> Rival:
+    """A cause as it could act in a session."""
+    draws = DRAWS
+    flaws = [Flaw(cause, SMALL_SHARE * cause.largest, FIRST_SEED + k) for k in range(draws)]
+    effects = [whiten(adjustable.scene, effect_T(adjustable.scene, [flaw])) for flaw in flaws]
+    columns = adjustable.cleared(np.stack(effects, axis=1))
+    is_visible = np.linalg.norm(columns, axis=0) > LEAST_SIGMA * SMALL_SHARE
+    return Rival(cause.name, columns[:, is_visible], cause.freedom)
+
+
+def known_rivals(adjustable: Adjustable) -> list[Rival]:
+    """All causes of the library that a session could show as a pattern."""
+    return [rival_of(adjustable, CAUSES[name]) for name in names(adjustable.scene.schedule.protocol)]
+
+
+def unlike_sigma(left_over: Array, rivals: Sequence[Rival]) -> float:
+    """The part of a whitened effect that no single rival imitates, in sigmas."""
+    return min((rival.left_over(left_over) for rival in rivals), default=float(np.linalg.norm(left_over)))
