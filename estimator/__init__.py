@@ -12,6 +12,7 @@ Examples:
 from estimator.calibrate import Stage, calibrate
 from estimator.calibration import Calibration
 from estimator.config import load_rig
+from estimator.diagnose import Diagnosis, diagnose
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.plan import Plan, load_plan
@@ -25,6 +26,7 @@ __all__ = [
     "Calibration",
     "CoilcalError",
     "CorruptStore",
+    "Diagnosis",
     "InvalidInput",
     "Observations",
     "Plan",
@@ -34,6 +36,7 @@ __all__ = [
     "Stage",
     "block_split",
     "calibrate",
+    "diagnose",
     "draw_truth",
     "load_plan",
     "load_rig",

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.func import jacfwd
 
@@ -20,6 +20,7 @@ from estimator.effects.base import (
     CurrentEffect,
     Effect,
     ElementEffect,
+    Kind,
     MotionEffect,
     MountEffect,
     PerAmpere,
@@ -29,7 +30,7 @@ from estimator.effects.base import (
     WindingEffect,
 )
 from estimator.effects.scene import Scene
-from estimator.effects.use import uses_of
+from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
@@ -112,10 +113,15 @@ class Chain:
         rules = {}
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
-            if len(rows):
-                points_m = self._in_coil(coil, rows, values).translation_m
-                winding = winding_of(self.rig, coil, values)
+            is_idle = not len(rows)  # until an effect makes it carry current
+            rows = torch.arange(len(self.sensor)) if is_idle else rows
+            points_m = self._in_coil(coil, rows, values).translation_m
+            winding = winding_of(self.rig, coil, values)
+            if is_idle:
+                points_m = points_m[distance_to_winding(points_m, winding) > 0.0]
+            else:
                 self._refuse_inside(coil, rows, points_m, winding)
+            if len(points_m):
                 rules[coil.name] = choose_rule(winding, points_m, tolerance)
         return replace(self, rules=rules)
 
@@ -128,8 +134,7 @@ class Chain:
         field_T = self._true_field(values)
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.scene, use.place)
-            mine = self.scene.sensor == use.index(self.rig.sensors)
-            field_T = torch.where(mine[:, None], changed, field_T)
+            field_T = torch.where(self._is_of(use)[:, None], changed, field_T)
         return field_T
 
     def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
@@ -143,6 +148,12 @@ class Chain:
 
         slope: Tensor = jacfwd(moved)(torch.zeros(3, dtype=torch.float64))
         return slope
+
+    def _is_of(self, use: Use[ReadingEffect]) -> Bool[Tensor, " reading"]:
+        """Readings that an effect concerns: those of its sensor, or all."""
+        if use.effect.kind is Kind.RECORD:
+            return torch.ones(len(self.scene), dtype=torch.bool)
+        return self.scene.sensor == use.index(self.rig.sensors)
 
     def loop_evaluations(self) -> int:
         """Loop fields that one prediction of one parameter set costs."""
@@ -190,7 +201,7 @@ class Chain:
                     of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
                     total = total + (of_reading.mT @ constant_T[..., None])[..., 0]
         for i, coil in enumerate(self.rig.coils):
-            if coil.name not in self.rules:
+            if coil.name not in self.rules or not len(self.powered[coil.name]):
                 continue
             current_A = delivered_A[..., i]
             for rows, per_unit, drive in self._sources(coil, values, offset_m, current_A, world_from_sensor):
@@ -252,7 +263,8 @@ class Chain:
         return answer
 
     def _everywhere(self, field: Tensor, rows: Tensor) -> Tensor:
-        """Field at the rows of some poses as one at all poses."""
+        """Field at the rows of some poses as one at all poses; of a coil and a sensor that are both fixed, one row stands for all."""
+        field = field.expand(*field.shape[:-2], len(rows), 3)
         if len(rows) == len(self.sensor):
             return field
         full = torch.zeros((*field.shape[:-2], len(self.sensor), 3), dtype=field.dtype, device=field.device)

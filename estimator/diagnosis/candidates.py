@@ -27,6 +27,7 @@ class Candidate:
         cause: Name and place.
         shapes: Where its shapes start.
         keys: The quantities that its columns belong to.
+        shift: Whitened change of the predictions at the start itself; zero where that is the null.
         columns: Whitened change of the predictions per unit of each quantity.
         prior_sd: Of the quantities.
         subsets: Which columns may be there alone: one of them, the pairs, or all.
@@ -36,17 +37,28 @@ class Candidate:
     shapes: dict[str, float]
     keys: tuple[str, ...]
     units: tuple[str, ...]
+    shift: Float[Tensor, " component"]
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
 
+    def shapes_in(self, rig: Rig) -> dict[str, float]:
+        """Start values of all quantities of the cause in a rig that has it."""
+        prefix = f"{self.cause.label}."
+        return {name: p.value for name, p in rig.parameters.items() if name.startswith(prefix)}
+
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
-        """Columns that may be there alone: each, each pair, and all."""
+        """Columns that may be there alone: each, each pair, those of one element, and (last) all."""
         n = len(self.keys)
         if n == 1:
             return ((0,),)
-        pairs = tuple(combinations(range(n), 2)) if n > 2 else ()
-        return (*((i,) for i in range(n)), *pairs, tuple(range(n)))
+        found: list[tuple[int, ...]] = [(i,) for i in range(n)]
+        if n > 2:
+            found += list(combinations(range(n), 2))
+        if n > 6:
+            found += [tuple(i for i, key in enumerate(self.keys) if key[0] == first) for first in "xyz"]
+            found += [tuple(i for i, key in enumerate(self.keys) if key[0] != first) for first in "xyz"]
+        return (*found, tuple(range(n)))
 
 
 def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
@@ -68,7 +80,7 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     for cause in causes:
         effect = EFFECTS[cause.name]
         scene = fit.posterior.chain.scene
-        for shapes in effect.starts(scene):
+        for shapes in effect.starts(scene, cause.place):
             candidate = _candidate(fit, cause, shapes)
             if candidate is not None:
                 found.append(candidate)
@@ -92,17 +104,22 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
         name = f"{cause.label}.{quantity.key}"
         start, step = shapes.get(quantity.key, quantity.null), STEP * quantity.prior.sd
         with torch.no_grad():
-            ends = chain.predict({**values, name: start + step * sign})
+            ends = chain.predict({**values, name: start + step * sign}).expand(2, len(observations), 3)
         slope = (ends[0] - ends[1]) / (2.0 * step)
         columns.append(fit.posterior.measured_components(slope))
-    whitened = torch.stack(columns, dim=-1) / fit.posterior.component_sigma_T(fit.vector)[:, None].detach()
-    if not bool(torch.isfinite(whitened).all()):
+    with torch.no_grad():
+        sigma_T = fit.posterior.component_sigma_T(fit.vector)
+        started = fit.posterior.measured_components(chain.predict(values))
+        shift = (started - fit.posterior.predicted(fit.vector)) / sigma_T
+    whitened = torch.stack(columns, dim=-1) / sigma_T[:, None]
+    if not bool(torch.isfinite(whitened).all() and torch.isfinite(shift).all()):
         return None
     return Candidate(
         cause,
         shapes,
         tuple(q.key for q in quantities),
         tuple(q.unit for q in quantities),
+        shift,
         whitened,
         torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64),
     )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -82,6 +83,13 @@ class Fit:
         """Of the coordinates, by Laplace."""
         return covariance(self.polished.precision)[0]
 
+    def value_sd(self, name: str) -> float:
+        """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed."""
+        slope: Tensor = jacfwd(
+            lambda vector: self.posterior.coordinates.values(vector)[name] + 0.0 * vector.sum()
+        )(self.vector)
+        return float(torch.sqrt(slope @ self.covariance @ slope))
+
     @property
     def is_noise_free(self) -> bool:
         """Whether the noise of the sensors was fitted."""
@@ -93,14 +101,21 @@ def fit_rig(
     observations: Observations,
     start: Mapping[str, Tensor | float],
     rules: Mapping[str, Rule],
-    max_iterations: int = 60,
+    more_starts: int = 0,
 ) -> Fit:
-    """Climb from given values of the rig's parameters to the nearest maximum."""
+    """Climb from given values of the rig's parameters, and from some draws of the prior, to the highest maximum."""
     chain = replace(Chain.unruled(rig, observations), rules=dict(rules))
     coordinates = Coordinates(rig)
     posterior = LogPosterior(coordinates, chain, observations)
-    vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})
-    return Fit(posterior, polish(posterior, vector[None], max_iterations, tolerance=1e-4))
+    vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})[None]
+    if more_starts:
+        vector = torch.cat(
+            (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
+        )
+        vector = vector[torch.isfinite(posterior(vector))]
+    polished = polish(posterior, vector, tolerance=1e-4)
+    top = int(polished.log_posterior.argmax())
+    return Fit(posterior, polished.rows(slice(top, top + 1)))
 
 
 def with_effect(

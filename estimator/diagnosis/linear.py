@@ -53,6 +53,7 @@ def log_bayes_factor(
     score: Float[Tensor, "*batch column"],
     prior_sd: Float[Tensor, "*batch column"],
     n_free_noise: float | None = None,
+    started: float = 0.0,
 ) -> Float[Tensor, "*batch"]:
     """Log evidence gained by columns with normal priors about zero.
 
@@ -61,6 +62,7 @@ def log_bayes_factor(
         score: T^T r, with r the whitened residual of the fit.
         prior_sd: Of the columns' coefficients.
         n_free_noise: Number of components where the noise was fitted; its profile then bends the gain. None where it is known.
+        started: Gain in log density of the start about which the columns are taken, where that is not the fit itself.
     References: MacKay, Information Theory, Inference, and Learning Algorithms (2003), section 28.1.
     Examples:
         >>> one = torch.ones(1, dtype=torch.float64)
@@ -71,7 +73,7 @@ def log_bayes_factor(
     precision = scaled + torch.eye(scaled.shape[-1], dtype=scaled.dtype)
     factor = torch.linalg.cholesky(precision)
     white = torch.linalg.solve_triangular(factor, (score * prior_sd)[..., None], upper=False)[..., 0]
-    gain = (white**2).sum(-1)
+    gain = (white**2).sum(-1) + 2.0 * started
     occam = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
     if n_free_noise is not None:
         gain = -n_free_noise * torch.log1p(-(gain / n_free_noise).clamp(max=1.0 - 1e-12))

@@ -33,6 +33,7 @@ class Kind(StrEnum):
     SENSOR = "sensor"
     MOVER = "mover"
     ROOM = "room"
+    RECORD = "record"
 
 
 @dataclass(frozen=True)
@@ -95,14 +96,14 @@ class Effect(ABC):
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Its numbers, in a session like this."""
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Shapes to start fits from; none needed where the effect has no shapes."""
         return ({},)
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Names of the coils, sensors or movers that may have it; `room` for the room."""
-        if self.kind is Kind.ROOM:
-            return ("room",)
+        if self.kind in (Kind.ROOM, Kind.RECORD):
+            return (str(self.kind),)
         bodies: dict[Kind, tuple[Body | Mover, ...]] = {
             Kind.COIL: rig.coils,
             Kind.SENSOR: rig.sensors,

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from itertools import permutations, product
 from typing import ClassVar
 
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from estimator.effects.base import CurrentEffect, Kind, MotionEffect, Quantity, ReadingEffect, Theta
+from estimator.effects.base import CurrentEffect, Kind, MotionEffect, Quantity, ReadingEffect, Theta, shape
 from estimator.effects.scene import Extent, Scene
-from estimator.frames import Transform
+from estimator.frames import Transform, rotation_from_vector
 from estimator.parameters import Uniform
 from estimator.rig import MotionKind, Rig
 
-FACTORS = (1e3, 1e-3, 1e4, 1e-4, 10.0, 0.1)  # mT, uT, gauss, and a slip of the decimal point
+FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
+CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
 
 
 RECORD = ("axes_swapped", "left_handed", "unit_error", "current_sign", "displacement_frame")
@@ -31,18 +34,16 @@ class AxesSwapped(ReadingEffect):
 
     name: ClassVar[str] = "axes_swapped"
     words: ClassVar[str] = "the sensor's axes are in another order or direction"
-    source: ClassVar[str] = "47 signed permutations"
+    source: ClassVar[str] = "46 signed permutations; the reversal of all is current_sign"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Which component, 1 to 3, each axis reads, negative where it is reversed."""
         return tuple(_switch(f"{axis}_reads", -3.0, 3.0, i + 1.0) for i, axis in enumerate("xyz"))
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
-        """All but the right one, single reversals (`left_handed`) and the reversal of all (`current_sign`)."""
-        taken = (0, 1, 3)  # reversals in the right order: none, left_handed, current_sign
-        return tuple(
-            s for s in _signed_permutations() if _order(s) != [1, 2, 3] or _reversals(s) not in taken
-        )
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """All but the right one and its reversal."""
+        right = ([1.0, 2.0, 3.0], [-1.0, -2.0, -3.0])
+        return tuple(start for start in _signed_permutations() if list(start.values()) not in right)
 
     def apply(
         self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
@@ -54,38 +55,28 @@ class AxesSwapped(ReadingEffect):
         return (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
 
-class LeftHanded(AxesSwapped):
-    """One axis of the sensor is reversed, so that its frame is left-handed."""
-
-    name: ClassVar[str] = "left_handed"
-    words: ClassVar[str] = "one axis of the sensor is reversed: its frame is left-handed"
-    source: ClassVar[str] = "3 axes"
-
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
-        """Each axis alone."""
-        return tuple(s for s in _signed_permutations() if _order(s) == [1, 2, 3] and _reversals(s) == 1)
-
-
 class UnitError(ReadingEffect):
-    """Readings are in another unit than the file says."""
+    """Fields or currents are in another unit than the file says."""
 
     name: ClassVar[str] = "unit_error"
-    words: ClassVar[str] = "the readings are in another unit than stated"
-    source: ClassVar[str] = "powers of ten between T, G, mT, uT"
+    kind: ClassVar[Kind] = Kind.RECORD
+    words: ClassVar[str] = "fields or currents are in another unit than stated"
+    source: ClassVar[str] = "powers of ten between T, G, mT, uT and between A, mA"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Number read per tesla."""
-        return (_switch("factor", 0.0, 1e9, 1.0),)
+        """Recorded over true fields, which scales the noise too, and recorded over true currents."""
+        return (_switch("field_factor", 0.0, 1e9, 1.0), _switch("current_factor", 0.0, 1e9, 1.0))
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """The usual slips."""
-        return tuple({"factor": factor} for factor in FACTORS)
+        fields = [{"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS]
+        return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
 
     def apply(
         self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
     ) -> Float[Tensor, "*batch reading 3"]:
-        """Components as they are read."""
-        return field_sensor_T * theta["factor"][..., None, None]
+        """Components as they are recorded, with the fields that the recorded currents stand for."""
+        return field_sensor_T * (theta["field_factor"] / theta["current_factor"])[..., None, None]
 
 
 class CurrentSign(CurrentEffect):
@@ -100,7 +91,7 @@ class CurrentSign(CurrentEffect):
         """Sign of the current."""
         return (_switch("sign", -1.0, 1.0, 1.0),)
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Reversed."""
         return ({"sign": -1.0},)
 
@@ -112,36 +103,64 @@ class CurrentSign(CurrentEffect):
         return torch.where(torch.arange(current_A.shape[-1]) == coil, sign * current_A, current_A)
 
 
+class LeftHanded(MotionEffect):
+    """One axis of the recorded displacements is reversed, so that their frame is left-handed."""
+
+    name: ClassVar[str] = "left_handed"
+    words: ClassVar[str] = "one axis of the displacements is reversed: their frame is left-handed"
+    source: ClassVar[str] = "3 axes"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Sign of each axis."""
+        return tuple(_switch(f"{axis}_sign", -1.0, 1.0, 1.0) for axis in "xyz")
+
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Each axis alone, and all."""
+        one = [{f"{b}_sign": -1.0 if a == b else 1.0 for b in "xyz"} for a in "xyz"]
+        return (*one, {f"{axis}_sign": -1.0 for axis in "xyz"})
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """Real pose."""
+        sign = torch.stack([theta[f"{axis}_sign"] for axis in "xyz"], dim=-1)[..., None, :]
+        return Transform(pose.rotation, sign * pose.translation_m)
+
+
 class DisplacementFrameError(MotionEffect):
-    """Displacements are in the base frame though the rig says end effector, or turned by a quarter."""
+    """Displacements are reported in other axes than the rig says: those of the robot's base, for one."""
 
     name: ClassVar[str] = "displacement_frame"
     words: ClassVar[str] = "displacements are reported in other axes than the rig says"
-    source: ClassVar[str] = "24 right-handed choices of axes, or the sign of all"
+    source: ClassVar[str] = "any rotation: a tool may point anywhere (DESIGN section 2)"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Which reported axis, 1 to 3, each real one follows, negative where reversed."""
-        return tuple(_switch(f"{axis}_from", -3.0, 3.0, i + 1.0) for i, axis in enumerate("xyz"))
+        """Rotation vector from the reported to the real axes."""
+        return tuple(
+            shape(f"{axis}_rad", "rad", -2.0 * math.pi, 2.0 * math.pi) for axis in ("rx", "ry", "rz")
+        )
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Movers that report displacements."""
         return tuple(m.name for m in rig.movers if m.motion is MotionKind.DISPLACEMENT)
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
-        """All but the right one."""
-        keys = {"x_reads": "x_from", "y_reads": "y_from", "z_reads": "z_from"}
-        return tuple(
-            {keys[k]: v for k, v in start.items()}
-            for start in _signed_permutations()
-            if list(start.values()) != [1.0, 2.0, 3.0]
-        )
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """The other 23 rotations of a cube, and those half way between about each of its axes."""
+        turns = [
+            Rotation.from_euler("XYZ", [a, b, c], degrees=True)
+            for a in range(0, 360, 45)
+            for b in (-90, -45, 0, 45, 90)
+            for c in range(0, 360, 45)
+        ]
+        distinct: list[Rotation] = [Rotation.identity()]
+        for turn in turns:
+            if min((turn.inv() * other).magnitude() for other in distinct) > math.radians(44.0):
+                distinct.append(turn)
+        keys = ("rx_rad", "ry_rad", "rz_rad")
+        return tuple(dict(zip(keys, turn.as_rotvec().tolist(), strict=True)) for turn in distinct[1:])
 
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
-        follows = torch.stack([theta[f"{axis}_from"] for axis in "xyz"], dim=-1)
-        mix = torch.nn.functional.one_hot(follows.abs().round().long() - 1, 3).to(pose.translation_m.dtype)
-        mix = (mix * torch.sign(follows)[..., None])[..., None, :, :]
-        return Transform(pose.rotation, (mix @ pose.translation_m[..., None])[..., 0])
+        turn = rotation_from_vector(torch.stack([theta[f"{a}_rad"] for a in ("rx", "ry", "rz")], dim=-1))
+        return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
 
 
 def _signed_permutations() -> list[dict[str, float]]:
@@ -155,11 +174,3 @@ def _signed_permutations() -> list[dict[str, float]]:
         for signs in product((1, -1), repeat=3)
     ]
     return found
-
-
-def _order(start: dict[str, float]) -> list[int]:
-    return [int(abs(value)) for value in start.values()]
-
-
-def _reversals(start: dict[str, float]) -> int:
-    return sum(value < 0.0 for value in start.values())

@@ -144,7 +144,7 @@ class SensorBumped(MountEffect):
             shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True),
         )
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Instants after each of which, and before, enough was read."""
         time_h = (
             scene.observations.history.time_s - scene.observations.history.time_s.min()

@@ -64,6 +64,12 @@ class Scene:
         """Largest component that was read in the session."""
         return max(float(self.observations.history.field_sensor_T.nan_to_num().abs().max()), 1e-9)
 
+    def largest_of_sensor_T(self, sensor: str) -> float:
+        """Largest component that one sensor read in the session."""
+        history = self.observations.history
+        mine = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        return max(float(history.field_sensor_T[mine].nan_to_num().abs().max()), 1e-9)
+
     @cached_property
     def places_m(self) -> Float[Tensor, "place 3"]:
         """Where coils and sensors nominally stand in the world, a few hundred of their poses at most."""

@@ -12,6 +12,7 @@ from torch import Tensor
 from estimator.effects.base import ElementEffect, Quantity, ReadingEffect, Theta, normal, shape, triple
 from estimator.effects.scene import Extent, Scene
 
+CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
 PAIRS = tuple(
     "".join(pair) for pair in permutations("xyz", 2)
 )  # xy: what the x axis picks up of the y component
@@ -69,13 +70,13 @@ class ElementDisplacement(ElementEffect):
     source: ClassVar[str] = "probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Position of the x and of the y element from the z element, in the sensor frame."""
-        return tuple(normal(f"{element}_at_{axis}_m", "m", 500e-6) for element in "xy" for axis in "xyz")
+        """Position of each element from where the sensor is said to be, in the sensor frame."""
+        return tuple(normal(f"{element}_at_{axis}_m", "m", 500e-6) for element in "xyz" for axis in "xyz")
 
     def apply(self, theta: Theta) -> Float[Tensor, "*batch 3 3"]:
         """Position of the x, y and z element."""
-        x, y = (torch.stack([theta[f"{element}_at_{axis}_m"] for axis in "xyz"], dim=-1) for element in "xy")
-        return torch.stack((x, y, torch.zeros_like(x)), dim=-2)
+        rows = [torch.stack([theta[f"{e}_at_{axis}_m"] for axis in "xyz"], dim=-1) for e in "xyz"]
+        return torch.stack(rows, dim=-2)
 
 
 class SensorOffset(ReadingEffect):
@@ -104,7 +105,7 @@ class OffsetDrift(ReadingEffect):
     source: ClassVar[str] = "some 10 uT while electronics warm up"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Change per hour in the sensor frame."""
+        """Change per hour in the sensor frame, from the beginning of the session on."""
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
     def apply(
@@ -112,7 +113,7 @@ class OffsetDrift(ReadingEffect):
     ) -> Float[Tensor, "*batch reading 3"]:
         """Components as they are read."""
         rate = _vector(theta, ("x_T_per_h", "y_T_per_h", "z_T_per_h"))
-        return field_sensor_T + rate * (scene.hours - 0.5 * scene.duration_h)[:, None]
+        return field_sensor_T + rate * scene.hours[:, None]
 
 
 class CubicResponse(ReadingEffect):
@@ -167,9 +168,10 @@ class RangeClipping(ReadingEffect):
         clipped = shape("limit_T", "T", 0.2 * largest_T, 3.0 * largest_T)
         return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
-        """Just inside the largest reading: a limit pulls readings together there."""
-        return tuple({"limit_T": share * scene.largest_field_T} for share in (0.995, 0.97, 0.9))
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Inside the sensor's largest reading: a limit pulls readings together there."""
+        largest_T = scene.largest_of_sensor_T(place)
+        return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
 
     def apply(
         self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str

@@ -82,14 +82,15 @@ class CoilHeating(_OneCoilCurrent):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative loss of current per square ampere held for long, and the time constant of the warming."""
+        """Relative loss of current per kelvin of a thermometer, or per square ampere held for long, and how quickly that comes."""
         tau = LogNormal(extent.duration_h, 1.5)
         return (
+            normal("loss_per_K", "1/K", 4e-3),
             normal("loss_per_A2", "1/A2", 0.02 / extent.largest_current_A**2),
             Quantity("tau_h", "h", tau, extent.duration_h, is_shape=True),
         )
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Quick, slow, and slower than the session is long."""
         return tuple({"tau_h": share * scene.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
 
@@ -97,8 +98,11 @@ class CoilHeating(_OneCoilCurrent):
         self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
     ) -> Float[Tensor, "*batch reading"]:
         """Current in the coil."""
-        heat = scene.heat_A2(coil, theta["tau_h"])
-        return current_A * (1.0 - theta["loss_per_A2"][..., None] * heat)
+        loss = theta["loss_per_A2"][..., None] * scene.heat_A2(coil, theta["tau_h"])
+        kelvin = scene.temperature_K(scene.rig.coils[coil].name)
+        if kelvin is not None:
+            loss = loss + theta["loss_per_K"][..., None] * kelvin
+        return current_A * (1.0 - loss)
 
 
 class NeighbourCoil(CurrentEffect):

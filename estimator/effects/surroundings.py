@@ -45,13 +45,13 @@ class BackgroundDrift(RoomEffect):
     source: ClassVar[str] = "lifts, trams and magnets next door: some 10 uT within a session"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Change per hour in the world frame."""
+        """Change per hour in the world frame, from the beginning of the session on."""
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
     def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"]:
-        """Proportional to the time since the session's middle."""
+        """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
-        return rate[..., None, :] * (scene.hours - 0.5 * scene.duration_h)[:, None]
+        return rate[..., None, :] * scene.hours[:, None]
 
 
 class IronPlate(RoomEffect):
@@ -70,7 +70,7 @@ class IronPlate(RoomEffect):
             shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
         )
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Planes across the world's axes, behind whatever stands there."""
         starts = []
         for azimuth, elevation in [(0.5 * math.pi * i, 0.0) for i in range(4)] + [
@@ -128,7 +128,7 @@ class IronBody(RoomEffect):
             *(shape(f"{axis}_m", "m", -ends, ends) for axis in "xyz"),
         )
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Around the middle of the places, at two distances."""
         middle = scene.places_m.mean(0)
         directions = [

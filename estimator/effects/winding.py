@@ -12,8 +12,10 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, SourceEffect, Theta, WindingEffect, normal, shape
 from estimator.effects.scene import Extent, Scene
+from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
+from estimator.parameters import LogNormal
 from estimator.units import MU0_T_M_PER_A
 
 OVAL_NODES = 64  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
@@ -87,7 +89,7 @@ class ShortLayer(SourceEffect):
         """Share of the layer that is missing, and at which end."""
         return (normal("missing", "1", 0.5), shape("at_front", "1", 0.0, 1.0, is_fixed=True))
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """At the front and at the back."""
         return ({"at_front": 1.0}, {"at_front": 0.0})
 
@@ -151,35 +153,50 @@ class CoilOvality(SourceEffect):
 
 
 class LeadWire(SourceEffect):
-    """A wire runs along the outside of the winding from its back to its front face, without a return beside it."""
+    """The two leads run straight out from the middle of the winding, apart along the axis instead of twisted."""
 
     name: ClassVar[str] = "lead_wire"
-    words: ClassVar[str] = "a lead runs along the winding without its return beside it"
-    source: ClassVar[str] = (
-        "the lead carries the whole current or none; pairs that are not twisted, a part of it"
-    )
+    words: ClassVar[str] = "the leads run out of the winding apart instead of twisted"
+    source: ClassVar[str] = "leads lie some millimetres to centimetres apart over 0.1 to 0.5 m"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Share of the coil's current and the azimuth of the lead."""
-        return (normal("share", "1", 1.0), shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi))
+        """Distance of the leads (positive: the current runs out on the side of the front face), azimuth and length."""
+        return (
+            normal("gap_m", "m", 0.01),
+            shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
+            Quantity("length_m", "m", LogNormal(0.2, 0.7), 0.2, is_shape=True),
+        )
 
-    def starts(self, scene: Scene) -> tuple[dict[str, float], ...]:
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """All around."""
-        return tuple({"azimuth_rad": math.pi * i / 4.0} for i in range(-3, 5))
+        return tuple({"azimuth_rad": math.pi * i / 4.0, "length_m": 0.2} for i in range(-3, 5))
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*batch place 3"]:
-        """Field of the straight wire per ampere."""
-        azimuth = theta["azimuth_rad"]
-        radius_m = winding.radius_m + 0.5 * winding.radial_pitch_m
-        x = points_coil_m[..., 0] - (radius_m * torch.cos(azimuth))[..., None]
-        y = points_coil_m[..., 1] - (radius_m * torch.sin(azimuth))[..., None]
-        front, back = points_coil_m[..., 2], points_coil_m[..., 2] + winding.length_m[..., None]
-        rho2 = x**2 + y**2
-        sines = back / torch.sqrt(rho2 + back**2) - front / torch.sqrt(rho2 + front**2)
-        azimuthal = MU0_OVER_4PI * theta["share"][..., None] * sines / rho2
-        return torch.stack((-y * azimuthal, x * azimuthal, torch.zeros_like(azimuthal)), dim=-1)
+        """Field of the rectangle of wire per ampere."""
+        azimuth, zero = theta["azimuth_rad"], torch.zeros_like(theta["gap_m"])
+        outward = torch.stack((torch.cos(azimuth), torch.sin(azimuth), zero), dim=-1)
+        up = torch.tensor([0.0, 0.0, 1.0], dtype=points_coil_m.dtype)
+        near, far = (r[..., None] * outward for r in (winding.radius_m, winding.radius_m + theta["length_m"]))
+        middle_m, half_m = -0.5 * winding.length_m, 0.5 * theta["gap_m"]
+        front, back = ((middle_m + side * half_m)[..., None] * up for side in (1.0, -1.0))
+        corners = (near + front, far + front, far + back, near + back)
+        total = torch.zeros_like(points_coil_m)
+        for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
+            total = total + _segment(points_coil_m, start, end)
+        return total
+
+
+def _segment(points_m: Tensor, start_m: Tensor, end_m: Tensor) -> Tensor:
+    """Field of a straight wire with one ampere, smooth where it has no length (Hanson and Hirshman, Phys. Plasmas 9, 4410, 2002)."""
+    a, b = points_m - start_m[..., None, :], points_m - end_m[..., None, :]
+    r, s = a.norm(dim=-1, keepdim=True), b.norm(dim=-1, keepdim=True)
+    along = (end_m - start_m)[..., None, :]
+    length2 = (along**2).sum(-1, keepdim=True)
+    cross = torch.linalg.cross(*torch.broadcast_tensors(along, a))
+    field: Tensor = cross * 2.0 * (r + s) / (r * s * ((r + s) ** 2 - length2))
+    return MU0_OVER_4PI * field
 
 
 def _rod_per_moment(
@@ -240,6 +257,26 @@ class CoreSaturation(SourceEffect):
         """Moment of the rod over that of the winding at one ampere."""
         share, loss = theta["share"][..., None], theta["loss_per_A2"][..., None]
         return (share - loss * current_A**2) * current_A
+
+
+class SphericalSum(SourceEffect):
+    """The readings follow the paper's literal sum, which adds spherical components of loops whose centres differ."""
+
+    name: ClassVar[str] = "spherical_sum"
+    words: ClassVar[str] = "the readings follow a sum of spherical components about different centres"
+    source: ClassVar[str] = "0 or 1: which simulation made the data (Osinde et al., eq 13)"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Weight of the literal sum against the right one."""
+        return (normal("weight", "1", 1.0),)
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*batch place 3"]:
+        """Literal less right sum, per ampere."""
+        right = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
+        literal = literal_field_per_ampere(points_coil_m, winding, rule)
+        return theta["weight"][..., None, None] * (literal - right)
 
 
 class DipoleModel(SourceEffect):

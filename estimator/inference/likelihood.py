@@ -11,6 +11,7 @@ from torch import Tensor
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
 from estimator.records import Observations
 
@@ -66,6 +67,8 @@ class LogPosterior:
         for label, gradient_T_per_m in self._jitter.items():
             jitter_m = self.coordinates.values(vector)[f"{label}.sd_m"][..., None]
             sigma_T = torch.sqrt(sigma_T**2 + (jitter_m * gradient_T_per_m) ** 2)
+        for use in uses_of(self.chain.rig, UnitError):
+            sigma_T = sigma_T * use.theta(self.coordinates.values(vector))["field_factor"][..., None]
         return sigma_T
 
     def whitened(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:

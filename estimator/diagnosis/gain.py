@@ -1,0 +1,105 @@
+"""What an extension is worth, on readings that were not used for fitting."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import jacfwd
+
+from estimator.chain import Chain
+from estimator.diagnosis.fitting import Fit
+from estimator.inference.likelihood import LogPosterior
+from estimator.metrics import Errors, errors
+from estimator.records import Observations
+
+HALF_WIDTHS = {"coverage50": 0.674490, "coverage90": 1.644854}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How well one fit predicts readings that it has not seen.
+
+    Attributes:
+        errors: Of the predictions.
+        elpd: Expected log predictive density, summed over the readings.
+        coverage50, coverage90: Share of the components inside those intervals.
+        log_density: Log predictive density reading by reading.
+    """
+
+    errors: Errors
+    elpd: float
+    coverage50: float
+    coverage90: float
+    log_density: Float[Tensor, " reading"]
+
+    def record(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {
+            **asdict(self.errors),
+            "coverage50": self.coverage50,
+            "coverage90": self.coverage90,
+            "elpd": self.elpd,
+        }
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Before and after the extension.
+
+    Attributes:
+        elpd_difference, elpd_se: Gain in expected log predictive density and its standard error over readings.
+        moved_sd: How far each parameter of the rig moved, in standard deviations of the fit before.
+    """
+
+    before: Judged
+    after: Judged
+    elpd_difference: float
+    elpd_se: float
+    moved_sd: dict[str, float]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the gain exceeds twice its standard error."""
+        return self.elpd_difference > 2.0 * self.elpd_se
+
+
+def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
+    """Judge two fits on readings that neither has seen."""
+    one, two = judged(before, unseen), judged(after, unseen)
+    difference = two.log_density - one.log_density
+    n = len(difference)
+    se = float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
+    moved = {}
+    for name in before.posterior.coordinates.names:
+        old, new = (fit.values[name] for fit in (before, after))
+        moved[name] = float(new - old) / before.value_sd(name)
+    return Gain(one, two, float(difference.sum()), se, moved)
+
+
+def judged(fit: Fit, unseen: Observations) -> Judged:
+    """Predictive errors, density and coverage, with the uncertainty of the parameters by Laplace."""
+    chain = Chain.build(fit.rig.with_values(_untied(fit)), unseen)
+    posterior = LogPosterior(fit.posterior.coordinates, chain, unseen)
+    with torch.no_grad():
+        predicted_T = chain.predict(fit.values).expand(len(unseen), 3)
+        mean_T = posterior.measured_components(predicted_T)
+        noise_T = posterior.component_sigma_T(fit.vector)
+        slope: Tensor = jacfwd(posterior.predicted)(fit.vector)
+    spread2 = ((slope @ fit.covariance) * slope).sum(-1)
+    sd_T = torch.sqrt(noise_T**2 + spread2)
+    z = (posterior.measured_T - mean_T) / sd_T
+    log_density = -0.5 * z**2 - torch.log(sd_T) - 0.5 * math.log(2.0 * math.pi)
+    reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
+    by_reading = torch.zeros(len(unseen), dtype=z.dtype).index_add(0, reading, log_density)
+    inside = {name: float((z.abs() <= width).double().mean()) for name, width in HALF_WIDTHS.items()}
+    found = errors(unseen.field_sensor_T.numpy(), predicted_T.numpy())
+    return Judged(found, float(by_reading.sum()), inside["coverage50"], inside["coverage90"], by_reading)
+
+
+def _untied(fit: Fit) -> dict[str, float]:
+    return {n: float(v) for n, v in fit.values.items() if fit.rig.parameters[n].tie is None}

@@ -1,0 +1,232 @@
+"""Naming causes: screen all at once, fit the leaders, take the best where it earns its place, and begin again.
+
+"Nothing" and "something that no cause explains" are in the race at every step. Causes taken earlier are dropped when they no longer
+earn their place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from estimator.diagnosis.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
+from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.effects import EFFECTS
+from estimator.rig import Cause
+
+LOG_PRIOR_NOTHING = math.log(0.5)
+LOG_PRIOR_CAUSE = math.log(0.4)  # shared by all causes
+LOG_PRIOR_UNEXPLAINED = math.log(0.1)
+LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
+CREDIBLE = 0.95
+MOST_LEADERS = 6
+LEADERS_WITHIN = 14.0  # of the best in log evidence of the screening
+MOST_CAUSES = 6
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One hypothesis of a step.
+
+    Attributes:
+        cause: None for `nothing` and `unexplained`.
+        name: Label of the cause, or one of those words.
+        log_bayes_factor: Against nothing.
+        probability: Among all hypotheses of the step.
+        fit: Where it was fitted in full.
+    """
+
+    cause: Cause | None
+    name: str
+    log_bayes_factor: float
+    probability: float = 0.0
+    fit: Fit | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One cause taken, or the reason to stop.
+
+    Attributes:
+        rivals: All hypotheses, most probable first.
+        taken: The cause that was added; None at the end.
+        credible: The smallest set of causes that holds 95 % of the probability of all causes.
+    """
+
+    rivals: tuple[Rival, ...]
+    taken: Cause | None
+    credible: tuple[Rival, ...]
+    left: Discrepancy
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the causes were found.
+
+    Attributes:
+        base, final: Fits before and after.
+        steps: In order; the last one took nothing.
+        dropped: Causes that were taken and later no longer earned their place.
+    """
+
+    base: Fit
+    final: Fit
+    steps: tuple[Step, ...]
+    dropped: tuple[Cause, ...]
+
+
+def search(base: Fit) -> Search:
+    """Add causes to a fit while they earn it."""
+    pool = candidates(base, causes_of(base.rig, base))
+    smooth = families(base)
+    fit, steps, dropped = base, list[Step](), list[Cause]()
+    while True:
+        step = _step(fit, pool, smooth)
+        steps.append(step)
+        if step.taken is None or len(fit.rig.effects) - len(base.rig.effects) >= MOST_CAUSES:
+            break
+        winner = next(r for r in step.rivals if r.cause == step.taken)
+        assert winner.fit is not None
+        fit, gone = _without_idle(winner.fit, base)
+        dropped += gone
+        if step.taken in gone:
+            break
+    return Search(base, fit, tuple(steps), tuple(dropped))
+
+
+def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
+    present = set(fit.rig.effects)
+    left = discrepancy(fit, smooth)
+    screened = screening(fit, [c for c in pool if c.cause not in present])
+    best = max((value for value, _ in screened.values()), default=-math.inf)
+    ranked = sorted(screened, key=lambda cause: -screened[cause][0])
+    rivals = [Rival(None, "nothing", 0.0), Rival(None, "unexplained", left.log_bayes_factor)]
+    for i, cause in enumerate(ranked):
+        value, start = screened[cause]
+        fitted = None
+        if i < MOST_LEADERS and value > max(best - LEADERS_WITHIN, 0.0):
+            value, fitted = _in_full(fit, value, start)
+        rivals.append(Rival(cause, cause.label, value, fit=fitted))
+    rivals = _with_probabilities(rivals, len(ranked))
+    causes = [rival for rival in rivals if rival.cause is not None]
+    if not causes:
+        return Step(tuple(rivals), None, (), left)
+    leader = causes[0]
+    prior_odds = LOG_PRIOR_CAUSE - math.log(len(ranked)) - LOG_PRIOR_NOTHING
+    earns = leader.fit is not None and leader.log_bayes_factor + prior_odds > LEAST_LOG_ODDS
+    beats_rest = leader.probability > next(r.probability for r in rivals if r.name == "unexplained")
+    taken = leader.cause if earns and beats_rest else None
+    return Step(tuple(rivals), taken, _credible(causes), left)
+
+
+def screening(fit: Fit, pool: list[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
+    """Log evidence of every cause in the linear model, with its best start."""
+    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
+    by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
+    for candidate in pool:
+        by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate, n_noise), candidate))
+    result = {}
+    for cause, starts in by_cause.items():
+        values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
+        result[cause] = (log_mean_exp(values), starts[int(values.argmax())][1])
+    return result
+
+
+def linear_evidence(fit: Fit, candidate: Candidate, n_noise: float | None) -> float:
+    """Log Bayes factor of a candidate against nothing: half for all its quantities, half for some of them."""
+    values = [_of_subset(fit, candidate, subset, n_noise) for subset in candidate.subsets]
+    if len(values) == 1:
+        return values[0]
+    parts = log_mean_exp(torch.tensor(values[:-1], dtype=torch.float64))
+    return float(torch.logaddexp(torch.tensor(parts), torch.tensor(values[-1]))) - math.log(2.0)
+
+
+def _of_subset(fit: Fit, candidate: Candidate, subset: tuple[int, ...], n_noise: float | None) -> float:
+    gram = fit.projector.gram(candidate.columns, candidate.columns)
+    score, started = _score(fit, candidate)
+    pick = list(subset)
+    return float(
+        log_bayes_factor(gram[pick][:, pick], score[pick], candidate.prior_sd[pick], n_noise, started)
+    )
+
+
+def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
+    """Score of a candidate's columns at its start, and the gain in log density of the start itself."""
+    score = candidate.columns.T @ fit.residual
+    if not bool(candidate.shift.any()):
+        return score, 0.0
+    shift = candidate.shift[:, None]
+    score = score - fit.projector.gram(candidate.columns, shift)[:, 0]
+    gain = float(fit.residual @ candidate.shift - 0.5 * fit.projector.gram(shift, shift)[0, 0])
+    return score, gain
+
+
+def _in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
+    """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over."""
+    observations = fit.posterior.chain.scene.observations
+    rig = with_effect(fit.rig, start.cause, observations, start.shapes)
+    full = fit_rig(rig, observations, {**fit.values, **start.shapes_in(rig)}, fit.posterior.chain.rules)
+    gain = full.log_evidence - fit.log_evidence
+    if any(
+        q.is_shape and not q.is_fixed
+        for q in EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
+    ):
+        return max(gain, screened) if math.isfinite(gain) else screened, full
+    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
+    linear = _of_subset(fit, start, start.subsets[-1], n_noise)
+    return screened + gain - linear, full
+
+
+def _with_probabilities(rivals: list[Rival], n_causes: int) -> list[Rival]:
+    """Most probable first."""
+    log_prior = {"nothing": LOG_PRIOR_NOTHING, "unexplained": LOG_PRIOR_UNEXPLAINED}
+    each = LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
+    logs = torch.tensor(
+        [r.log_bayes_factor + log_prior.get(r.name, each) for r in rivals], dtype=torch.float64
+    )
+    shares = torch.softmax(logs, 0).tolist()
+    known = [
+        Rival(r.cause, r.name, r.log_bayes_factor, share, r.fit)
+        for r, share in zip(rivals, shares, strict=True)
+    ]
+    return sorted(known, key=lambda rival: -rival.probability)
+
+
+def _credible(causes: list[Rival]) -> tuple[Rival, ...]:
+    """The smallest set that holds 95 % of the probability of all causes."""
+    total = sum(rival.probability for rival in causes)
+    chosen: list[Rival] = []
+    reached = 0.0
+    for rival in causes:
+        chosen.append(rival)
+        reached += rival.probability
+        if total <= 0.0 or reached >= CREDIBLE * total:
+            break
+    return tuple(chosen)
+
+
+def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
+    """Drop causes, one after another, without which the evidence is higher."""
+    gone: list[Cause] = []
+    while True:
+        own = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
+        if len(own) < 2:
+            return fit, gone
+        observations = fit.posterior.chain.scene.observations
+        without = [
+            (
+                cause,
+                fit_rig(fit.rig.without_cause(cause), observations, fit.values, fit.posterior.chain.rules),
+            )
+            for cause in own[:-1]
+        ]
+        cause, best = max(without, key=lambda pair: pair[1].log_evidence)
+        if best.log_evidence <= fit.log_evidence:
+            return fit, gone
+        gone.append(cause)
+        fit = best

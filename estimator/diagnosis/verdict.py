@@ -1,0 +1,113 @@
+"""What the search amounts to: named, indistinguishable, unexplained, or nothing found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import torch
+
+from estimator.diagnosis.candidates import candidates
+from estimator.diagnosis.discrepancy import Family
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.search import (
+    LOG_PRIOR_NOTHING,
+    LOG_PRIOR_UNEXPLAINED,
+    Rival,
+    Search,
+    linear_evidence,
+)
+from estimator.rig import Cause
+
+LEAST_LOG_ODDS = math.log(20.0)
+
+
+class Verdict(StrEnum):
+    """Outcome of a diagnosis; the words are stable (DESIGN section 5)."""
+
+    NAMED = "named"
+    INDISTINGUISHABLE = "indistinguishable"
+    UNEXPLAINED = "unexplained"
+    NOTHING_FOUND = "nothing_found"
+
+
+@dataclass(frozen=True)
+class NamedCause:
+    """One cause of the verdict.
+
+    Attributes:
+        cause: Name and place.
+        probability: Among the causes of its step.
+        alternatives: The others of its 95 % credible set.
+        log_bayes_factor: Against nothing, when it was taken.
+    """
+
+    cause: Cause
+    probability: float
+    alternatives: tuple[tuple[Cause, float], ...]
+    log_bayes_factor: float
+
+
+def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
+    """The outcome, from what was taken and what is left."""
+    left = search.steps[-1].left
+    if left.log_bayes_factor + LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING > LEAST_LOG_ODDS:
+        return Verdict.UNEXPLAINED
+    if not named:
+        return Verdict.NOTHING_FOUND
+    return Verdict.INDISTINGUISHABLE if any(one.alternatives for one in named) else Verdict.NAMED
+
+
+def named_causes(search: Search) -> list[NamedCause]:
+    """The causes that were taken and kept, in that order, each with its credible set."""
+    kept = set(search.final.rig.effects)
+    found = []
+    for step in search.steps:
+        if step.taken is None or step.taken not in kept:
+            continue
+        shares = _shares(step.credible)
+        leader = next(rival for rival in step.credible if rival.cause == step.taken)
+        others = tuple((c, share) for c, share in shares.items() if c != step.taken)
+        found.append(NamedCause(step.taken, shares[step.taken], others, leader.log_bayes_factor))
+    return found
+
+
+def beside_discrepancy(search: Search, named: list[NamedCause], families: list[Family]) -> list[NamedCause]:
+    """Of the causes, those that would be named even if a flexible discrepancy were there: the others may imitate what is unknown."""
+    final = search.final
+    observations = final.posterior.chain.scene.observations
+    kept = []
+    for one in named:
+        without = fit_rig(
+            final.rig.without_cause(one.cause), observations, final.values, final.posterior.chain.rules
+        )
+        smooth = _with_columns(without, families)
+        n_noise = float(len(without.residual)) if without.is_noise_free else None
+        evidence = max(
+            (linear_evidence(smooth, c, n_noise) for c in candidates(without, [one.cause])), default=-math.inf
+        )
+        if evidence > 2.0 * LEAST_LOG_ODDS:
+            kept.append(one)
+    return kept
+
+
+def _with_columns(fit: Fit, families: list[Family]) -> Fit:
+    """The fit as if smooth families of some strength had been fitted too."""
+    columns = torch.cat([2.0 * family.columns for family in families], dim=1)
+    jacobian = torch.cat((fit.jacobian, columns), dim=1)
+    prior = torch.block_diag(
+        (fit.polished.precision - fit.polished.information)[0],
+        torch.eye(columns.shape[1], dtype=torch.float64),
+    )
+    projector = Projector.of(jacobian, prior)
+    copy = Fit(fit.posterior, fit.polished)
+    left = fit.residual - jacobian @ (projector.factor @ (projector.factor.T @ (jacobian.T @ fit.residual)))
+    copy.__dict__.update(projector=projector, residual=left)
+    return copy
+
+
+def _shares(credible: tuple[Rival, ...]) -> dict[Cause, float]:
+    total = sum(rival.probability for rival in credible)
+    return {rival.cause: rival.probability / total for rival in credible if rival.cause is not None}

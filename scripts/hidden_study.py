@@ -1,0 +1,145 @@
+"""Hide effects in sessions of independent code and count how often the diagnosis finds them; `make hidden` runs it.
+
+Every case is appended to a file as it ends, so an interrupted study continues. Afterwards it prints the shares that matter and the
+confusion matrix.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from tests.hidden.study import KINDS, credible_sets, run_case
+
+Row = dict[str, Any]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=300, help="of each kind")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--first-seed", type=int, default=20_000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("out/hidden.jsonl"))
+    options = parser.parse_args()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = read(options.out)
+    seeds = range(options.first_seed, options.first_seed + options.cases)
+    wanted = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
+    missing = [case for case in wanted if case not in rows]
+    with (
+        multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool,
+        options.out.open("a") as file,
+    ):
+        for i, row in enumerate(pool.imap_unordered(worker, missing), start=1):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            rows[row["kind"], row["seed"]] = row
+            print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
+    show([rows[case] for case in wanted if "error" not in rows[case]])
+
+
+def one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def worker(case: tuple[str, int]) -> Row:
+    kind, seed = case
+    try:
+        return run_case(kind, seed)
+    except Exception as error:  # a case that fails is a result of the study
+        return {"kind": kind, "seed": seed, "error": f"{type(error).__name__}: {error}"}
+
+
+def read(path: Path) -> dict[tuple[str, int], Row]:
+    if not path.exists():
+        return {}
+    return {(row["kind"], row["seed"]): row for row in map(json.loads, path.read_text().splitlines())}
+
+
+def line(row: Row) -> str:
+    if "error" in row:
+        return f"{row['kind']} {row['seed']}: {row['error']}"
+    truth = " + ".join(cause["label"] for cause in row["truth"]) or "nothing"
+    found = " + ".join(" or ".join(names) for names in credible_sets(row)) or "-"
+    return f"{row['kind']} {row['seed']} {row['protocol']}: {truth} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
+
+
+def show(rows: list[Row]) -> None:
+    by_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
+    for kind in ("single", "discrete"):
+        if by_kind[kind]:
+            show_single(kind, by_kind[kind])
+    if by_kind["clean"]:
+        alarms = [row for row in by_kind["clean"] if row["verdict"] != "nothing_found"]
+        print(
+            f"clean: {len(by_kind['clean'])} sessions, false alarm in {share(len(alarms), len(by_kind['clean']))}"
+        )
+    if by_kind["pair"]:
+        both = sum(found_all(row) for row in by_kind["pair"])
+        print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
+    if by_kind["outside"]:
+        show_outside(by_kind["outside"])
+    if rows:
+        seconds = sorted(row["seconds"] for row in rows)
+        print(f"time of a diagnosis: median {seconds[len(seconds) // 2]:.1f} s, longest {seconds[-1]:.1f} s")
+    print("confusion, truth -> first set of causes")
+    confusion = Counter(
+        (truth_of(row), found_of(row)) for row in rows if row["kind"] in ("single", "discrete", "outside")
+    )
+    for (truth, found), number in sorted(confusion.items()):
+        print(f"  {truth:24} {found:60} {number}")
+
+
+def show_single(kind: str, rows: list[Row]) -> None:
+    first = [credible_sets(row)[0] if row["causes"] else [] for row in rows]
+    truth = [row["truth"][0]["label"] for row in rows]
+    holds = sum(t in names for t, names in zip(truth, first, strict=True))
+    sizes = [len(names) for names in first if names]
+    named = [(t, row) for t, row in zip(truth, rows, strict=True) if row["verdict"] == "named"]
+    right = sum(len(row["causes"]) == 1 and credible_sets(row)[0][0] == t for t, row in named)
+    print(
+        f"{kind}: {len(rows)} sessions, truth in the credible set of the first cause in {share(holds, len(rows))}, mean size of the set "
+        f"{sum(sizes) / max(len(sizes), 1):.2f}, right where one cause is named in {share(right, len(named))}; verdicts "
+        f"{dict(Counter(row['verdict'] for row in rows))}"
+    )
+
+
+def show_outside(rows: list[Row]) -> None:
+    unexplained = sum(row["verdict"] == "unexplained" for row in rows)
+    wrong = sum(bool(row["causes"]) and row["verdict"] != "unexplained" for row in rows)
+    print(
+        f"outside the library: {len(rows)} sessions, unexplained in {share(unexplained, len(rows))}, a wrong name in "
+        f"{share(wrong, len(rows))}"
+    )
+
+
+def found_all(row: Row) -> bool:
+    found = {name for names in credible_sets(row) for name in names}
+    return all(cause["label"] in found for cause in row["truth"])
+
+
+def truth_of(row: Row) -> str:
+    return " + ".join(cause["label"] for cause in row["truth"])
+
+
+def found_of(row: Row) -> str:
+    names = " or ".join(credible_sets(row)[0]) if row["causes"] else "-"
+    return f"{row['verdict']}: {names}"
+
+
+def share(part: int, whole: int) -> str:
+    return f"{part / max(whole, 1):.1%} ({part} of {whole})"
+
+
+if __name__ == "__main__":
+    main()
