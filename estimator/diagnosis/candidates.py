@@ -41,11 +41,6 @@ class Candidate:
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
 
-    def shapes_in(self, rig: Rig) -> dict[str, float]:
-        """Start values of all quantities of the cause in a rig that has it."""
-        prefix = f"{self.cause.label}."
-        return {name: p.value for name, p in rig.parameters.items() if name.startswith(prefix)}
-
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
         """Columns that may be there alone: each, each pair, those of one element, and (last) all."""
@@ -88,7 +83,7 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
 
 
 def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
-    observations = fit.posterior.chain.scene.observations
+    observations = fit.observations
     rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
     chain = replace(Chain.unruled(rig, observations), rules=fit.posterior.chain.rules)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
@@ -108,10 +103,9 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
         slope = (ends[0] - ends[1]) / (2.0 * step)
         columns.append(fit.posterior.measured_components(slope))
     with torch.no_grad():
-        sigma_T = fit.posterior.component_sigma_T(fit.vector)
-        started = fit.posterior.measured_components(chain.predict(values))
-        shift = (started - fit.posterior.predicted(fit.vector)) / sigma_T
-    whitened = torch.stack(columns, dim=-1) / sigma_T[:, None]
+        started = fit.posterior.measured_components(chain.predict(values).expand(len(observations), 3))
+        shift = (started - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
+    whitened = torch.stack(columns, dim=-1) * fit.whitening_per_T[:, None]
     if not bool(torch.isfinite(whitened).all() and torch.isfinite(shift).all()):
         return None
     return Candidate(

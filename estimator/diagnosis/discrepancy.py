@@ -94,7 +94,7 @@ def families(fit: Fit) -> list[Family]:
     def add(name: str, smooth: Tensor, vectors: Tensor) -> None:
         """Columns smooth(reading, k) x vectors(reading, 3, v)."""
         columns = torch.einsum("rk,rcv->rckv", smooth, vectors).flatten(2).movedim(-1, 0)
-        whitened = fit.posterior.measured_components(columns).T
+        whitened = fit.posterior.measured_components(columns).T * fit.whitening_per_T[:, None]
         norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-12)
         keep = whitened.norm(dim=0) > 1e-9 * norm
         if bool(keep.any()):

@@ -58,19 +58,36 @@ class Fit:
         with torch.no_grad():
             return self.posterior.coordinates.values(self.vector)
 
+    @property
+    def observations(self) -> Observations:
+        """The readings that were fitted."""
+        return self.posterior.chain.scene.observations
+
+    def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
+        """Values to start another rig from: those of this fit, and what the other rig has beyond it at its nominal values."""
+        more = {name: p.value for name, p in rig.parameters.items() if name not in self.rig.parameters}
+        return {**self.values, **more}
+
+    @cached_property
+    def whitening_per_T(self) -> Float[Tensor, " component"]:
+        """What a change of each component weighs: one over its noise, less where it is probably an outlier."""
+        with torch.no_grad():
+            sigma_T = self.posterior.component_sigma_T(self.vector)
+            weight = self.posterior.weight(self.posterior.whitened(self.vector), self.vector)
+        whitening: Tensor = torch.sqrt(weight) / sigma_T
+        return whitening
+
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
         """Whitened residuals of the measured components."""
         with torch.no_grad():
-            return self.posterior.whitened(self.vector)
+            return (self.posterior.measured_T - self.posterior.predicted(self.vector)) * self.whitening_per_T
 
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
         """Whitened derivative of the predictions in the coordinates."""
-        with torch.no_grad():
-            sigma_T = self.posterior.component_sigma_T(self.vector)
-            slope: Tensor = jacfwd(self.posterior.predicted)(self.vector)
-        return slope / sigma_T[:, None]
+        slope: Tensor = jacfwd(self.posterior.predicted)(self.vector)
+        return slope * self.whitening_per_T[:, None]
 
     @cached_property
     def projector(self) -> Projector:

@@ -16,7 +16,9 @@ from estimator.diagnosis.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
 from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.noise import noise_causes
 from estimator.effects import EFFECTS
+from estimator.effects.base import NoiseEffect
 from estimator.rig import Cause
 
 LOG_PRIOR_NOTHING = math.log(0.5)
@@ -92,6 +94,8 @@ def search(base: Fit) -> Search:
             break
         winner = next(r for r in step.rivals if r.cause == step.taken)
         assert winner.fit is not None
+        if isinstance(EFFECTS[step.taken.name], NoiseEffect):  # it changes what everything else weighs
+            pool, smooth = candidates(winner.fit, causes_of(base.rig, winner.fit)), families(winner.fit)
         fit, gone = _without_idle(winner.fit, base)
         dropped += gone
         if step.taken in gone:
@@ -112,6 +116,7 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
         if i < MOST_LEADERS and value > max(best - LEADERS_WITHIN, 0.0):
             value, fitted = _in_full(fit, value, start)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
+    rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noise_causes(fit)]
     rivals = _with_probabilities(rivals, len(ranked))
     causes = [rival for rival in rivals if rival.cause is not None]
     if not causes:
@@ -168,9 +173,9 @@ def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
 
 def _in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over."""
-    observations = fit.posterior.chain.scene.observations
+    observations = fit.observations
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
-    full = fit_rig(rig, observations, {**fit.values, **start.shapes_in(rig)}, fit.posterior.chain.rules)
+    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules)
     gain = full.log_evidence - fit.log_evidence
     if any(
         q.is_shape and not q.is_fixed
@@ -217,7 +222,7 @@ def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         own = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
         if len(own) < 2:
             return fit, gone
-        observations = fit.posterior.chain.scene.observations
+        observations = fit.observations
         without = [
             (
                 cause,

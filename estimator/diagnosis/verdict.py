@@ -77,7 +77,7 @@ def named_causes(search: Search) -> list[NamedCause]:
 def beside_discrepancy(search: Search, named: list[NamedCause], families: list[Family]) -> list[NamedCause]:
     """Of the causes, those that would be named even if a flexible discrepancy were there: the others may imitate what is unknown."""
     final = search.final
-    observations = final.posterior.chain.scene.observations
+    observations = final.observations
     kept = []
     for one in named:
         without = fit_rig(
