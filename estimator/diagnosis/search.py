@@ -65,6 +65,11 @@ class Step:
     credible: tuple[Rival, ...]
     left: Discrepancy
 
+    @property
+    def winner(self) -> Fit:
+        """The fit with the cause that was taken."""
+        return next(rival.fit for rival in self.rivals if rival.cause == self.taken and rival.fit is not None)
+
 
 @dataclass(frozen=True)
 class Search:
@@ -83,24 +88,62 @@ class Search:
 
 
 def search(base: Fit) -> Search:
-    """Add causes to a fit while they earn it."""
-    pool = candidates(base, causes_of(base.rig, base))
-    smooth = families(base)
-    fit, steps, dropped = base, list[Step](), list[Cause]()
-    while True:
-        step = _step(fit, pool, smooth)
-        steps.append(step)
-        if step.taken is None or len(fit.rig.effects) - len(base.rig.effects) >= MOST_CAUSES:
-            break
-        winner = next(r for r in step.rivals if r.cause == step.taken)
-        assert winner.fit is not None
-        if isinstance(EFFECTS[step.taken.name], NoiseEffect):  # it changes what everything else weighs
-            pool, smooth = candidates(winner.fit, causes_of(base.rig, winner.fit)), families(winner.fit)
-        fit, gone = _without_idle(winner.fit, base)
-        dropped += gone
-        if step.taken in gone:
-            break
-    return Search(base, fit, tuple(steps), tuple(dropped))
+    """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others."""
+    trail = _Trail(base, candidates(base, causes_of(base.rig, base)), families(base))
+    fit = trail.forward(base)
+    if len(trail.own(fit)) > 1:
+        fit = trail.forward(trail.revisited(fit))
+    return Search(base, fit, tuple(trail.steps), tuple(trail.dropped))
+
+
+class _Trail:
+    """The steps of a search, with what all of them share: columns of the causes, smooth families."""
+
+    def __init__(self, base: Fit, pool: list[Candidate], smooth: list[Family]) -> None:
+        self.base, self.pool, self.smooth = base, pool, smooth
+        self.steps: list[Step] = []
+        self.dropped: list[Cause] = []
+
+    def own(self, fit: Fit) -> list[Cause]:
+        """Causes of a fit beyond the base."""
+        return [cause for cause in fit.rig.effects if cause not in self.base.rig.effects]
+
+    def forward(self, fit: Fit) -> Fit:
+        """Take causes until none earns its place."""
+        self.steps = [step for step in self.steps if step.taken in self.own(fit)]
+        while True:
+            step = _step(fit, self.pool, self.smooth)
+            self.steps.append(step)
+            if step.taken is None or len(self.own(fit)) >= MOST_CAUSES:
+                return fit
+            fit = self._weighed_anew(step)
+            fit, gone = _without_idle(fit, self.base)
+            self.dropped += gone
+            if step.taken in gone:
+                return fit
+
+    def revisited(self, fit: Fit) -> Fit:
+        """Each cause again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
+        for cause in self.own(fit):
+            without = fit_rig(
+                fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
+            )
+            step = _step(without, self.pool, self.smooth)
+            at = next(i for i, old in enumerate(self.steps) if old.taken == cause)
+            if step.taken is None:
+                self.dropped.append(cause)
+                fit = without
+            else:
+                self.steps[at] = step
+                fit = fit if step.taken == cause else step.winner
+        return fit
+
+    def _weighed_anew(self, step: Step) -> Fit:
+        """The winner; a cause of scatter changes what all readings weigh."""
+        fit = step.winner
+        if step.taken is not None and isinstance(EFFECTS[step.taken.name], NoiseEffect):
+            self.pool, self.smooth = candidates(fit, causes_of(self.base.rig, fit)), families(fit)
+        return fit
 
 
 def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
