@@ -57,7 +57,7 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
         names = [s.name for s in calibration.rig.sensors]
         yield Picture(
             "Residuals by sensor",
-            "A sensor that stands out has a fault of its own.",
+            "A sensor or component that stands out has a fault of its own; where the noise was fitted, a sensor's components average to 1.",
             _figure(plots.residual_by_sensor(residual_T, sensor, names, sigma_T, title=title)),
         )
     for coil, positions_m, winding in _places(calibration, chain, best):
@@ -96,8 +96,9 @@ def _maps(
 
 
 def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
-    draws = {name: array.reshape(-1) for name, array in calibration.draws.items()}
-    moving = [name for name, values in draws.items() if np.ptp(values) > 0.0][:MOST_CORNER_PARAMETERS]
+    names = sorted(calibration.draws, key=list(calibration.rig.parameters).index)  # as in the rig file
+    draws = {name: calibration.draws[name].reshape(-1) for name in names}
+    moving = [name for name in names if np.ptp(draws[name]) > 0.0][:MOST_CORNER_PARAMETERS]
     truth = {
         name: calibration.record["truth"][name] for name in moving if name in calibration.record["truth"]
     }
@@ -143,10 +144,14 @@ def _plane(
     winding: Winding,
     title: str,
 ) -> Iterator[Picture]:
-    """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval."""
+    """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
+
+    The plane reaches as far as the readings, or twice as high as wide: beyond that the field is a dipole's, and the panels get thin.
+    """
     reach = 1.2 * max(float(winding.radius_m), np.nanmax(np.abs(positions_m[:, :2])))
-    low = min(-1.3 * float(winding.length_m), 1.1 * np.nanmin(positions_m[:, 2]))
-    high = max(0.5 * float(winding.radius_m), 1.1 * np.nanmax(positions_m[:, 2]))
+    length_m = float(winding.length_m)
+    low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
+    high = max(0.5 * float(winding.radius_m), min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
     x_m, z_m = np.linspace(-reach, reach, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
     points_m = torch.from_numpy(grid.reshape(-1, 3))

@@ -67,6 +67,7 @@ def field_plane(
     right.set_title("how well |B| is known")
     for ax in (left, right):
         draw_winding(ax, winding, "z", zorder=3.0)
+        ax.set_facecolor(WINDING)  # shows where the model has no value: inside this winding or another coil's
         ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
     if readings_m is not None:
         places = np.unique(np.round(readings_m[:, [0, 2]], 3), axis=0) * 1e3

@@ -19,7 +19,6 @@ from estimator.plots.style import (
     COMPONENT,
     COMPONENT_MARKER,
     NOISE,
-    POSTERIOR,
     QUANTILES_95_68_50,
     SIDE_AND_DATA,
     axes,
@@ -32,6 +31,8 @@ Components = Float[np.ndarray, "reading 3"]
 READINGS_PER_BIN = 25
 MOST_BINS = 16
 FURTHEST_SIGMA = 8.0
+# Size and opacity of points, by the most readings for which they suit.
+LOOK_OF_POINTS = {500: (3.0, 0.7), 3000: (2.5, 0.5), np.inf: (1.5, 0.25)}
 
 
 @styled
@@ -58,13 +59,15 @@ def predicted_against_measured(
     upper = ax.inset_axes((0.0, 0.36, 1.0, 0.64))
     lower = ax.inset_axes((0.0, 0.0, 1.0, 0.30), sharex=upper)
     for i, name in enumerate(COMPONENT):
-        across, up = measured_T[:, i] * 1e3, predicted_T[:, i] * 1e3
-        upper.plot(across, up, **_points(name, len(measured_T)), label=f"B{name}")
+        if np.isfinite(measured_T[:, i]).any():
+            across, up = measured_T[:, i] * 1e3, predicted_T[:, i] * 1e3
+            upper.plot(across, up, **_points(name, len(measured_T)), label=f"B{name}")
     low, high = float(np.nanmin(measured_T)) * 1e3, float(np.nanmax(measured_T)) * 1e3
     upper.plot([low, high], [low, high], color=BLACK, lw=0.8, zorder=1, label="equal")
     upper.set_ylabel("predicted (mT)")
     upper.tick_params(labelbottom=False)
-    upper.legend(ncols=2, markerscale=1.5)
+    for handle in filter(None, upper.legend(ncols=2).legend_handles):
+        handle.set(alpha=1.0, markersize=5.0)  # points of a large session are too faint to tell apart
     _draw_residuals(lower, measured_T * 1e3, measured_T - predicted_T, sigma_T)
     lower.set_xlabel("measured (mT)")
     return ax
@@ -150,7 +153,7 @@ def residual_by_sensor(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """RMS residual of every sensor, in units of its own noise, beside the range that noise alone would give.
+    """RMS residual of every sensor and component, in units of the sensor's noise, beside the range that noise alone would give.
 
     Args:
         residual_T: Measured minus predicted.
@@ -160,32 +163,45 @@ def residual_by_sensor(
         ax: Place; a new figure by default.
         title: Rig and date.
     """
-    ax = axes(ax, 5.6, 1.6 + 0.32 * len(names))
+    ax = axes(ax, 5.6, 1.8 + 0.32 * len(names))
     sigma = np.broadcast_to(np.asarray(sigma_T), residual_T.shape)
-    largest = 1.3
+    whitened = residual_T / sigma
+    largest, labelled = 1.3, set()
     for row in range(len(names)):
-        values = (residual_T / sigma)[sensor == row]
-        values = values[np.isfinite(values)]
-        if not len(values):
+        values = whitened[sensor == row]
+        is_measured = np.isfinite(values)
+        if not is_measured.any():
             continue
-        n = len(values)
+        n = int(is_measured.sum(axis=0).max())
         low95, low68, _, high68, high95 = np.sqrt(stats.chi2.ppf(QUANTILES_95_68_50, n) / n)
         ax.barh(row, high95 - low95, left=low95, height=0.7, color=NOISE)
         ax.barh(row, high68 - low68, left=low68, height=0.7, color="#c4c4c4")
-        rms = float(np.sqrt(np.mean(values**2)))
-        noise_uT = float(np.sqrt(np.mean(sigma[sensor == row] ** 2))) * 1e6
-        ax.plot(rms, row, "o", color=POSTERIOR, ms=7, zorder=3)
-        text = f"{rms * noise_uT:.3g} µT, noise {noise_uT:.3g} µT"
-        ax.annotate(text, (max(rms, high95), row), (8, 0), textcoords="offset points", va="center")
-        largest = max(largest, rms)
+        rms = [_rms(values[:, i]) if is_measured[:, i].any() else np.nan for i in range(3)]
+        for value, name in zip(rms, COMPONENT, strict=True):
+            if np.isfinite(value):
+                label = "" if name in labelled else f"B{name}"
+                labelled.add(name)
+                ax.plot(
+                    value, row, COMPONENT_MARKER[name], color=COMPONENT[name], ms=6, zorder=3, label=label
+                )
+        noise_uT = _rms(sigma[sensor == row]) * 1e6
+        text = f"{_rms(residual_T[sensor == row]) * 1e6:.3g} µT, noise {noise_uT:.3g} µT"
+        end = float(np.nanmax([*rms, high95]))
+        ax.annotate(text, (end, row), (8, 0), textcoords="offset points", va="center")
+        largest = max(largest, end)
     ax.axvline(0.0, color=BLACK, lw=0.8)
     ax.axvline(1.0, color=BLACK, lw=0.8, ls="--")
     ax.set_xlim(0.0, 1.6 * largest)
     ax.set_yticks(range(len(names)), [plain(name) for name in names])
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel("rms residual / sigma (grey: 68 and 95 % of what noise alone gives)")
-    ax.set_title(plain(title))
+    ax.set_title(plain(title), pad=22)
+    ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
     return ax
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def _draw_residuals(
@@ -201,7 +217,7 @@ def _draw_residuals(
 
 
 def _points(name: str, n: int) -> dict[str, Any]:
-    size, alpha = (3.0, 0.7) if n <= 500 else (1.5, 0.25)
+    size, alpha = next(look for most, look in LOOK_OF_POINTS.items() if n <= most)
     return {
         "color": COMPONENT[name],
         "marker": COMPONENT_MARKER[name],

@@ -5,11 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from estimator.field.winding import Winding
 from estimator.plots import field_plane
+from estimator.plots.style import WINDING
 
 
 def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axes | Figure], str]) -> None:
@@ -40,5 +42,6 @@ def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axe
     ):
         assert label in text
     for ax in made.axes[:2]:
+        assert ax.get_facecolor() == to_rgba(WINDING)  # what shows where the field is NaN, inside a winding
         sections = [patch.get_bbox().bounds for patch in ax.patches if isinstance(patch, Rectangle)]
         assert np.allclose(sections, [(30.0, -20.0, 20.0, 20.0), (-50.0, -20.0, 20.0, 20.0)])

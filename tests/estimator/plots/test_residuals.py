@@ -105,16 +105,25 @@ def test_histogram_survives_a_component_never_measured(
     assert "Bz" not in words(residual_histogram(residual_T, SIGMA_T))
 
 
-def test_every_sensor_is_held_against_its_own_noise(
+def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
     residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
 ) -> None:
     sensor = np.arange(200) % 2
     residual_T[sensor == 1] *= 2.0
+    residual_T[sensor == 1, 2] *= 2.0
+    residual_T[sensor == 0, 2] = np.nan
     ax = residual_by_sensor(residual_T, sensor, ["hall", "$probe$", "unused"], SIGMA_T, title=TITLE)
     text = words(ax)
     assert "noise 20 µT" in text
     assert r"\$probe\$" in text
     assert has_zero_line(ax, upright=True)
-    hall, probe = (line.get_xdata()[0] for line in ax.lines[:2])
-    assert hall == pytest.approx(1.0, abs=0.1)
-    assert probe == pytest.approx(2.0, abs=0.2)
+    marks = [(line.get_ydata()[0], line.get_xdata()[0]) for line in ax.lines if len(line.get_xdata()) == 1]
+    assert [row for row, _ in marks] == [0, 0, 1, 1, 1]
+    assert [rms for _, rms in marks] == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0], rel=0.15)
+    assert [label.get_text() for label in ax.get_legend().get_texts()] == ["Bx", "By", "Bz"]
+
+
+def test_legend_names_only_components_that_were_measured(residual_T: np.ndarray) -> None:
+    residual_T[:, :2] = np.nan
+    upper, _ = predicted_against_measured(residual_T, residual_T, SIGMA_T).child_axes
+    assert [label.get_text() for label in upper.get_legend().get_texts()] == ["Bz", "equal"]
