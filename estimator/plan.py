@@ -12,18 +12,12 @@ import numpy as np
 import torch
 from scipy.stats import qmc
 
+from estimator.config import POSE_QUANTITIES
 from estimator.records import Observations
 from estimator.rig import MotionKind, Rig
 from estimator.yaml_section import Section
 
-CARTESIAN = (
-    ("x", "length"),
-    ("y", "length"),
-    ("z", "length"),
-    ("rx", "angle"),
-    ("ry", "angle"),
-    ("rz", "angle"),
-)
+CARTESIAN = POSE_QUANTITIES[:6]  # place and rotation vector; tilts and spin belong to mounts
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
