@@ -76,7 +76,7 @@ def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float
 
 
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Turns, length, thickness and mean radius of every coil whose winding is free: what the data determine best."""
+    """Turns, length, thickness and rms radius of the loops of every coil whose winding is free: what the data determine best."""
     derived = {}
     for coil in rig.coils:
         if any(
@@ -92,7 +92,10 @@ def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]
             derived[f"{coil.name}.turns"] = get["axial_loops"] * get["radial_loops"]
             derived[f"{coil.name}.length_m"] = get["axial_pitch_m"] * get["axial_loops"]
             derived[f"{coil.name}.thickness_m"] = thickness
-            derived[f"{coil.name}.mean_radius_m"] = get["radius_m"] - 0.5 * thickness
+            mean_radius, spread2 = get["radius_m"] - 0.5 * thickness, (get["radial_loops"] ** 2 - 1.0) / 12.0
+            derived[f"{coil.name}.rms_radius_m"] = np.sqrt(
+                mean_radius**2 + get["radial_pitch_m"] ** 2 * spread2
+            )
     return derived
 
 

@@ -80,7 +80,7 @@ def test_the_summary_has_the_keys_that_other_peoples_scripts_read(small_calibrat
         "sampling", "session_created", "session_source", "truth", "undetermined",
     }  # fmt: skip
     assert set(record) == promised | more
-    derived = ["turns", "length_m", "thickness_m", "mean_radius_m"]
+    derived = ["turns", "length_m", "thickness_m", "rms_radius_m"]
     assert set(record["parameters"]) == {*FREE, *(f"coil1.{name}" for name in derived)}
     for name, entry in record["parameters"].items():
         assert set(entry) == {"median", "sd", "ci90", "unit", "ess_bulk", "ess_tail", "rhat", "is_derived"}
@@ -112,7 +112,9 @@ def test_derived_quantities_follow_from_the_draws(small_calibration: Calibration
         "coil1.turns": 3 * draws["coil1.axial_loops"],
         "coil1.length_m": pitch_m * draws["coil1.axial_loops"],
         "coil1.thickness_m": np.full_like(draws["coil1.axial_loops"], 3 * pitch_m),
-        "coil1.mean_radius_m": draws["coil1.radius_m"] - 1.5 * pitch_m,
+        "coil1.rms_radius_m": np.sqrt(
+            np.mean([(draws["coil1.radius_m"] - (n + 0.5) * pitch_m) ** 2 for n in range(3)], axis=0)
+        ),
     }
     for name, values in expected.items():
         assert parameters[name]["median"] == pytest.approx(np.median(values))
