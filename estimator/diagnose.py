@@ -12,7 +12,6 @@ import torch
 
 from estimator.calibration import write_text
 from estimator.chain import Chain
-from estimator.diagnosis.candidates import candidates, causes_of
 from estimator.diagnosis.discrepancy import families
 from estimator.diagnosis.extension import extended_text
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -177,7 +176,6 @@ def diagnose(
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
     found = search(base)
-    pool = candidates(base, causes_of(base.rig, base))
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -191,8 +189,8 @@ def diagnose(
         tuple(faults),
         tuple(named),
         found,
-        tuple(smallest_visible(base, pool)),
-        tuple(indistinguishable(base, pool)),
+        tuple(smallest_visible(base, found.pool)),
+        tuple(indistinguishable(base, found.pool)),
         gain(plain, found.final, unseen) if len(unseen) else None,
         extended_text(rig, found.final),
         seed,

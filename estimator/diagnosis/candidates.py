@@ -93,19 +93,17 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
         if name.startswith(f"{cause.label}.")
     }
     values = {**fit.values, **own}
-    sign = torch.tensor([1.0, -1.0], dtype=torch.float64)
-    columns = []
-    for quantity in quantities:
+    steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
+    ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
+    for i, quantity in enumerate(quantities):
         name = f"{cause.label}.{quantity.key}"
-        start, step = shapes.get(quantity.key, quantity.null), STEP * quantity.prior.sd
-        with torch.no_grad():
-            ends = chain.predict({**values, name: start + step * sign}).expand(2, len(observations), 3)
-        slope = (ends[0] - ends[1]) / (2.0 * step)
-        columns.append(fit.posterior.measured_components(slope))
+        values[name] = values[name] + ends[:, i]
     with torch.no_grad():
-        started = fit.posterior.measured_components(chain.predict(values).expand(len(observations), 3))
-        shift = (started - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
-    whitened = torch.stack(columns, dim=-1) * fit.whitening_per_T[:, None]
+        reading_T = chain.predict(values).expand(len(ends), len(observations), 3)
+        components_T = fit.posterior.measured_components(reading_T)
+        shift = (components_T[-1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
+    up, down = components_T[:-1].chunk(2)
+    whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).T
     if not bool(torch.isfinite(whitened).all() and torch.isfinite(shift).all()):
         return None
     return Candidate(

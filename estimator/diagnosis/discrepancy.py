@@ -7,17 +7,21 @@ given a normal prior that weakens with the order. Their evidence competes with t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.chain import Chain, winding_of
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.harmonics import harmonic_gradients
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.rig import Coil
 
 AMPLITUDES = (0.5, 2.0, 8.0, 30.0)  # rms of a family in units of the noise
-DEGREE = 4
-TIME_DEGREE = 6
+DEGREE, HARMONIC_DEGREE, TIME_DEGREE = 4, 5, 6
+N_INSTANTS = 11  # at which something may have changed
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,7 @@ class Family:
     """Columns that depend on one thing.
 
     Attributes:
-        name: In words.
+        name: In words; families of one name are alternatives of each other.
         columns: Whitened; their squares add up to 1 a component over all columns, on average.
     """
 
@@ -40,6 +44,7 @@ class Discrepancy:
     Attributes:
         log_bayes_factor: Against no structure, averaged over families and amplitudes.
         family: The one with the largest evidence.
+        by_family: Log Bayes factor of each.
         rms_sigma: Rms of that family's best curve, in units of the noise.
         fitted: Its whitened curve.
     """
@@ -53,28 +58,34 @@ class Discrepancy:
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     """How strongly the residual asks for structure beyond the fit."""
-    projector, residual = fit.projector, fit.residual
-    n_noise = float(len(residual)) if fit.is_noise_free else None
-    evidence: dict[str, float] = {}
+    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
+    amplitudes = torch.tensor(AMPLITUDES, dtype=torch.float64)
+    evidence: dict[str, list[Tensor]] = {}
     best: tuple[float, Family | None, float] = (-torch.inf, None, 0.0)
     for family in families:
-        gram = projector.gram(family.columns, family.columns)
-        score = family.columns.T @ residual
-        amplitudes = torch.tensor(AMPLITUDES, dtype=torch.float64)
+        gram = fit.projector.gram(family.columns, family.columns)
+        score = family.columns.T @ fit.residual
         sd = amplitudes[:, None].expand(-1, len(score))
         log_bf = log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, n_noise)
-        evidence[family.name] = log_mean_exp(log_bf)
+        evidence.setdefault(family.name, []).append(log_bf)
         top = int(log_bf.argmax())
         if float(log_bf[top]) > best[0]:
             best = (float(log_bf[top]), family, AMPLITUDES[top])
+    by_family = {name: log_mean_exp(torch.cat(parts)) for name, parts in evidence.items()}
+    total = log_mean_exp(torch.tensor(list(by_family.values()), dtype=torch.float64))
     _, strongest, amplitude = best
     assert strongest is not None
-    columns = strongest.columns
+    curve = _curve(fit, strongest.columns, amplitude)
+    rms_sigma = float(curve.square().mean().sqrt())
+    return Discrepancy(total, strongest.name, by_family, rms_sigma, curve)
+
+
+def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:
+    """The most probable combination of columns."""
     prior = torch.eye(columns.shape[1], dtype=torch.float64) / amplitude**2
-    precision = projector.gram(columns, columns) + prior
-    curve = columns @ torch.linalg.solve(precision, columns.T @ residual)
-    total = log_mean_exp(torch.tensor(list(evidence.values()), dtype=torch.float64))
-    return Discrepancy(total, strongest.name, evidence, float(curve.square().mean().sqrt()), curve)
+    precision = fit.projector.gram(columns, columns) + prior
+    curve: Tensor = columns @ torch.linalg.solve(precision, columns.T @ fit.residual)
+    return curve
 
 
 def families(fit: Fit) -> list[Family]:
@@ -82,47 +93,103 @@ def families(fit: Fit) -> list[Family]:
     chain = fit.posterior.chain
     scene = chain.scene
     with torch.no_grad():
-        predicted_T = chain.predict(fit.values)
-    current = scene.current_A / scene.largest_current_A
-    driven = current[:, 0] if current.shape[1] == 1 else current.abs().sum(1)
-    by_component = torch.eye(3, dtype=torch.float64)
+        predicted_T = chain.predict(fit.values).expand(len(scene), 3)
+    each = torch.eye(3, dtype=torch.float64).expand(len(scene), 3, 3)
+    field = predicted_T / predicted_T.abs().max().clamp(min=1e-12)
+    mixed = torch.cat([torch.diag_embed(torch.roll(field, shift, dims=1)) for shift in range(3)], dim=-1)
+    one = torch.ones(len(scene), 1, dtype=torch.float64)
     time = 2.0 * scene.hours / scene.duration_h - 1.0
     clock = _legendre(time, TIME_DEGREE)[:, 1:]
-    field = predicted_T / predicted_T.abs().max().clamp(min=1e-12)
-    found: list[Family] = []
-
-    def add(name: str, smooth: Tensor, vectors: Tensor) -> None:
-        """Columns smooth(reading, k) x vectors(reading, 3, v)."""
-        columns = torch.einsum("rk,rcv->rckv", smooth, vectors).flatten(2).movedim(-1, 0)
-        whitened = fit.posterior.measured_components(columns).T * fit.whitening_per_T[:, None]
-        norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-12)
-        keep = whitened.norm(dim=0) > 1e-9 * norm
-        if bool(keep.any()):
-            found.append(Family(name, whitened[:, keep] / norm))
-
-    each = by_component.expand(len(scene), 3, 3)
+    found = _Collection(fit)
     for coil in chain.rig.coils:
-        everywhere = torch.arange(len(chain.sensor))
-        points_m, _ = chain.sensor_in_coil(coil, everywhere, fit.values)
-        points_m = points_m.detach().expand(len(everywhere), 3)[chain.place]
-        if not bool((points_m != points_m[0]).any()):
-            continue  # coil and sensor both stand still
-        place = _polynomials(_unit(points_m))
-        add(f"place relative to {coil.name}, with the current", place * driven[:, None], each)
-        if bool((driven != driven[0]).any()):
-            add(f"place relative to {coil.name}, without current", place, each)
-    add("time", clock[:, 1:], each)
-    add("field and time", clock, torch.diag_embed(field))
-    halves = torch.stack([(time > edge).to(torch.float64) for edge in (-0.6, -0.3, 0.0, 0.3, 0.6)], dim=1)
-    swapped = torch.stack([torch.roll(field, shift, dims=1) for shift in range(3)], dim=-1)
-    add("a change in mid session", halves, torch.cat((each, torch.diag_embed(field), swapped), dim=-1))
-    add("the reading itself", _polynomials(_unit(field), lowest=2), each)
+        _add_places(found, chain, coil, fit)
+    found.add("time", clock[:, 1:], each)
+    found.add("field and time", clock, torch.diag_embed(field))
+    for edge in torch.linspace(-1.0, 1.0, N_INSTANTS + 2).tolist()[1:-1]:
+        later = (time > edge).to(torch.float64)
+        for i in range(len(chain.rig.sensors)):
+            mine = (later * (scene.sensor == i))[:, None]
+            if bool(mine.any()):
+                found.add("a change in mid session", mine, torch.cat((each, mixed), dim=-1))
+    found.add("the reading itself", _polynomials(_unit(field), 2, DEGREE), each)
     before_T = _before(predicted_T, scene.observations.row)
-    if before_T is not None:
-        change = (before_T - predicted_T) / predicted_T.abs().max().clamp(min=1e-12)
-        lag = torch.stack([torch.roll(change, shift, dims=1) for shift in range(3)], dim=-1)
-        add("the reading before", torch.ones(len(scene), 1, dtype=torch.float64), lag)
-    return found
+    change = (before_T - predicted_T) / predicted_T.abs().max().clamp(min=1e-12)
+    found.add(
+        "the reading before",
+        one,
+        torch.cat([torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)], dim=-1),
+    )
+    return found.families
+
+
+class _Collection:
+    """Families as they are made."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        self.families: list[Family] = []
+
+    def add(
+        self,
+        name: str,
+        smooth: Float[Tensor, "reading order"],
+        vectors: Float[Tensor, "reading 3 direction"],
+    ) -> None:
+        """Columns smooth x vectors."""
+        self.add_fields(name, torch.einsum("rk,rcv->rkvc", smooth, vectors).flatten(1, 2))
+
+    def add_fields(self, name: str, fields: Float[Tensor, "reading column 3"]) -> None:
+        """Columns given by reading and component."""
+        columns = self.fit.posterior.measured_components(fields.movedim(1, 0)).T
+        whitened = columns * self.fit.whitening_per_T[:, None]
+        norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-300)
+        is_there = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
+        if bool(is_there.any()):
+            self.families.append(Family(name, whitened[:, is_there] / norm))
+
+
+def _add_places(found: _Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
+    """Fields that move with a coil: of any kind, and those that sources outside the workspace can make."""
+    scene = chain.scene
+    everywhere = torch.arange(len(chain.sensor))
+    with torch.no_grad():
+        points_m, sensor_from_coil = chain.sensor_in_coil(coil, everywhere, fit.values)
+    points_m = points_m.expand(len(everywhere), 3)[chain.place]
+    if not bool((points_m != points_m[0]).any()):
+        return  # coil and sensor both stand still
+    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[chain.place]
+    current = scene.current_A[:, list(chain.rig.coils).index(coil)] / scene.largest_current_A
+    place = _unit(points_m)
+    middle = points_m.mean(0)
+    inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
+    fields = [
+        torch.einsum("rij,rtj->rti", turn, harmonic_gradients(inner, degree)) / degree**2
+        for degree in range(2, HARMONIC_DEGREE + 1)
+    ]
+    source = torch.cat(fields, dim=1)
+    radius_m = winding_of(chain.rig, coil, fit.values).radius_m
+    nearby = torch.einsum("rij,rtj->rti", turn, _dipoles(points_m / radius_m))
+    drives = {f"place relative to {coil.name}, with its current": current}
+    if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
+        drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
+    for name, drive in drives.items():
+        found.add(name, _polynomials(place, 1, DEGREE) * drive[:, None], turn)
+        found.add(name, _polynomials(place, 1, 2) * drive[:, None], turn)
+        found.add_fields(name, source * drive[:, None, None])
+        found.add_fields(name, nearby * drive[:, None, None])
+
+
+def _dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column 3"]:
+    """Fields of dipoles along each axis in and around a coil of radius 1: sources that move with it."""
+    places = [(0, 0, -0.3), (1.2, 0, -0.6), (-1.2, 0, -0.6), (0, 1.2, -0.6), (0, -1.2, -0.6), (0, 0, -2.0)]
+    columns = []
+    for place in places:
+        arm = points - torch.tensor(place, dtype=points.dtype)
+        r2 = (arm**2).sum(-1, keepdim=True)
+        for axis in range(3):
+            moment = torch.eye(3, dtype=points.dtype)[axis]
+            columns.append((3.0 * arm[:, axis : axis + 1] * arm - r2 * moment) * r2**-2.5)
+    return torch.stack(columns, dim=1)
 
 
 def _unit(values: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
@@ -139,23 +206,19 @@ def _legendre(x: Float[Tensor, " reading"], degree: int) -> Float[Tensor, "readi
     return torch.stack([order / (1.0 + 0.5 * n) for n, order in enumerate(orders)], dim=1)
 
 
-def _polynomials(x: Float[Tensor, "reading axis"], lowest: int = 1) -> Float[Tensor, "reading order"]:
+def _polynomials(
+    x: Float[Tensor, "reading axis"], lowest: int, highest: int
+) -> Float[Tensor, "reading order"]:
     """Products of Legendre polynomials in three axes from a lowest to a highest total degree."""
-    one, two, three = (_legendre(x[:, i], DEGREE) for i in range(3))
+    one, two, three = (_legendre(x[:, i], highest) for i in range(3))
+    orders = product(range(highest + 1), repeat=3)
     return torch.stack(
-        [
-            one[:, i] * two[:, j] * three[:, k]
-            for i in range(DEGREE + 1)
-            for j in range(DEGREE + 1 - i)
-            for k in range(DEGREE + 1 - i - j)
-            if i + j + k >= lowest
-        ],
-        dim=1,
+        [one[:, i] * two[:, j] * three[:, k] for i, j, k in orders if lowest <= i + j + k <= highest], dim=1
     )
 
 
-def _before(predicted_T: Float[Tensor, "reading 3"], row: Tensor) -> Float[Tensor, "reading 3"] | None:
-    """Predicted field of the reading taken before each, among those at hand; None where most are missing."""
+def _before(predicted_T: Float[Tensor, "reading 3"], row: Tensor) -> Float[Tensor, "reading 3"]:
+    """Predicted field of the reading taken before each, among those at hand."""
     order = torch.argsort(row)
     before = torch.empty_like(order)
     before[order[1:]] = order[:-1]

@@ -6,6 +6,7 @@ Everything follows from the columns of the causes after projection on what the f
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -42,7 +43,7 @@ class Visible:
         return self.size < 3.0 * self.prior_sd
 
 
-def smallest_visible(fit: Fit, pool: list[Candidate]) -> list[Visible]:
+def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
     """Of every quantity of every cause; the best of its starts, infinite where the fit follows it wholly."""
     best: dict[tuple[Cause, str], Visible] = {}
     for candidate in pool:
@@ -57,7 +58,7 @@ def smallest_visible(fit: Fit, pool: list[Candidate]) -> list[Visible]:
     return list(best.values())
 
 
-def indistinguishable(fit: Fit, pool: list[Candidate]) -> list[tuple[Cause, ...]]:
+def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, ...]]:
     """Groups of causes that this session could not tell apart, were one of them there at eight standard deviations.
 
     Two causes belong together where, for every quantity of the one, the other follows its columns so closely that the expected
@@ -78,7 +79,7 @@ def indistinguishable(fit: Fit, pool: list[Candidate]) -> list[tuple[Cause, ...]
     return groups
 
 
-def _columns(fit: Fit, pool: list[Candidate]) -> dict[Cause, Tensor]:
+def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     """Columns of each cause over all its starts that a plausible size makes visible, projected."""
     found: dict[Cause, list[Tensor]] = {}
     for candidate in pool:

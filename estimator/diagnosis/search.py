@@ -1,7 +1,8 @@
 """Naming causes: screen all at once, fit the leaders, take the best where it earns its place, and begin again.
 
-"Nothing" and "something that no cause explains" are in the race at every step. Causes taken earlier are dropped when they no longer
-earn their place.
+"Nothing" and "something that no cause explains" are in the race at every step; the latter does not end it, for the first of two causes
+explains less than a flexible curve does. It has its say at the end (`verdict`). Causes taken earlier are asked again in the presence of
+the others.
 """
 
 from __future__ import annotations
@@ -79,21 +80,34 @@ class Search:
         base, final: Fits before and after.
         steps: In order; the last one took nothing.
         dropped: Causes that were taken and later no longer earned their place.
+        pool: Columns of every cause at the base.
+        whole: The discrepancy at the base.
     """
 
     base: Fit
     final: Fit
     steps: tuple[Step, ...]
     dropped: tuple[Cause, ...]
+    pool: tuple[Candidate, ...]
+    whole: Discrepancy
+
+    @property
+    def log_odds(self) -> float:
+        """Of all that was taken, against nothing."""
+        n = len(self.final.rig.effects) - len(self.base.rig.effects)
+        each = LOG_PRIOR_CAUSE - math.log(len({c.cause for c in self.pool})) - LOG_PRIOR_NOTHING
+        return self.final.log_evidence - self.base.log_evidence + n * each
 
 
 def search(base: Fit) -> Search:
     """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others."""
-    trail = _Trail(base, candidates(base, causes_of(base.rig, base)), families(base))
+    pool = candidates(base, causes_of(base.rig, base))
+    trail = _Trail(base, pool, families(base))
+    whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
     if len(trail.own(fit)) > 1:
         fit = trail.forward(trail.revisited(fit))
-    return Search(base, fit, tuple(trail.steps), tuple(trail.dropped))
+    return Search(base, fit, tuple(trail.steps), tuple(trail.dropped), tuple(pool), whole)
 
 
 class _Trail:
@@ -167,8 +181,7 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
     leader = causes[0]
     prior_odds = LOG_PRIOR_CAUSE - math.log(len(ranked)) - LOG_PRIOR_NOTHING
     earns = leader.fit is not None and leader.log_bayes_factor + prior_odds > LEAST_LOG_ODDS
-    beats_rest = leader.probability > next(r.probability for r in rivals if r.name == "unexplained")
-    taken = leader.cause if earns and beats_rest else None
+    taken = leader.cause if earns else None
     return Step(tuple(rivals), taken, _credible(causes), left)
 
 

@@ -83,7 +83,8 @@ def polish(
     value = posterior(vector)
     damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
     growth = torch.full_like(damping, 2.0)
-    gradient, precision, information = _curvature(posterior, vector)
+    gradient, information = _slope(posterior, vector)
+    precision = information + _prior_precision(posterior, vector)
     done = torch.zeros(len(vector), dtype=torch.bool)
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
@@ -114,16 +115,17 @@ def polish(
         if len(moved):
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
-            gradient[moved], precision[moved], information[moved] = _curvature(posterior, vector[moved])
+            gradient[moved], information[moved] = _slope(posterior, vector[moved])
+            precision[moved] = (
+                information[moved] + prior_precision[moved]
+            )  # the prior's hardly changes on the way
     newton = _solve(precision, gradient)
     is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
     return Polished(vector, value, precision, information, is_converged, iteration)
 
 
-def _curvature(
-    posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient of the log posterior, its negative Hessian, and the data's share of the latter."""
+def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> tuple[Tensor, Tensor]:
+    """Gradient of the log posterior, and the data's share of its negative Hessian."""
     n = posterior.coordinates.n_continuous
 
     def join(continuous: Tensor, counts: Tensor) -> Tensor:
@@ -152,13 +154,22 @@ def _curvature(
     def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
         return posterior.coordinates.log_prior(join(continuous, counts))
 
-    prior_gradient = vmap(jacrev(log_prior))(continuous, counts)
-    prior_precision = -vmap(hessian(log_prior))(continuous, counts)
+    return gradient + vmap(jacrev(log_prior))(continuous, counts), information
+
+
+def _prior_precision(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> Tensor:
+    """Negative Hessian of the log prior, with some curvature where it has none."""
+    n = posterior.coordinates.n_continuous
+
+    def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
+        return posterior.coordinates.log_prior(torch.cat((continuous, counts), dim=-1))
+
+    own = -vmap(hessian(log_prior))(vector[:, :n], vector[:, n:])
     scale = posterior.coordinates.scale[:n]
     unit = scale[:, None] * scale[None, :]
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (prior_precision + prior_precision.mT) * unit)
-    prior_precision = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
-    return gradient + prior_gradient, information + prior_precision, information
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (own + own.mT) * unit)
+    precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
+    return precision
 
 
 def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
