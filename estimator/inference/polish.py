@@ -116,9 +116,7 @@ def polish(
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
             gradient[moved], information[moved] = _slope(posterior, vector[moved])
-            precision[moved] = (
-                information[moved] + prior_precision[moved]
-            )  # the prior's hardly changes on the way
+            precision[moved] = information[moved] + _prior_precision(posterior, vector[moved])
     newton = _solve(precision, gradient)
     is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
     return Polished(vector, value, precision, information, is_converged, iteration)
