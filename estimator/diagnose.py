@@ -31,7 +31,7 @@ from estimator.store.session import Session
 DIAGNOSIS, EXTENDED_RIG = "diagnosis.json", "rig_extended.yaml"
 MORE_STARTS = 3
 VALIDATION_SHARE = 0.2
-MOST_READINGS = 1500  # that take part in the search; the rest only sharpens what is known to far better than a cause's size
+MOST_SEARCHED, MOST_FITTED = 600, 3000  # readings in the search, and in the final fits
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ class Diagnosis:
         search: How it was found, step by step.
         visible: Smallest visible size of every quantity of every cause.
         twins: Groups of causes that this session could not tell apart.
+        fit: The extended rig, fitted to many readings.
         gain: On readings that were not used for fitting; None where there are none.
     """
 
@@ -56,6 +57,7 @@ class Diagnosis:
     search: Search
     visible: tuple[Visible, ...]
     twins: tuple[tuple[Cause, ...], ...]
+    fit: Fit
     gain: Gain | None
     extended_rig_text: str
     seed: int
@@ -67,10 +69,12 @@ class Diagnosis:
 
     def record(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it (DESIGN section 5)."""
-        final = self.search.final
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
-            "causes": [*(self._fault(f) for f in self.faults), *(self._cause(c, final) for c in self.causes)],
+            "causes": [
+                *(self._fault(f) for f in self.faults),
+                *(self._cause(c, self.fit) for c in self.causes),
+            ],
             "indistinguishable": [[self.label(cause) for cause in group] for group in self.twins],
             "smallest_visible": self._visible(),
             "unexplained": {
@@ -125,7 +129,7 @@ class Diagnosis:
             "probability": weights[0],
             "alternatives": [{"name": self.label(c), "probability": p} for c, p in others],
             "log_bayes_factor": fault.log_bayes_factor,
-            "parameters": _parameters(fault.cause, self.search.final),
+            "parameters": _parameters(fault.cause, self.fit),
         }
 
     def _visible(self) -> dict[str, dict[str, Any]]:
@@ -167,7 +171,7 @@ def diagnose(
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     check_readings(rig, session.observations, session.source)
     seen, unseen = _split(session, validation, seed)
-    few = _thinned(seen, seed)
+    few = _thinned(seen, MOST_SEARCHED, seed)
 
     tell("fit of the rig as it is described")
     chain = Chain.build(rig, few)
@@ -183,6 +187,10 @@ def diagnose(
     if verdict is Verdict.NOTHING_FOUND and faults:
         verdict = Verdict.INDISTINGUISHABLE if any(fault.twins for fault in faults) else Verdict.NAMED
     tell("gain on readings not used for fitting")
+    before, after = plain, found.final
+    if len(seen) > len(few):
+        many = _thinned(seen, MOST_FITTED, seed)
+        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, found.final))
     result = Diagnosis(
         rig,
         verdict,
@@ -191,8 +199,9 @@ def diagnose(
         found,
         tuple(smallest_visible(base, found.pool)),
         tuple(indistinguishable(base, found.pool)),
-        gain(plain, found.final, unseen) if len(unseen) else None,
-        extended_text(rig, found.final),
+        after,
+        gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None,
+        extended_text(rig, after),
         seed,
     )
     if out is not None:
@@ -211,12 +220,12 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
     return observations.calibration, observations.validation
 
 
-def _thinned(observations: Observations, seed: int) -> Observations:
-    if len(observations) <= MOST_READINGS:
+def _thinned(observations: Observations, most: int, seed: int) -> Observations:
+    """At most so many of the readings, drawn at random."""
+    if len(observations) <= most:
         return observations
     generator = torch.Generator().manual_seed(seed)
-    rows = torch.randperm(len(observations), generator=generator)[:MOST_READINGS].sort().values
-    return observations.rows(rows)
+    return observations.rows(torch.randperm(len(observations), generator=generator)[:most].sort().values)
 
 
 def _parameters(cause: Cause, fit: Fit) -> dict[str, dict[str, Any]]:

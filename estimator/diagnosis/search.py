@@ -8,6 +8,7 @@ the others.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -29,7 +30,8 @@ LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 CREDIBLE = 0.95
 MOST_LEADERS = 6
 LEADERS_WITHIN = 14.0  # of the best in log evidence of the screening
-MOST_CAUSES = 6
+MOST_CAUSES = 12
+MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def search(base: Fit) -> Search:
     trail = _Trail(base, pool, families(base))
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
-    if len(trail.own(fit)) > 1:
+    if 1 < len(trail.own(fit)) <= MOST_REVISITED:
         fit = trail.forward(trail.revisited(fit))
     return Search(base, fit, tuple(trail.steps), tuple(trail.dropped), tuple(pool), whole)
 
@@ -251,24 +253,23 @@ def _with_probabilities(rivals: list[Rival], n_causes: int) -> list[Rival]:
         [r.log_bayes_factor + log_prior.get(r.name, each) for r in rivals], dtype=torch.float64
     )
     shares = torch.softmax(logs, 0).tolist()
-    known = [
-        Rival(r.cause, r.name, r.log_bayes_factor, share, r.fit)
-        for r, share in zip(rivals, shares, strict=True)
+    order = torch.argsort(logs, descending=True, stable=True).tolist()
+    return [
+        Rival(rivals[i].cause, rivals[i].name, rivals[i].log_bayes_factor, shares[i], rivals[i].fit)
+        for i in order
     ]
-    return sorted(known, key=lambda rival: -rival.probability)
+
+
+def shares_of(causes: Sequence[Rival]) -> list[float]:
+    """Probabilities of causes among each other, however small they are beside nothing and unexplained."""
+    logs = torch.tensor([rival.log_bayes_factor for rival in causes], dtype=torch.float64)
+    return list(torch.softmax(logs, 0).tolist())
 
 
 def _credible(causes: list[Rival]) -> tuple[Rival, ...]:
     """The smallest set that holds 95 % of the probability of all causes."""
-    total = sum(rival.probability for rival in causes)
-    chosen: list[Rival] = []
-    reached = 0.0
-    for rival in causes:
-        chosen.append(rival)
-        reached += rival.probability
-        if total <= 0.0 or reached >= CREDIBLE * total:
-            break
-    return tuple(chosen)
+    reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
+    return tuple(causes[: int((reached < CREDIBLE).sum()) + 1])
 
 
 def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:

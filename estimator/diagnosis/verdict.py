@@ -112,5 +112,5 @@ def _with_columns(fit: Fit, families: list[Family]) -> Fit:
 
 
 def _shares(credible: tuple[Rival, ...]) -> dict[Cause, float]:
-    total = sum(rival.probability for rival in credible)
-    return {rival.cause: rival.probability / total for rival in credible if rival.cause is not None}
+    pairs = zip(credible, shares_of(credible), strict=True)
+    return {rival.cause: share for rival, share in pairs if rival.cause is not None}
