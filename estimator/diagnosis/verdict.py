@@ -18,6 +18,7 @@ from estimator.diagnosis.search import (
     Rival,
     Search,
     linear_evidence,
+    shares_of,
 )
 from estimator.rig import Cause
 
