@@ -121,8 +121,8 @@ class CurrentEffect(Effect):
 
     @abstractmethod
     def apply(
-        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading coil"]:
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
 
 
@@ -144,12 +144,12 @@ class SourceEffect(Effect):
     @abstractmethod
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Additional field in the coil frame per unit of `drive`."""
 
     def drive(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading"]:
         """What the additional field is proportional to; the coil's current unless said otherwise."""
         return current_A
 
@@ -158,7 +158,7 @@ class PerAmpere(ABC):
     """Field of one ampere in a coil, in the room, at any points: what things that stand in the room respond to."""
 
     @abstractmethod
-    def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
+    def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*#batch place 3"]:
         """Field in the world frame at one point per distinct pose."""
 
 
@@ -167,13 +167,13 @@ class RoomEffect(Effect):
 
     kind = Kind.ROOM
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"] | None:
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"] | None:
         """Field in the world frame that is there without current."""
         return None
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*batch place 3"] | None:
+    ) -> Float[Tensor, "*#batch place 3"] | None:
         """Field in the world frame per ampere in a coil."""
         return None
 
@@ -227,8 +227,8 @@ class ReadingEffect(Effect):
 
     @abstractmethod
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
 
 

@@ -46,8 +46,8 @@ class AxesSwapped(ReadingEffect):
         return tuple(start for start in _signed_permutations() if list(start.values()) not in right)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         reads = torch.stack([theta[f"{axis}_reads"] for axis in "xyz"], dim=-1)
         mix = torch.nn.functional.one_hot(reads.abs().round().long() - 1, 3).to(field_sensor_T.dtype)
@@ -73,8 +73,8 @@ class UnitError(ReadingEffect):
         return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are recorded, with the fields that the recorded currents stand for."""
         return field_sensor_T * (theta["field_factor"] / theta["current_factor"])[..., None, None]
 
@@ -96,8 +96,8 @@ class CurrentSign(CurrentEffect):
         return ({"sign": -1.0},)
 
     def apply(
-        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading coil"]:
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         sign = theta["sign"][..., None, None]
         return torch.where(torch.arange(current_A.shape[-1]) == coil, sign * current_A, current_A)

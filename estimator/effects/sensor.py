@@ -35,8 +35,8 @@ class AxisGain(ReadingEffect):
         return triple("xyz", "", "1", 0.01)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         return field_sensor_T * (1.0 + _vector(theta, ("x", "y", "z")))
 
@@ -53,8 +53,8 @@ class CrossAxis(ReadingEffect):
         return tuple(normal(pair, "1", 0.01) for pair in PAIRS)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         zero = torch.zeros_like(theta["xy"])
         rows = [[theta[a + b] if a != b else zero for b in "xyz"] for a in "xyz"]
@@ -91,8 +91,8 @@ class SensorOffset(ReadingEffect):
         return triple("xyz", "_T", "T", 50e-6)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         return field_sensor_T + _vector(theta, ("x_T", "y_T", "z_T"))
 
@@ -109,8 +109,8 @@ class OffsetDrift(ReadingEffect):
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         rate = _vector(theta, ("x_T_per_h", "y_T_per_h", "z_T_per_h"))
         return field_sensor_T + rate * scene.hours[:, None]
@@ -128,8 +128,8 @@ class CubicResponse(ReadingEffect):
         return triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         bend = _vector(theta, ("x_per_T2", "y_per_T2", "z_per_T2"))
         return field_sensor_T + bend * field_sensor_T**3
@@ -147,8 +147,8 @@ class PlanarHall(ReadingEffect):
         return triple("xyz", "_per_T", "1/T", 0.01 / extent.largest_field_T)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         x, y, z = field_sensor_T.unbind(-1)
         product = torch.stack((y * z, z * x, x * y), dim=-1)
@@ -174,8 +174,8 @@ class RangeClipping(ReadingEffect):
         return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         limit = theta["limit_T"][..., None, None]
         return torch.minimum(torch.maximum(field_sensor_T, -limit), limit)
@@ -198,8 +198,8 @@ class TemperatureDrift(ReadingEffect):
         return kelvin is not None and bool(kelvin.abs().max() > 0.0)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*batch reading 3"], theta: Theta, scene: Scene, sensor: str
-    ) -> Float[Tensor, "*batch reading 3"]:
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+    ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         kelvin = scene.temperature_K(sensor)
         if kelvin is None:

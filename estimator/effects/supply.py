@@ -22,13 +22,13 @@ class _OneCoilCurrent(CurrentEffect):
 
     @abstractmethod
     def delivered(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
 
     def apply(
-        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading coil"]:
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         own = self.delivered(current_A[..., coil], theta, scene, coil)
         others = current_A.expand(*own.shape, current_A.shape[-1])
@@ -48,8 +48,8 @@ class CurrentGain(_OneCoilCurrent):
         return (normal("excess", "1", 0.01),)
 
     def delivered(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A * (1.0 + theta["excess"][..., None])
 
@@ -66,8 +66,8 @@ class CurrentOffset(_OneCoilCurrent):
         return (normal("offset_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
     def delivered(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A + theta["offset_A"][..., None]
 
@@ -95,8 +95,8 @@ class CoilHeating(_OneCoilCurrent):
         return tuple({"tau_h": share * scene.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
 
     def delivered(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         loss = theta["loss_per_A2"][..., None] * scene.heat_A2(coil, theta["tau_h"])
         kelvin = scene.temperature_K(scene.rig.coils[coil].name)
@@ -122,8 +122,8 @@ class NeighbourCoil(CurrentEffect):
         return tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else ()
 
     def apply(
-        self, current_A: Float[Tensor, "*batch reading coil"], theta: Theta, scene: Scene, coil: int
-    ) -> Float[Tensor, "*batch reading coil"]:
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+    ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         others = current_A.sum(-1) - current_A[..., coil]
         leak = theta["share"][..., None] * others

@@ -27,7 +27,7 @@ class BackgroundField(RoomEffect):
         """Components in the world frame."""
         return triple("xyz", "_T", "T", 50e-6)
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"]:
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
         """The same at every reading."""
         field = self.field_T(theta)
         return field[..., None, :].expand(*field.shape[:-1], len(scene), 3)
@@ -48,7 +48,7 @@ class BackgroundDrift(RoomEffect):
         """Change per hour in the world frame, from the beginning of the session on."""
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*batch reading 3"]:
+    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
         """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
         return rate[..., None, :] * scene.hours[:, None]
@@ -96,7 +96,7 @@ class IronPlate(RoomEffect):
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Image of the coil (Jackson, Classical Electrodynamics, 3rd ed., section 5.17)."""
         azimuth, elevation = theta["azimuth_rad"], theta["elevation_rad"]
         across = torch.stack(
@@ -146,7 +146,7 @@ class IronBody(RoomEffect):
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
         body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
         at_body = per_ampere.at(body_m + torch.zeros_like(points_m))

@@ -18,7 +18,7 @@ from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
 from estimator.parameters import LogNormal
 from estimator.units import MU0_T_M_PER_A
 
-OVAL_NODES = 64  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
+OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
 LAYER_NODES = 8  # along the missing part of a layer
 MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
 
@@ -70,7 +70,7 @@ class TurnsGradient(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Field of the excess per ampere."""
         loops = loops_of(winding, rule)
         half_m = 0.5 * winding.length_m[..., None, None]
@@ -95,7 +95,7 @@ class ShortLayer(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Field of what is missing, per ampere."""
         nodes, weights = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(LAYER_NODES))
         share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
@@ -121,7 +121,7 @@ class CoilOvality(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Oval less round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
@@ -173,7 +173,7 @@ class LeadWire(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Field of the rectangle of wire per ampere."""
         azimuth, zero = theta["azimuth_rad"], torch.zeros_like(theta["gap_m"])
         outward = torch.stack((torch.cos(azimuth), torch.sin(azimuth), zero), dim=-1)
@@ -201,7 +201,7 @@ def _segment(points_m: Tensor, start_m: Tensor, end_m: Tensor) -> Tensor:
 
 def _rod_per_moment(
     points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding
-) -> Float[Tensor, "*batch place 3"]:
+) -> Float[Tensor, "*#batch place 3"]:
     """Field of a rod in the bore, as long as the winding and magnetised along the axis, in units of the winding's own moment."""
     pole = (MU0_OVER_4PI * winding.moment_m2 / winding.length_m)[..., None, None]
     front = points_coil_m
@@ -228,7 +228,7 @@ class IronCore(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Field of the rod per ampere."""
         return theta["share"][..., None, None] * _rod_per_moment(points_coil_m, winding)
 
@@ -247,13 +247,13 @@ class CoreSaturation(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Field of a rod with the winding's moment."""
         return _rod_per_moment(points_coil_m, winding)
 
     def drive(
-        self, current_A: Float[Tensor, "*batch reading"], theta: Theta
-    ) -> Float[Tensor, "*batch reading"]:
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading"]:
         """Moment of the rod over that of the winding at one ampere."""
         share, loss = theta["share"][..., None], theta["loss_per_A2"][..., None]
         return (share - loss * current_A**2) * current_A
@@ -272,7 +272,7 @@ class SphericalSum(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Literal less right sum, per ampere."""
         right = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
         literal = literal_field_per_ampere(points_coil_m, winding, rule)
@@ -292,7 +292,7 @@ class DipoleModel(SourceEffect):
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*batch place 3"]:
+    ) -> Float[Tensor, "*#batch place 3"]:
         """Dipole less winding, per ampere."""
         moment = winding.moment_m2[..., None]
         x, y = points_coil_m[..., 0], points_coil_m[..., 1]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
+from estimator.effects.base import Effect, ElementEffect, MotionEffect, MountEffect, WindingEffect
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
@@ -40,6 +42,17 @@ class LogPosterior:
             use.label: self.measured_components(chain.gradient_T_per_m(use.place).norm(dim=-1))
             for use in uses_of(chain.rig, PositionJitter)
         }
+
+    @cached_property
+    def moves_field(self) -> Bool[Tensor, " coordinate"]:
+        """Which coordinates change where a winding's field is taken, or the winding: the expensive ones to differentiate."""
+        geometry = (MotionEffect, MountEffect, ElementEffect, WindingEffect)
+        cheap = [
+            f"{use.label}." for use in uses_of(self.chain.rig, Effect) if not isinstance(use.effect, geometry)
+        ]
+        ends = (".noise_T", ".gain", ".current_gain")
+        names = self.coordinates.names
+        return torch.tensor([not (name.endswith(ends) or name.startswith(tuple(cheap))) for name in names])
 
     def measured_components(
         self, field_T: Float[Tensor, "*batch reading 3"]

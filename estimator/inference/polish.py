@@ -129,12 +129,26 @@ def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -
     def join(continuous: Tensor, counts: Tensor) -> Tensor:
         return torch.cat((continuous, counts), dim=-1)
 
-    def residual_and_log_sigma(continuous: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        whole = join(continuous, counts)
+    # Two parts, because a derivative in the noise or in a gain must not be carried through the field.
+    slow = posterior.moves_field[:n].nonzero().flatten()
+    quick = (~posterior.moves_field[:n]).nonzero().flatten()
+    back = torch.argsort(torch.cat((slow, quick)))
+
+    def predicted_and_log_sigma(some: Tensor, others: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+        whole = join(torch.cat((some, others))[back], counts)
         return posterior.predicted(whole), torch.log(posterior.component_sigma_T(whole))
 
     continuous, counts = vector[:, :n], vector[:, n:]
-    predicted_jacobian, log_sigma_jacobian = vmap(jacfwd(residual_and_log_sigma))(continuous, counts)
+    parts = [
+        vmap(jacfwd(predicted_and_log_sigma, argnums=argument))(
+            continuous[:, slow], continuous[:, quick], counts
+        )
+        for argument, columns in enumerate((slow, quick))
+        if len(columns)
+    ]
+    predicted_jacobian, log_sigma_jacobian = (
+        torch.cat(part, dim=-1)[..., back] for part in zip(*parts, strict=True)
+    )
     sigma_T = posterior.component_sigma_T(vector)
     whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
     weight = posterior.weight(whitened, vector)
