@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.calibration import Calibration
 from estimator.calibration_pictures import pictures
-from estimator.plots.style import shown, with_sd
+from estimator.plots.style import shown, to_digit_of, with_sd
 from estimator.records import Observations
 from estimator.report import ReportPage, Table, render_report
 from estimator.units import split_unit
@@ -26,7 +26,7 @@ def calibration_report(calibration: Calibration, command: str) -> str:
     page = ReportPage(
         title=f"Calibration of {calibration.rig.name}",
         subtitle=f"{record['session_source']}; readings recorded {record['session_created']}",
-        verdict=_verdict(record, calibration.observations),
+        verdict=_verdict(calibration),
         warnings=_warnings(record),
         tables=_tables(calibration),
         figures=pictures(calibration),
@@ -42,7 +42,8 @@ def calibration_report(calibration: Calibration, command: str) -> str:
     return render_report(page)
 
 
-def _verdict(record: Mapping[str, Any], observations: Observations) -> list[str]:
+def _verdict(calibration: Calibration) -> list[str]:
+    record, observations = calibration.record, calibration.observations
     role = "validation" if record["rmse"]["validation"] else "calibration"
     error, nominal = record["rmse"][role], record["rmse_nominal"][role]
     kept = (
@@ -53,6 +54,7 @@ def _verdict(record: Mapping[str, Any], observations: Observations) -> list[str]
     sentences = [
         f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
         f"{kept}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
+        _noise_share(calibration, observations.rows(observations.is_validation == (role == "validation"))),
         f"Its 90 % intervals hold {record['coverage90'][role]:.1%} of the components of these readings.",
     ]
     for entry in _most_probable(record["loop_counts"]):
@@ -62,6 +64,20 @@ def _verdict(record: Mapping[str, Any], observations: Observations) -> list[str]
     n_fit = len(observations.calibration)
     sentences.append(f"{n_fit} readings determined {len(record['point_estimate']['values'])} parameters.")
     return sentences
+
+
+def _noise_share(calibration: Calibration, judged: Observations) -> str:
+    """The rms of the vector that noise alone gives, for no model is closer to its readings than that."""
+    sensors = calibration.rig.sensors
+    variance = np.array([calibration.best[f"{sensor.name}.noise_T"] ** 2 for sensor in sensors])
+    is_measured = judged.is_measured.numpy()
+    n_components = is_measured.sum(axis=1)
+    squared = (n_components * variance[judged.sensor.numpy()])[n_components > 0].mean()
+    is_fitted = any(f"{sensor.name}.noise_T" in calibration.draws for sensor in sensors)
+    return (
+        f"Noise as large as {'the fit found' if is_fitted else 'the rig file says'} would by itself leave "
+        f"{_microtesla(float(np.sqrt(squared)))}."
+    )
 
 
 def _warnings(record: Mapping[str, Any]) -> list[str]:
@@ -104,12 +120,13 @@ def _tables(calibration: Calibration) -> list[Table]:
     rows = []
     for name in names:
         p, factor = record["parameters"][name], display[name].factor
+        low, high = (to_digit_of(p["sd"] * factor, end * factor) for end in p["ci90"])
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
         row = [
             split_unit(name)[0],
             with_sd(p["median"] * factor, p["sd"] * factor),
-            f"{p['ci90'][0] * factor:.6g} to {p['ci90'][1] * factor:.6g}",
+            f"{low} to {high}",
             display[name].unit or "1",
             with_sd(prior.centre * factor, prior.sd * factor) if prior else "derived",
         ]

@@ -120,9 +120,20 @@ def with_sd(value: float, sd: float) -> str:
         return "not known"
     if sd == 0.0:
         return f"{value:.6g} (certain)"
+    return f"{to_digit_of(sd, value)} ± {to_digit_of(sd, sd)}"
+
+
+def to_digit_of(sd: float, value: float) -> str:
+    """A value to the digit where the standard deviation has its second one; to six digits where that is zero.
+
+    Examples:
+        >>> to_digit_of(0.0312, 50.98123), to_digit_of(0.0, 0.00049), to_digit_of(0.1, -0.001)
+        ('50.981', '0.00049', '0.00')
+    """
+    if sd == 0.0 or not math.isfinite(sd):
+        return f"{value:.6g}".replace("-", "−")
     digits = max(0, 1 - math.floor(math.log10(float(f"{sd:.1e}"))))
-    value = round(value, digits) + 0.0  # no minus sign before a zero
-    return f"{value:.{digits}f} ± {sd:.{digits}f}".replace("-", "−")
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus sign before a zero
 
 
 def plain(text: str) -> str:
