@@ -34,13 +34,14 @@ recover: $(INSTALLED)     # the paper's Table 2 and 3
 	$(BIN)/python scripts/recover_paper.py
 
 coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
-	$(BIN)/python scripts/coverage_study.py --repeats 400 --out out/coverage.jsonl
+	$(BIN)/python scripts/coverage_study.py --repeats 200 --first-seed 2000 --out out/coverage.jsonl
 
 real: $(INSTALLED)        # measured coils below COILCAL_DATA
 	$(BIN)/python scripts/real_data.py --out out/real
 
-bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee
-	$(BIN)/python scripts/benchmark.py
+bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
+	$(RUN) pip install -e '.[bench]'
+	$(BIN)/python scripts/benchmark.py --repeats 3 --numpyro
 
 figures: $(INSTALLED)     # pictures in docs/figures, from demo/ and out/real
 	$(BIN)/python scripts/figures.py

@@ -39,7 +39,7 @@ def main() -> None:
             continue
         drawn = {picture.title: picture.figure for picture in pictures(Calibration.load(ROOT / source))}
         for file, title in names.items():
-            drawn[title].savefig(folder / f"{file}.png", dpi=110, bbox_inches="tight")
+            drawn[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
             print(folder / f"{file}.png")
 
 
