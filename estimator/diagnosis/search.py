@@ -30,6 +30,9 @@ LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 CREDIBLE = 0.95
 MOST_LEADERS = 6
 LEADERS_WITHIN = 14.0  # of the best in log evidence of the screening
+JITTER_LEAD = math.log(
+    1e6
+)  # a mover that misses its targets passes for much that grows with the gradient: it has to lead clearly
 MOST_CAUSES = 12
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 
@@ -180,10 +183,14 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
     causes = [rival for rival in rivals if rival.cause is not None]
     if not causes:
         return Step(tuple(rivals), None, (), left)
-    leader = causes[0]
-    prior_odds = LOG_PRIOR_CAUSE - math.log(len(ranked)) - LOG_PRIOR_NOTHING
-    earns = leader.fit is not None and leader.log_bayes_factor + prior_odds > LEAST_LOG_ODDS
-    taken = leader.cause if earns else None
+    least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(len(ranked)) + LOG_PRIOR_NOTHING
+    earning = [rival for rival in causes if rival.fit is not None and rival.log_bayes_factor > least]
+    structured = [rival for rival in earning if rival.cause and rival.cause.name != "position_jitter"]
+    first = earning[0] if earning else None
+    if first and structured and structured[0].log_bayes_factor > first.log_bayes_factor - JITTER_LEAD:
+        first = structured[0]
+        causes = [rival for rival in causes if rival.cause and rival.cause.name != "position_jitter"]
+    taken = None if first is None else first.cause
     return Step(tuple(rivals), taken, _credible(causes), left)
 
 

@@ -1,0 +1,80 @@
+"""Evidence in the linear model against brute integration, and projection against least squares."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy import integrate, stats
+
+from estimator.diagnosis.linear import Projector, log_bayes_factor, log_mean_exp
+
+
+def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Whitened Jacobian, its prior precision, new columns, and a residual."""
+    random = torch.Generator().manual_seed(seed)
+    jacobian, columns = (torch.randn(n, k, generator=random, dtype=torch.float64) for k in (3, 2))
+    residual = torch.randn(n, generator=random, dtype=torch.float64)
+    return jacobian, torch.diag(torch.tensor([0.5, 2.0, 1.0], dtype=torch.float64)), columns, residual
+
+
+def test_evidence_of_one_column_is_the_integral_over_its_coefficient():
+    random = np.random.default_rng(1)
+    column, residual, prior_sd = random.normal(size=30), random.normal(size=30), 0.7
+
+    def density(coefficient: float) -> float:
+        likelihood = (
+            stats.norm.logpdf(residual - coefficient * column).sum() - stats.norm.logpdf(residual).sum()
+        )
+        return math.exp(likelihood + stats.norm.logpdf(coefficient, scale=prior_sd))
+
+    expected = math.log(integrate.quad(density, -5.0, 5.0)[0])
+    t, r = torch.from_numpy(column), torch.from_numpy(residual)
+    found = log_bayes_factor((t @ t)[None, None], (t @ r)[None], torch.tensor([prior_sd]).double())
+    assert found.item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_evidence_beside_fitted_parameters_is_that_of_the_marginal_normal():
+    """Both models as one normal distribution of the data, parameters integrated out."""
+    jacobian, prior, columns, data = problem(2)
+    sd = torch.tensor([0.5, 1.5], dtype=torch.float64)
+    cov = torch.eye(len(data)).double() + jacobian @ torch.linalg.inv(prior) @ jacobian.T
+    wider = cov + columns @ torch.diag(sd**2) @ columns.T
+    expected = stats.multivariate_normal(cov=wider.numpy()).logpdf(data) - stats.multivariate_normal(
+        cov=cov.numpy()
+    ).logpdf(data)
+    projector = Projector.of(jacobian, prior)
+    residual = data - jacobian @ torch.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ data)
+    found = log_bayes_factor(projector.gram(columns, columns), columns.T @ residual, sd)
+    assert found.item() == pytest.approx(float(expected), abs=1e-9)
+
+
+def test_projection_takes_out_what_parameters_without_prior_can_follow():
+    jacobian, _, columns, _ = problem(3)
+    projector = Projector.of(jacobian, torch.zeros(3, 3, dtype=torch.float64))
+    assert projector.gram(jacobian, jacobian).abs().max() < 1e-9
+    left = columns - jacobian @ torch.linalg.lstsq(jacobian, columns).solution
+    torch.testing.assert_close(projector.gram(columns, columns), left.T @ left)
+
+
+def test_columns_without_width_change_nothing():
+    gram, score = torch.eye(2).double(), torch.tensor([3.0, 4.0]).double()
+    assert log_bayes_factor(gram, score, torch.full((2,), 1e-9).double()).item() == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+def test_fitted_noise_bends_large_gains_and_leaves_small_ones():
+    gram, sd = torch.eye(1).double() * 1e4, torch.ones(1).double()
+    for z, n in ((1.0, 1e6), (10.0, 300.0)):
+        score = torch.tensor([z * 100.0]).double()
+        known = log_bayes_factor(gram, score, sd).item()
+        fitted = log_bayes_factor(gram, score, sd, n).item()
+        gain = 2.0 * (known + 0.5 * math.log(1e4 + 1.0))
+        assert fitted - known == pytest.approx(-0.5 * n * math.log1p(-gain / n) - 0.5 * gain, abs=1e-6)
+
+
+def test_mean_of_exponentials_survives_large_numbers():
+    assert log_mean_exp(torch.tensor([1000.0, -1000.0]).double()) == pytest.approx(1000.0 - math.log(2.0))
