@@ -191,7 +191,7 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
         first = structured[0]
         causes = [rival for rival in causes if rival.cause and rival.cause.name != "position_jitter"]
     taken = None if first is None else first.cause
-    return Step(tuple(rivals), taken, _credible(causes), left)
+    return Step(tuple(rivals), taken, _credible(causes, taken), left)
 
 
 def screening(fit: Fit, pool: list[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
@@ -273,10 +273,11 @@ def shares_of(causes: Sequence[Rival]) -> list[float]:
     return list(torch.softmax(logs, 0).tolist())
 
 
-def _credible(causes: list[Rival]) -> tuple[Rival, ...]:
-    """The smallest set that holds 95 % of the probability of all causes."""
+def _credible(causes: list[Rival], taken: Cause | None) -> tuple[Rival, ...]:
+    """The smallest set that holds 95 % of the probability of all causes, and the one that was taken in any case."""
     reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
-    return tuple(causes[: int((reached < CREDIBLE).sum()) + 1])
+    n = int((reached < CREDIBLE).sum()) + 1
+    return tuple(rival for i, rival in enumerate(causes) if i < n or rival.cause == taken)
 
 
 def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:

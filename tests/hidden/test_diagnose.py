@@ -18,9 +18,7 @@ from tests.hidden.study import credible_sets
 
 CASES = {
     "axis_gain": (301, "paper", 8.0),
-    "mount_tilt": (302, "recommended", 8.0),
     "coil_heating": (303, "recommended", 8.0),
-    "position_lag": (304, "paper", 10.0),
     "axes_swapped": (305, "paper", 8.0),
 }
 
