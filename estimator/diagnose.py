@@ -31,7 +31,7 @@ from estimator.store.session import Session
 DIAGNOSIS, EXTENDED_RIG = "diagnosis.json", "rig_extended.yaml"
 MORE_STARTS = 3
 VALIDATION_SHARE = 0.2
-MOST_SEARCHED, MOST_FITTED = 600, 3000  # readings in the search, and in the final fits
+MOST_SEARCHED, MOST_FITTED = 512, 3000  # readings in the search, and in the final fits
 
 
 @dataclass(frozen=True)

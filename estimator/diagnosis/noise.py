@@ -15,32 +15,42 @@ from estimator.rig import Cause
 
 LEAST_GAIN = 4.0  # in log likelihood at the residuals as they are, for a full fit
 EM_STEPS = 60
+FEWEST = 10  # components of a sensor, for a share of them to mean anything
 RATIOS = (4.0, 10.0, 25.0)  # scatter of outliers to begin with, in units of the noise
 
 
 def noise_causes(fit: Fit) -> Iterator[tuple[Cause, float, Fit]]:
-    """Every cause of scatter that the residuals hint at, with its log Bayes factor and fit."""
-    present = set(fit.rig.effects)
+    """The causes of scatter that the residuals hint at most, with log Bayes factor and fit: of each kind the one place that gains most."""
     for name, effect in EFFECTS.items():
-        if not isinstance(effect, NoiseEffect):
-            continue
-        for place in effect.places(fit.rig):
-            cause = Cause(name, place)
-            if cause not in present:
-                found = _outliers(fit, cause) if name == "outliers" else _jitter(fit, cause)
-                if found is not None:
-                    yield cause, *found
+        if isinstance(effect, NoiseEffect):
+            places = [Cause(name, place) for place in effect.places(fit.rig)]
+            hints = [(_hint(fit, cause), cause) for cause in places if cause not in fit.rig.effects]
+            gain, cause = max(hints, key=lambda pair: pair[0], default=(0.0, None))
+            if cause is not None and gain > LEAST_GAIN:
+                yield cause, *(_outliers(fit, cause) if name == "outliers" else _jitter(fit, cause))
 
 
-def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit] | None:
+def _hint(fit: Fit, cause: Cause) -> float:
+    """Gain in log likelihood at the residuals as they are."""
+    if cause.name == "outliers":
+        z = _own_residual(fit, cause)
+        return max(_mixture(z, start)[3] for start in RATIOS) if len(z) > FEWEST else 0.0
+    gradient = fit.posterior.chain.gradient_T_per_m(cause.place).norm(dim=-1)
+    steepness = fit.posterior.measured_components(gradient) * fit.whitening_per_T
+    steep2 = steepness**2 - (steepness**2).mean()
+    excess = fit.residual**2 - fit.residual.square().mean()
+    score = float((steep2 * excess).sum() / torch.sqrt(2.0 * (steep2**2).sum()).clamp(min=1e-300))
+    return 0.5 * max(score, 0.0) ** 2
+
+
+def _own_residual(fit: Fit, cause: Cause) -> Tensor:
+    return fit.residual[fit.posterior.sensor == [s.name for s in fit.rig.sensors].index(cause.place)]
+
+
+def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit]:
     """Share and scatter of outliers by expectation and maximisation, then everything else fitted with them."""
-    mine = fit.posterior.sensor == [s.name for s in fit.rig.sensors].index(cause.place)
-    z = fit.residual[mine]
-    if len(z) < 10:
-        return None
-    share, ratio, shrink, log_gain = max((_mixture(z, start) for start in RATIOS), key=lambda found: found[3])
-    if log_gain < LEAST_GAIN:
-        return None
+    z = _own_residual(fit, cause)
+    share, ratio, shrink, _ = max((_mixture(z, start) for start in RATIOS), key=lambda found: found[3])
     rig = with_effect(fit.rig, cause, fit.observations, {"share": share, "ratio": ratio / shrink})
     noise = f"{cause.place}.noise_T"
     start = {**fit.start_with(rig), noise: fit.values[noise] * shrink}
@@ -48,6 +58,13 @@ def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit] | None:
     return full.log_evidence - fit.log_evidence - math.log(
         len(z)
     ), full  # two numbers at half a logarithm each
+
+
+def _jitter(fit: Fit, cause: Cause) -> tuple[float, Fit]:
+    """Everything fitted with a mover that scatters."""
+    rig = with_effect(fit.rig, cause, fit.observations, {})
+    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules)
+    return full.log_evidence - fit.log_evidence, full
 
 
 def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
@@ -66,19 +83,3 @@ def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
     rms = float(z.square().mean().sqrt())
     one_normal = -0.5 * len(z) - len(z) * math.log(rms)
     return share, wide, narrow, normal_gain - one_normal
-
-
-def _jitter(fit: Fit, cause: Cause) -> tuple[float, Fit] | None:
-    """A full fit where large residuals stand where the field is steep."""
-    gradient = fit.posterior.chain.gradient_T_per_m(cause.place).norm(dim=-1)
-    steepness = (
-        fit.posterior.measured_components(gradient) / fit.posterior.component_sigma_T(fit.vector).detach()
-    )
-    steep2 = steepness**2 - (steepness**2).mean()
-    excess = fit.residual**2 - fit.residual.square().mean()
-    score = float((steep2 * excess).sum() / torch.sqrt(2.0 * (steep2**2).sum()).clamp(min=1e-300))
-    if 0.5 * max(score, 0.0) ** 2 < LEAST_GAIN:
-        return None
-    rig = with_effect(fit.rig, cause, fit.observations, {})
-    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules)
-    return full.log_evidence - fit.log_evidence, full

@@ -28,11 +28,8 @@ LOG_PRIOR_CAUSE = math.log(0.4)  # shared by all causes
 LOG_PRIOR_UNEXPLAINED = math.log(0.1)
 LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 CREDIBLE = 0.95
-MOST_LEADERS = 6
-LEADERS_WITHIN = 14.0  # of the best in log evidence of the screening
-JITTER_LEAD = math.log(
-    1e6
-)  # a mover that misses its targets passes for much that grows with the gradient: it has to lead clearly
+MOST_LEADERS = 4
+LEADERS_WITHIN = 10.0  # of the best in log evidence of the screening
 MOST_CAUSES = 12
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 
@@ -185,13 +182,28 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
         return Step(tuple(rivals), None, (), left)
     least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(len(ranked)) + LOG_PRIOR_NOTHING
     earning = [rival for rival in causes if rival.fit is not None and rival.log_bayes_factor > least]
-    structured = [rival for rival in earning if rival.cause and rival.cause.name != "position_jitter"]
-    first = earning[0] if earning else None
-    if first and structured and structured[0].log_bayes_factor > first.log_bayes_factor - JITTER_LEAD:
-        first = structured[0]
-        causes = [rival for rival in causes if rival.cause and rival.cause.name != "position_jitter"]
+    first = _first(earning)
+    if first and first.name != next(rival.name for rival in causes):
+        causes = [rival for rival in causes if not _is_noise(rival) or rival == first]
     taken = None if first is None else first.cause
     return Step(tuple(rivals), taken, _credible(causes, taken), left)
+
+
+def _first(earning: list[Rival]) -> Rival | None:
+    """What to take of the causes that earn their place, best first.
+
+    A mover that misses its targets passes for much that grows with the gradient: everything else is asked before it, and again beside it.
+    Outliers spoil all other evidence: where they lead, and the mover does not explain them better, they come first.
+    """
+    structured = [rival for rival in earning if not _is_noise(rival)]
+    leader = next(iter(earning), None)
+    if leader is not None and _is_noise(leader) and structured and leader.name.startswith("position_jitter"):
+        return structured[0]
+    return leader
+
+
+def _is_noise(rival: Rival) -> bool:
+    return rival.cause is not None and isinstance(EFFECTS[rival.cause.name], NoiseEffect)
 
 
 def screening(fit: Fit, pool: list[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
