@@ -179,7 +179,7 @@ def diagnose(
     tell("mistakes of the record")
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
-    found = search(base)
+    found = search(base, tell)
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:

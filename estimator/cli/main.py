@@ -8,6 +8,7 @@ import click
 import torch
 
 from estimator.cli.calibrate import calibrate_command
+from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.predict import predict_command
 from estimator.cli.report import report_command
@@ -32,5 +33,12 @@ def main(threads: int) -> None:
     os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
-for command in (simulate_command, import_command, calibrate_command, predict_command, report_command):
+for command in (
+    simulate_command,
+    import_command,
+    calibrate_command,
+    diagnose_command,
+    predict_command,
+    report_command,
+):
     main.add_command(command)

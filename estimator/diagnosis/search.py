@@ -8,7 +8,7 @@ the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -101,10 +101,15 @@ class Search:
         return self.final.log_evidence - self.base.log_evidence + n * each
 
 
-def search(base: Fit) -> Search:
-    """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others."""
+def search(base: Fit, tell: Callable[[str], None]) -> Search:
+    """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others.
+
+    Args:
+        base: The rig as it is described, fitted.
+        tell: Told what is going on, step by step.
+    """
     pool = candidates(base, causes_of(base.rig, base))
-    trail = _Trail(base, pool, families(base))
+    trail = _Trail(base, pool, families(base), tell)
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
     if 1 < len(trail.own(fit)) <= MOST_REVISITED:
@@ -115,8 +120,11 @@ def search(base: Fit) -> Search:
 class _Trail:
     """The steps of a search, with what all of them share: columns of the causes, smooth families."""
 
-    def __init__(self, base: Fit, pool: list[Candidate], smooth: list[Family]) -> None:
+    def __init__(
+        self, base: Fit, pool: list[Candidate], smooth: list[Family], tell: Callable[[str], None]
+    ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
+        self.tell = tell
         self.steps: list[Step] = []
         self.dropped: list[Cause] = []
 
@@ -132,6 +140,9 @@ class _Trail:
             self.steps.append(step)
             if step.taken is None or len(self.own(fit)) >= MOST_CAUSES:
                 return fit
+            self.tell(
+                f"{step.taken.label} earns its place ({step.winner.log_evidence - fit.log_evidence:+.1f} in log evidence)"
+            )
             fit = self._weighed_anew(step)
             fit, gone = _without_idle(fit, self.base)
             self.dropped += gone
@@ -144,6 +155,7 @@ class _Trail:
             without = fit_rig(
                 fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
             )
+            self.tell(f"{cause.label} again, beside the others")
             step = _step(without, self.pool, self.smooth)
             at = next(i for i, old in enumerate(self.steps) if old.taken == cause)
             if step.taken is None:

@@ -1,0 +1,102 @@
+"""`coilcal diagnose`: what the simulation gets wrong, which cause that has, and what the extension gains."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from estimator.cli.output import (
+    explain_errors,
+    json_option,
+    overwrite_option,
+    refuse_existing,
+    seed_option,
+    show,
+)
+from estimator.config import load_rig
+from estimator.diagnose import DIAGNOSIS, EXTENDED_RIG, diagnose
+from estimator.store.session import load_session
+
+
+@click.command("diagnose")
+@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option(
+    "--validation",
+    "validation_path",
+    type=click.Path(path_type=Path),
+    help="Another session of the rig to judge the gain by; else readings marked as validation, else a fifth in blocks.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help=f"Folder for {DIAGNOSIS} and {EXTENDED_RIG}.",
+)
+@click.option(
+    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
+)
+@seed_option
+@overwrite_option
+@json_option
+@explain_errors
+def diagnose_command(
+    session_path: Path,
+    validation_path: Path | None,
+    out: Path,
+    rig_path: Path | None,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Find what the simulation gets wrong in SESSION, name the cause, extend the rig and measure the gain.
+
+    Every verdict ends with exit code 0: named, indistinguishable, unexplained, nothing_found.
+    """
+    refuse_existing(out, overwrite)
+    session = load_session(session_path)
+    validation = load_session(validation_path) if validation_path else None
+    rig = load_rig(rig_path) if rig_path else None
+    found = diagnose(session, rig, validation=validation, seed=seed, on_stage=_tell)
+    if overwrite and out.exists():
+        shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
+    found.save(out)
+    record = found.record()
+    show(record, _text(record, out), as_json)
+
+
+def _tell(words: str) -> None:
+    click.echo(f"coilcal: {words}", err=True, nl=True)
+    sys.stderr.flush()
+
+
+def _text(record: dict[str, Any], out: Path) -> str:
+    lines = [f"verdict: {record['verdict']}"]
+    for cause in record["causes"]:
+        others = "".join(f", or {o['name']} ({o['probability']:.0%})" for o in cause["alternatives"])
+        lines.append(f"  {cause['name']} ({cause['probability']:.0%}){others}")
+        for key, p in cause["parameters"].items():
+            low, high = p["ci90"]
+            lines.append(f"    {key:16} {p['median']:12.5g}  90 %: {low:.5g} to {high:.5g}  {p['unit']}")
+    if record["verdict"] == "unexplained":
+        left = record["unexplained"]
+        lines.append(
+            f"  something is left that no known cause explains: it depends on {left['looks_like']}, {left['rms_sigma']:.2g} of the "
+            f"noise rms, log evidence {left['log_bayes_factor']:.3g}"
+        )
+    if record["indistinguishable"]:
+        groups = "; ".join(" = ".join(group) for group in record["indistinguishable"])
+        lines.append(f"  this session cannot tell apart: {groups}")
+    if "gain" in record:
+        before, after = record["gain"]["before"], record["gain"]["after"]
+        lines.append(
+            f"unseen readings: {before['vector_T'] * 1e6:.4g} -> {after['vector_T'] * 1e6:.4g} uT rms of the vector; coverage of 90 % "
+            f"intervals {before['coverage90']:.1%} -> {after['coverage90']:.1%}; log predictive density "
+            f"{record['elpd_difference']:+.1f} +- {record['elpd_se']:.1f}"
+        )
+    lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}")
+    return "\n".join(lines)
