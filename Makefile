@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow recover coverage real bench figures
+.PHONY: demo test lint types imports unit slow recover coverage hidden real bench figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -35,6 +35,9 @@ recover: $(INSTALLED)     # the paper's Table 2 and 3
 
 coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
 	$(BIN)/python scripts/coverage_study.py --repeats 200 --first-seed 2000 --out out/coverage.jsonl
+
+hidden: $(INSTALLED)      # effects hidden by independent code: found, named, missed; hours, continues where it was interrupted
+	$(BIN)/python scripts/hidden_study.py --cases 300 --out out/hidden.jsonl
 
 real: $(INSTALLED)        # measured coils below COILCAL_DATA
 	$(BIN)/python scripts/real_data.py --out out/real
