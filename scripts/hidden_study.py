@@ -10,13 +10,17 @@ import argparse
 import json
 import multiprocessing
 import sys
+import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from tests.hidden.study import KINDS, credible_sets, run_case
+from estimator import diagnose, load_rig
+from estimator.store.importers.readings_csv import read_readings_csv
+from tests.hidden.study import KINDS, credible_sets, draw_case, label
 
 Row = dict[str, Any]
 
@@ -58,6 +62,38 @@ def worker(case: tuple[str, int]) -> Row:
         return run_case(kind, seed)
     except Exception as error:  # a case that fails is a result of the study
         return {"kind": kind, "seed": seed, "error": f"{type(error).__name__}: {error}"}
+
+
+def run_case(kind: str, seed: int) -> dict[str, Any]:
+    """Hide, diagnose, and say what came out; the diagnosis sees the rig file and the table of readings only."""
+    hidden = draw_case(kind, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        hidden.write(Path(folder))
+        rig = load_rig(Path(folder) / "rig.yaml")
+        session = read_readings_csv(Path(folder) / "readings.csv", rig)
+    begin = time.perf_counter()
+    found = diagnose(session, seed=seed).record()
+    seconds = time.perf_counter() - begin
+    truth = hidden.truth()
+    noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
+    return {
+        "kind": kind,
+        "seed": seed,
+        "protocol": truth["protocol"],
+        "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
+        "noise_T": noise_T,
+        "verdict": found["verdict"],
+        "causes": found["causes"],
+        "twins": found["indistinguishable"],
+        "unexplained": found["unexplained"],
+        "steps": [
+            [(c["name"], c["log_bayes_factor"], c["probability"]) for c in step["considered"][:6]]
+            for step in found["steps"]
+        ],
+        "gain": found.get("gain"),
+        "moved_sd": found.get("moved_sd"),
+        "seconds": seconds,
+    }
 
 
 def read(path: Path) -> dict[tuple[str, int], Row]:

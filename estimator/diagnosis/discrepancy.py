@@ -58,7 +58,6 @@ class Discrepancy:
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     """How strongly the residual asks for structure beyond the fit."""
-    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
     amplitudes = torch.tensor(AMPLITUDES, dtype=torch.float64)
     evidence: dict[str, list[Tensor]] = {}
     best: tuple[float, Family | None, float] = (-torch.inf, None, 0.0)
@@ -66,7 +65,7 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
         gram = fit.projector.gram(family.columns, family.columns)
         score = family.columns.T @ fit.residual
         sd = amplitudes[:, None].expand(-1, len(score))
-        log_bf = log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, n_noise)
+        log_bf = log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, fit.free_noise)
         evidence.setdefault(family.name, []).append(log_bf)
         top = int(log_bf.argmax())
         if float(log_bf[top]) > best[0]:

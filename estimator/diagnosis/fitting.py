@@ -14,13 +14,13 @@ from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.polish import Polished, polish
-from estimator.parameters import Parameter
+from estimator.parameters import LogNormal, Parameter
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
@@ -108,9 +108,11 @@ class Fit:
         return float(torch.sqrt(slope @ self.covariance @ slope))
 
     @property
-    def is_noise_free(self) -> bool:
-        """Whether the noise of the sensors was fitted."""
-        return any(self.rig.parameters[f"{s.name}.noise_T"].is_free for s in self.rig.sensors)
+    def free_noise(self) -> FreeNoise | None:
+        """How the noise of the sensors may follow; None where it is known."""
+        priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]
+        widths = [p.relative_sd if isinstance(p, LogNormal) else 1.0 for p in priors if p is not None]
+        return FreeNoise(float(len(self.residual)), min(widths)) if widths else None
 
 
 def fit_rig(

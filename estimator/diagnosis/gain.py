@@ -38,13 +38,14 @@ class Judged:
     log_density: Float[Tensor, " reading"]
 
     def record(self) -> dict[str, Any]:
-        """As JSON holds it."""
-        return {
+        """As JSON holds it; None stands for what does not apply, such as angles where one component was measured."""
+        numbers = {
             **asdict(self.errors),
             "coverage50": self.coverage50,
             "coverage90": self.coverage90,
             "elpd": self.elpd,
         }
+        return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+NEWTON_STEPS = 20
+
 
 @dataclass(frozen=True)
 class Projector:
@@ -48,11 +50,37 @@ class Projector:
         return product
 
 
+@dataclass(frozen=True)
+class FreeNoise:
+    """A noise that was fitted and would shrink if more were explained, as far as its prior allows.
+
+    Attributes:
+        n: Number of components.
+        width: Of its prior, in the logarithm. The slope of the prior at the fit is balanced by that of the data there.
+    """
+
+    n: float
+    width: float
+
+    def gain(self, gain: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        """Twice the gain in log density after the noise has followed, given the fall of the sum of squares."""
+        left = (1.0 - gain / self.n).clamp(min=0.0)
+        shrink = 0.5 * torch.log(left.clamp(min=1e-6))
+        for _ in range(NEWTON_STEPS):
+            squares = left * torch.exp(-2.0 * shrink)
+            slope = self.n * (squares - 1.0) - shrink / self.width**2
+            shrink = shrink + (slope / (2.0 * self.n * squares + 1.0 / self.width**2)).clamp(-1.0, 1.0)
+        squares = left * torch.exp(-2.0 * shrink)
+        density = -self.n * shrink - 0.5 * self.n * (squares - 1.0)
+        prior = -0.5 * (shrink / self.width) ** 2
+        return 2.0 * (density + prior)
+
+
 def log_bayes_factor(
     gram: Float[Tensor, "*batch column column"],
     score: Float[Tensor, "*batch column"],
     prior_sd: Float[Tensor, "*batch column"],
-    n_free_noise: float | None = None,
+    noise: FreeNoise | None = None,
     started: float = 0.0,
 ) -> Float[Tensor, "*batch"]:
     """Log evidence gained by columns with normal priors about zero.
@@ -61,7 +89,7 @@ def log_bayes_factor(
         gram: T^T P T of the projected columns.
         score: T^T r, with r the whitened residual of the fit.
         prior_sd: Of the columns' coefficients.
-        n_free_noise: Number of components where the noise was fitted; its profile then bends the gain. None where it is known.
+        noise: Where the noise was fitted; it then follows. None where it is known.
         started: Gain in log density of the start about which the columns are taken, where that is not the fit itself.
     References: MacKay, Information Theory, Inference, and Learning Algorithms (2003), section 28.1.
     Examples:
@@ -75,8 +103,8 @@ def log_bayes_factor(
     white = torch.linalg.solve_triangular(factor, (score * prior_sd)[..., None], upper=False)[..., 0]
     gain = (white**2).sum(-1) + 2.0 * started
     occam = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
-    if n_free_noise is not None:
-        gain = -n_free_noise * torch.log1p(-(gain / n_free_noise).clamp(max=1.0 - 1e-12))
+    if noise is not None:
+        gain = noise.gain(gain)
     evidence: Tensor = 0.5 * gain - occam
     return evidence
 

@@ -220,10 +220,9 @@ def _is_noise(rival: Rival) -> bool:
 
 def screening(fit: Fit, pool: list[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
     """Log evidence of every cause in the linear model, with its best start."""
-    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
     by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
     for candidate in pool:
-        by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate, n_noise), candidate))
+        by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate), candidate))
     result = {}
     for cause, starts in by_cause.items():
         values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
@@ -231,21 +230,21 @@ def screening(fit: Fit, pool: list[Candidate]) -> dict[Cause, tuple[float, Candi
     return result
 
 
-def linear_evidence(fit: Fit, candidate: Candidate, n_noise: float | None) -> float:
+def linear_evidence(fit: Fit, candidate: Candidate) -> float:
     """Log Bayes factor of a candidate against nothing: half for all its quantities, half for some of them."""
-    values = [_of_subset(fit, candidate, subset, n_noise) for subset in candidate.subsets]
+    values = [_of_subset(fit, candidate, subset) for subset in candidate.subsets]
     if len(values) == 1:
         return values[0]
     parts = log_mean_exp(torch.tensor(values[:-1], dtype=torch.float64))
     return float(torch.logaddexp(torch.tensor(parts), torch.tensor(values[-1]))) - math.log(2.0)
 
 
-def _of_subset(fit: Fit, candidate: Candidate, subset: tuple[int, ...], n_noise: float | None) -> float:
+def _of_subset(fit: Fit, candidate: Candidate, subset: tuple[int, ...]) -> float:
     gram = fit.projector.gram(candidate.columns, candidate.columns)
     score, started = _score(fit, candidate)
     pick = list(subset)
     return float(
-        log_bayes_factor(gram[pick][:, pick], score[pick], candidate.prior_sd[pick], n_noise, started)
+        log_bayes_factor(gram[pick][:, pick], score[pick], candidate.prior_sd[pick], fit.free_noise, started)
     )
 
 
@@ -271,8 +270,7 @@ def _in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
         for q in EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
     ):
         return max(gain, screened) if math.isfinite(gain) else screened, full
-    n_noise = float(len(fit.residual)) if fit.is_noise_free else None
-    linear = _of_subset(fit, start, start.subsets[-1], n_noise)
+    linear = _of_subset(fit, start, start.subsets[-1])
     return screened + gain - linear, full
 
 

@@ -88,9 +88,8 @@ def beside_discrepancy(search: Search, named: list[NamedCause], families: list[F
             final.rig.without_cause(one.cause), observations, final.values, final.posterior.chain.rules
         )
         smooth = _with_columns(without, families)
-        n_noise = float(len(without.residual)) if without.is_noise_free else None
         evidence = max(
-            (linear_evidence(smooth, c, n_noise) for c in candidates(without, [one.cause])), default=-math.inf
+            (linear_evidence(smooth, c) for c in candidates(without, [one.cause])), default=-math.inf
         )
         if evidence > 2.0 * LEAST_LOG_ODDS:
             kept.append(one)

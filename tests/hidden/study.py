@@ -1,10 +1,7 @@
-"""One case of the hidden-effect study: hide, diagnose, compare. The diagnosis sees the rig file and the table of readings only."""
+"""Cases of the hidden-effect study: what is hidden, and how a verdict is compared with it."""
 
 from __future__ import annotations
 
-import tempfile
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,41 +36,6 @@ def draw_case(kind: str, seed: int) -> HiddenSession:
         except ValueError:
             continue  # the cause cannot become visible in this session
     raise RuntimeError(f"no {kind} session for seed {seed}")
-
-
-def run_case(kind: str, seed: int) -> dict[str, Any]:
-    """Hide, diagnose, and say what came out."""
-    from estimator import diagnose, load_rig
-    from estimator.store.importers.readings_csv import read_readings_csv
-
-    hidden = draw_case(kind, seed)
-    with tempfile.TemporaryDirectory() as folder:
-        hidden.write(Path(folder))
-        rig = load_rig(Path(folder) / "rig.yaml")
-        session = read_readings_csv(Path(folder) / "readings.csv", rig)
-    begin = time.perf_counter()
-    found = diagnose(session, seed=seed).record()
-    seconds = time.perf_counter() - begin
-    truth = hidden.truth()
-    noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
-    return {
-        "kind": kind,
-        "seed": seed,
-        "protocol": truth["protocol"],
-        "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
-        "noise_T": noise_T,
-        "verdict": found["verdict"],
-        "causes": found["causes"],
-        "twins": found["indistinguishable"],
-        "unexplained": found["unexplained"],
-        "steps": [
-            [(c["name"], c["log_bayes_factor"], c["probability"]) for c in step["considered"][:6]]
-            for step in found["steps"]
-        ],
-        "gain": found.get("gain"),
-        "moved_sd": found.get("moved_sd"),
-        "seconds": seconds,
-    }
 
 
 def label(cause: dict[str, Any]) -> str:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, stats
+from scipy import integrate, optimize, stats
 
-from estimator.diagnosis.linear import Projector, log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import FreeNoise, Projector, log_bayes_factor, log_mean_exp
 
 
 def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -66,14 +66,23 @@ def test_columns_without_width_change_nothing():
     )
 
 
-def test_fitted_noise_bends_large_gains_and_leaves_small_ones():
-    gram, sd = torch.eye(1).double() * 1e4, torch.ones(1).double()
-    for z, n in ((1.0, 1e6), (10.0, 300.0)):
-        score = torch.tensor([z * 100.0]).double()
-        known = log_bayes_factor(gram, score, sd).item()
-        fitted = log_bayes_factor(gram, score, sd, n).item()
-        gain = 2.0 * (known + 0.5 * math.log(1e4 + 1.0))
-        assert fitted - known == pytest.approx(-0.5 * n * math.log1p(-gain / n) - 0.5 * gain, abs=1e-6)
+@pytest.mark.parametrize("gain", [1.0, 40.0, 200.0, 299.9, 350.0])
+def test_fitted_noise_follows_as_far_as_its_prior_allows(gain):
+    """Against a scan over the noise; without a prior the gain would grow without bounds as the residual vanishes."""
+    noise = FreeNoise(300.0, 0.5)
+    left = max(1.0 - gain / noise.n, 0.0)
+
+    def density(shrink: float) -> float:
+        return (
+            -noise.n * shrink
+            - 0.5 * noise.n * (left * math.exp(-2.0 * shrink) - 1.0)
+            - 0.5 * (shrink / 0.5) ** 2
+        )
+
+    expected = optimize.minimize_scalar(
+        lambda s: -density(s), bounds=(-80.0, 1.0), method="bounded", options={"xatol": 1e-9}
+    )
+    assert noise.gain(torch.tensor(gain).double()).item() == pytest.approx(-2.0 * expected.fun, rel=1e-6)
 
 
 def test_mean_of_exponentials_survives_large_numbers():

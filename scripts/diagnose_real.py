@@ -1,0 +1,76 @@
+"""What the simulation gets wrong on measured coils: causes in the order they were found, the gain of each, and what is left.
+
+`make diagnose-real` runs it; it needs the maps of public repositories in the folder named by COILCAL_DATA (see the README).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+sys.path[:0] = [str(Path(__file__).resolve().parent.parent), str(Path(__file__).resolve().parent)]
+
+from real_data import DATA_SETS, DataSet
+
+from estimator import diagnose, load_rig
+from estimator.store.importers import IMPORTERS
+
+MORE = (
+    DataSet("mice-run05", "mice_ssu_m2", "mice", "mice-ssu-solenoids/run05*.dat"),
+    DataSet("mice-run03", "mice_ssu_e1_cc_e2", "mice", "mice-ssu-solenoids/run03*.dat"),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="data sets; all by default")
+    parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    data = os.environ.get("COILCAL_DATA")
+    if not data:
+        sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
+    torch.set_num_threads(1)
+    for data_set in (*DATA_SETS, *MORE):
+        if not options.names or data_set.name in options.names:
+            run(data_set, Path(data), options.out / data_set.name, options.seed)
+
+
+def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
+    begin = time.perf_counter()
+    rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
+    session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
+    print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
+
+    def tell(words: str) -> None:
+        print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
+
+    record = diagnose(session, seed=seed, out=out, on_stage=tell).record()
+    print(f"  verdict: {record['verdict']}; left: {record['unexplained']}")
+    for cause in record["causes"]:
+        others = [other["name"] for other in cause["alternatives"]]
+        print(
+            f"  {cause['name']} ({cause['log_bayes_factor']:.0f} in log evidence)"
+            + (f", or {', '.join(others)}" if others else "")
+        )
+        for key, p in cause["parameters"].items():
+            print(f"    {key:18} {p['median']:12.4g} +- {p['sd']:.1g} {p['unit']}")
+    if "gain" in record:
+        for name in ("before", "after"):
+            judged = record["gain"][name]
+            print(
+                f"  {name}: {judged['vector_T'] * 1e3:.3f} mT rms ({judged['relative']:.3%}), largest {judged['max_T'] * 1e3:.2f} mT, "
+                f"coverage of 90 % intervals {judged['coverage90']:.1%}"
+            )
+        print(f"  log predictive density {record['elpd_difference']:+.0f} +- {record['elpd_se']:.0f}")
+        moved = {name: round(value, 1) for name, value in record["moved_sd"].items() if abs(value) > 2.0}
+        print(f"  moved by more than two standard deviations: {moved}")
+
+
+if __name__ == "__main__":
+    main()
