@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-NEWTON_STEPS = 20
+SHRINKS, N_SHRINKS = (-5.0, 0.0), 101  # logarithms of the noise that are looked at, over the fitted one
 
 
 @dataclass(frozen=True)
@@ -62,19 +62,6 @@ class FreeNoise:
     n: float
     width: float
 
-    def gain(self, gain: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-        """Twice the gain in log density after the noise has followed, given the fall of the sum of squares."""
-        left = (1.0 - gain / self.n).clamp(min=0.0)
-        shrink = 0.5 * torch.log(left.clamp(min=1e-6))
-        for _ in range(NEWTON_STEPS):
-            squares = left * torch.exp(-2.0 * shrink)
-            slope = self.n * (squares - 1.0) - shrink / self.width**2
-            shrink = shrink + (slope / (2.0 * self.n * squares + 1.0 / self.width**2)).clamp(-1.0, 1.0)
-        squares = left * torch.exp(-2.0 * shrink)
-        density = -self.n * shrink - 0.5 * self.n * (squares - 1.0)
-        prior = -0.5 * (shrink / self.width) ** 2
-        return 2.0 * (density + prior)
-
 
 def log_bayes_factor(
     gram: Float[Tensor, "*batch column column"],
@@ -98,15 +85,23 @@ def log_bayes_factor(
         15.514
     """
     scaled = gram * prior_sd[..., :, None] * prior_sd[..., None, :]
-    precision = scaled + torch.eye(scaled.shape[-1], dtype=scaled.dtype)
-    factor = torch.linalg.cholesky(precision)
-    white = torch.linalg.solve_triangular(factor, (score * prior_sd)[..., None], upper=False)[..., 0]
-    gain = (white**2).sum(-1) + 2.0 * started
-    occam = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
-    if noise is not None:
-        gain = noise.gain(gain)
-    evidence: Tensor = 0.5 * gain - occam
-    return evidence
+    size, vectors = torch.linalg.eigh(scaled)
+    size = size.clamp(min=0.0)
+    square = ((vectors.mT @ (score * prior_sd)[..., None])[..., 0]) ** 2
+    if noise is None:
+        known: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
+        return known
+    # No column explains more than there is: rounding in directions that the fit follows would be blown up where the noise is small.
+    share = (square / size.clamp(min=1e-12)).sum(-1, keepdim=True) / noise.n
+    square = torch.minimum(square, size * noise.n) / share.clamp(min=1.0)
+    # Over the logarithm of the noise; columns weigh more where it is smaller, and their freedom costs more.
+    shrink = torch.linspace(*SHRINKS, N_SHRINKS, dtype=torch.float64)
+    grown = torch.exp(-2.0 * shrink)
+    size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
+    explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started * grown
+    density = explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
+    fitted: Tensor = density.max(-1).values
+    return fitted
 
 
 def log_mean_exp(values: Float[Tensor, " value"]) -> float:

@@ -52,12 +52,12 @@ class NamedCause:
 
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
-    """The outcome: whether structure is left, or was there from the beginning that a flexible curve follows better than the causes do."""
+    """The outcome: whether structure is left, or was there from the beginning that a flexible curve follows better than several causes do."""
     prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
     if left.log_bayes_factor + prior > LEAST_LOG_ODDS:
         return Verdict.UNEXPLAINED
-    if whole.log_bayes_factor + prior > LEAST_LOG_ODDS and whole.log_bayes_factor + prior > search.log_odds:
+    if len(named) > 1 and whole.log_bayes_factor + prior > max(LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, optimize, stats
+from scipy import integrate, stats
 
 from estimator.diagnosis.linear import FreeNoise, Projector, log_bayes_factor, log_mean_exp
 
@@ -66,23 +66,27 @@ def test_columns_without_width_change_nothing():
     )
 
 
-@pytest.mark.parametrize("gain", [1.0, 40.0, 200.0, 299.9, 350.0])
-def test_fitted_noise_follows_as_far_as_its_prior_allows(gain):
-    """Against a scan over the noise; without a prior the gain would grow without bounds as the residual vanishes."""
-    noise = FreeNoise(300.0, 0.5)
-    left = max(1.0 - gain / noise.n, 0.0)
+@pytest.mark.parametrize("amplitude", [0.3, 3.0, 30.0])
+def test_noise_follows_as_far_as_its_prior_allows(amplitude):
+    """Against the marginal normal density of residuals at every noise; columns as many as data do not explain without bounds."""
+    random = torch.Generator().manual_seed(5)
+    n, width = 20, 0.5
+    columns = torch.randn(n, n, generator=random, dtype=torch.float64)
+    residual = (
+        torch.nn.functional.normalize(torch.randn(n, generator=random, dtype=torch.float64), dim=0) * n**0.5
+    )
 
     def density(shrink: float) -> float:
+        cov = math.exp(2.0 * shrink) * torch.eye(n).double() + amplitude**2 * columns @ columns.T
         return (
-            -noise.n * shrink
-            - 0.5 * noise.n * (left * math.exp(-2.0 * shrink) - 1.0)
-            - 0.5 * (shrink / 0.5) ** 2
+            float(stats.multivariate_normal(cov=cov.numpy()).logpdf(residual)) - 0.5 * (shrink / width) ** 2
         )
 
-    expected = optimize.minimize_scalar(
-        lambda s: -density(s), bounds=(-80.0, 1.0), method="bounded", options={"xatol": 1e-9}
-    )
-    assert noise.gain(torch.tensor(gain).double()).item() == pytest.approx(-2.0 * expected.fun, rel=1e-6)
+    alone = stats.norm.logpdf(residual.numpy()).sum()
+    expected = max(density(shrink) for shrink in np.linspace(-5.0, 0.0, 101)) - alone
+    sd = torch.full((n,), amplitude, dtype=torch.float64)
+    found = log_bayes_factor(columns.T @ columns, columns.T @ residual, sd, FreeNoise(float(n), width))
+    assert found.item() == pytest.approx(expected, abs=1e-6)
 
 
 def test_mean_of_exponentials_survives_large_numbers():
