@@ -130,9 +130,7 @@ class Calibration:
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
             replace_folder(partial, folder / POSTERIOR)
-            write_text(
-                folder / SUMMARY, json.dumps(self.record, indent=2, sort_keys=True, allow_nan=False) + "\n"
-            )
+            write_text(folder / SUMMARY, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 

@@ -52,7 +52,7 @@ class NamedCause:
 
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
-    """The outcome: whether structure is left, or was there from the beginning that a flexible curve follows better than several causes do."""
+    """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
     prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
     if left.log_bayes_factor + prior > LEAST_LOG_ODDS:
