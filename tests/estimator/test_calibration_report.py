@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,3 +52,10 @@ def test_ends_of_an_interval_have_the_digits_of_the_median(text: str) -> None:
     decimals = {len(part.partition(".")[2]) for part in (median, sd, low, high)}
     assert len(decimals) == 1
     assert float(low) < float(median) < float(high)
+
+
+def test_a_stored_calibration_gives_the_page_it_gave_when_it_was_made(
+    small_calibration: Calibration, text: str, tmp_path: Path
+) -> None:
+    small_calibration.save(tmp_path)
+    assert as_text(Calibration.load(tmp_path)) == text
