@@ -1,0 +1,154 @@
+"""Every effect at every place: null changes nothing, a batch equals a loop, derivatives agree with differences, names and units are in order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.func import jacfwd
+
+from estimator.chain import Chain
+from estimator.config import rig_from_text
+from estimator.diagnosis.extension import extended_text
+from estimator.diagnosis.fitting import fit_rig, with_effect
+from estimator.effects import EFFECTS
+from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.record import RECORD
+from estimator.effects.scene import Extent
+from estimator.records import Observations
+from estimator.rig import Cause, Rig
+
+RIG = """
+schema_version: 1
+name: two coils
+movers: {arm1: {motion: displacement}}
+coils:
+  coil1:
+    carried_by: arm1
+    radius_mm: {prior: {normal: {mean: 40, sd: 1}}}
+    wire_radius_mm: 0.5
+    axial_loops: 6
+    radial_loops: 4
+    world_from_coil0: {z_mm: -45, tilt_x_deg: 2}
+  coil2: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {x_mm: 80, ry_deg: -90}}
+sensors:
+  hall: {noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}}
+  other: {noise_uT: 5, world_from_sensor: {y_mm: 15, rx_deg: 90}}
+"""
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_from_text(RIG)
+
+
+@pytest.fixture(scope="module")
+def observations(rig) -> Observations:
+    n = 24
+    random = torch.Generator().manual_seed(3)
+    motion = torch.zeros(n, 6, dtype=torch.float64)
+    motion[:, :3] = 0.02 * (torch.rand(n, 3, generator=random, dtype=torch.float64) - 0.5)
+    current_A = torch.stack(
+        (torch.tensor([2.0, -2.0, 1.0, 0.0]).repeat(6), torch.tensor([0.0, 0.0, 1.0]).repeat(8)), dim=1
+    )
+    warm = {
+        name: 20.0 + torch.rand(n, generator=random, dtype=torch.float64)
+        for name in ("hall", "other", "coil1")
+    }
+    empty = Observations(
+        2.0 * torch.arange(n, dtype=torch.float64),
+        torch.arange(n) % 2,
+        current_A.double(),
+        {"arm1": motion},
+        torch.full((n, 3), 1e-3, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.bool),
+        torch.zeros(n, dtype=torch.int64),
+        warm,
+    )
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}
+    return empty.with_field(Chain.build(rig, empty).predict(values))
+
+
+CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(rig_from_text(RIG))]
+
+
+def chain_with(rig: Rig, observations: Observations, cause: Cause) -> tuple[Chain, dict[str, torch.Tensor]]:
+    shapes = EFFECTS[cause.name].starts(Chain.unruled(rig, observations).scene, cause.place)[0]
+    own = with_effect(rig, cause, observations, shapes)
+    rules = Chain.build(rig, observations).rules
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in own.nominal_values().items()}
+    return replace(Chain.unruled(own, observations), rules=rules), values
+
+
+def free_quantities(name: str) -> list[Quantity]:
+    return [q for q in EFFECTS[name].quantities(Extent()) if not q.is_fixed and not q.is_shape]
+
+
+@pytest.mark.parametrize(("name", "place"), [c for c in CASES if c[0] not in (*RECORD, "range_clipping")])
+def test_null_is_identity(rig, observations, name, place):
+    chain, values = chain_with(rig, observations, Cause(name, place))
+    torch.testing.assert_close(
+        chain.predict(values).expand(24, 3), observations.field_sensor_T, rtol=1e-12, atol=1e-18
+    )
+
+
+@pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
+def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, name, place):
+    chain, values = chain_with(rig, observations, Cause(name, place))
+    extent = chain.scene.extent
+    for quantity in EFFECTS[name].quantities(extent):
+        if quantity.is_shape or quantity.is_fixed:
+            continue
+        key = f"{name}[{place}].{quantity.key}"
+        step = 1e-3 * quantity.prior.sd
+        ends = values[key] + step * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+        together = chain.predict({**values, key: ends}).expand(3, 24, 3)
+        for end, field in zip(ends, together, strict=True):
+            torch.testing.assert_close(
+                chain.predict({**values, key: end}).expand(24, 3), field, rtol=1e-12, atol=1e-18
+            )
+        assert together.dtype == torch.float64
+        if name == "range_clipping":
+            continue  # its response has a kink
+        slope = jacfwd(lambda v, key=key: chain.predict({**values, key: v}).expand(24, 3))(values[key])
+        difference = (together[2] - together[0]) / (2.0 * step)
+        scale = difference.abs().max()
+        torch.testing.assert_close(slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-18))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_declaration_is_complete(name):
+    effect = EFFECTS[name]
+    assert effect.name == name
+    assert effect.words
+    assert effect.source
+    keys = [quantity.key for quantity in effect.quantities(Extent())]
+    assert len(set(keys)) == len(keys) > 0
+    for quantity in effect.quantities(Extent()):
+        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        assert quantity.unit == "1" or quantity.key.endswith(suffix), quantity
+
+
+def test_names_are_those_that_other_scripts_rely_on():
+    stable = """current_gain current_offset coil_heating axial_pitch radial_pitch turns_gradient short_layer coil_ovality lead_wire iron_core
+    core_saturation background_field background_drift iron_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
+    backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
+    temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model"""
+    assert set(EFFECTS) == set(stable.split())
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["axis_gain", "coil_heating", "iron_plate", "mount_tilt", "sensor_bumped", "position_jitter", "outliers"],
+)
+def test_rig_file_with_the_effect_predicts_the_same(rig, observations, name):
+    cause = Cause(name, EFFECTS[name].places(rig)[0])
+    chain, values = chain_with(rig, observations, cause)
+    fit = fit_rig(chain.rig, observations, values, chain.rules)
+    again = rig_from_text(extended_text(rig, fit))
+    assert again.effects == (cause,)
+    for parameter in (p for p in again.parameters.values() if p.name.startswith(cause.label)):
+        known = chain.rig.parameters[parameter.name]
+        assert (parameter.prior, parameter.unit) == (known.prior, known.unit)
+        assert parameter.value == pytest.approx(float(fit.values[parameter.name]), rel=1e-12, abs=1e-300)
