@@ -12,7 +12,8 @@ Examples:
 from estimator.calibrate import Stage, calibrate
 from estimator.calibration import Calibration
 from estimator.config import load_rig
-from estimator.diagnose import Diagnosis, diagnose
+from estimator.diagnose import diagnose
+from estimator.diagnosis_record import Diagnosis
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.plan import Plan, load_plan

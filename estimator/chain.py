@@ -193,7 +193,7 @@ class Chain:
         everywhere = torch.arange(len(self.sensor))
         world_from_sensor: Transform | None = None
         if uses_of(self.rig, RoomEffect):
-            world_from_sensor = self._world_from_sensor(everywhere, values)
+            world_from_sensor = self.world_from_sensor(everywhere, values)
             for use in uses_of(self.rig, RoomEffect):
                 constant_T = use.effect.constant_T(use.theta(values), self.scene)
                 if constant_T is not None:
@@ -284,9 +284,10 @@ class Chain:
     def _in_coil(self, coil: Coil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """coil_from_sensor at distinct poses."""
         coil_from_world = self._world_from_body(coil, "coil", rows, values).inverse()
-        return coil_from_world @ self._world_from_sensor(rows, values)
+        return coil_from_world @ self.world_from_sensor(rows, values)
 
-    def _world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+    def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+        """Pose of the sensor in the room at distinct poses."""
         which = self.sensor[rows]
         poses = [self._world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
         if len(poses) == 1:

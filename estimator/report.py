@@ -86,6 +86,7 @@ class ReportPage:
         warnings: Sentences on what the reader must not overlook; no box where there are none.
         tables: Below the verdict.
         figures: Below the tables.
+        appendix: Tables below the figures, for those who want to know more.
         provenance: Command, versions, hashes, seed.
     """
 
@@ -95,6 +96,7 @@ class ReportPage:
     warnings: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[Picture] = ()
+    appendix: Sequence[Table] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
 
 

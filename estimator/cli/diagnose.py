@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from estimator.calibration import write_text
 from estimator.cli.output import (
     explain_errors,
     json_option,
@@ -18,7 +19,9 @@ from estimator.cli.output import (
     show,
 )
 from estimator.config import load_rig
-from estimator.diagnose import DIAGNOSIS, EXTENDED_RIG, diagnose
+from estimator.diagnose import diagnose
+from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, REPORT
+from estimator.diagnosis_report import diagnosis_report
 from estimator.store.session import load_session
 
 
@@ -34,7 +37,7 @@ from estimator.store.session import load_session
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help=f"Folder for {DIAGNOSIS} and {EXTENDED_RIG}.",
+    help=f"Folder for {DIAGNOSIS}, {EXTENDED_RIG} and {REPORT}.",
 )
 @click.option(
     "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
@@ -61,10 +64,13 @@ def diagnose_command(
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
     found = diagnose(session, rig, validation=validation, seed=seed, on_stage=_tell)
+    command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
+    page = diagnosis_report(found, command)
     if overwrite and out.exists():
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
     found.save(out)
+    write_text(out / REPORT, page)
     record = found.record()
     show(record, _text(record, out), as_json)
 
@@ -98,5 +104,10 @@ def _text(record: dict[str, Any], out: Path) -> str:
             f"intervals {before['coverage90']:.1%} -> {after['coverage90']:.1%}; log predictive density "
             f"{record['elpd_difference']:+.1f} +- {record['elpd_se']:.1f}"
         )
-    lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}")
+    if record["next_measurement"]:
+        best = record["next_measurement"][0]
+        lines.append(
+            f"  to tell them apart, measure {best['action']} (expected log evidence {best['expected_log_evidence']:.0f})"
+        )
+    lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}")
     return "\n".join(lines)

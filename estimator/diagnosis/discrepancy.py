@@ -7,7 +7,6 @@ given a normal prior that weakens with the order. Their evidence competes with t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import torch
 from jaxtyping import Float
@@ -17,10 +16,14 @@ from estimator.chain import Chain, winding_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.harmonics import harmonic_gradients
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.memory import lingering_T
+from estimator.diagnosis.smooth import legendre, polynomials, unit_interval
+from estimator.diagnosis.winding_shapes import shape_fields
 from estimator.rig import Coil
 
 AMPLITUDES = (0.5, 2.0, 8.0, 30.0)  # rms of a family in units of the noise
 DEGREE, HARMONIC_DEGREE, TIME_DEGREE = 4, 5, 6
+DECAY_STEPS = (0.7, 2.0, 6.0)  # of what lingers, in readings
 N_INSTANTS = 11  # at which something may have changed
 
 
@@ -58,14 +61,10 @@ class Discrepancy:
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     """How strongly the residual asks for structure beyond the fit."""
-    amplitudes = torch.tensor(AMPLITUDES, dtype=torch.float64)
     evidence: dict[str, list[Tensor]] = {}
     best: tuple[float, Family | None, float] = (-torch.inf, None, 0.0)
     for family in families:
-        gram = fit.projector.gram(family.columns, family.columns)
-        score = family.columns.T @ fit.residual
-        sd = amplitudes[:, None].expand(-1, len(score))
-        log_bf = log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, fit.free_noise)
+        log_bf = evidence_by_amplitude(fit, family)
         evidence.setdefault(family.name, []).append(log_bf)
         top = int(log_bf.argmax())
         if float(log_bf[top]) > best[0]:
@@ -77,6 +76,14 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     curve = _curve(fit, strongest.columns, amplitude)
     rms_sigma = float(curve.square().mean().sqrt())
     return Discrepancy(total, strongest.name, by_family, rms_sigma, curve)
+
+
+def evidence_by_amplitude(fit: Fit, family: Family) -> Float[Tensor, " amplitude"]:
+    """Log Bayes factor of a family against no structure, for each of `AMPLITUDES`."""
+    gram = fit.projector.gram(family.columns, family.columns)
+    score = family.columns.T @ fit.residual
+    sd = torch.tensor(AMPLITUDES, dtype=torch.float64)[:, None].expand(-1, len(score))
+    return log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, fit.free_noise)
 
 
 def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:
@@ -98,8 +105,8 @@ def families(fit: Fit) -> list[Family]:
     mixed = torch.cat([torch.diag_embed(torch.roll(field, shift, dims=1)) for shift in range(3)], dim=-1)
     one = torch.ones(len(scene), 1, dtype=torch.float64)
     time = 2.0 * scene.hours / scene.duration_h - 1.0
-    clock = _legendre(time, TIME_DEGREE)[:, 1:]
-    found = _Collection(fit)
+    clock = legendre(time, TIME_DEGREE)[:, 1:]
+    found = Collection(fit)
     for coil in chain.rig.coils:
         _add_places(found, chain, coil, fit)
     found.add("time", clock[:, 1:], each)
@@ -109,19 +116,25 @@ def families(fit: Fit) -> list[Family]:
         for i in range(len(chain.rig.sensors)):
             mine = (later * (scene.sensor == i))[:, None]
             if bool(mine.any()):
+                found.add("a change in mid session", mine, each)
                 found.add("a change in mid session", mine, torch.cat((each, mixed), dim=-1))
-    found.add("the reading itself", _polynomials(_unit(field), 2, DEGREE), each)
-    before_T = _before(predicted_T, scene.observations.row)
-    change = (before_T - predicted_T) / predicted_T.abs().max().clamp(min=1e-12)
-    found.add(
-        "the reading before",
-        one,
-        torch.cat([torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)], dim=-1),
-    )
+    found.add("the reading itself", polynomials(unit_interval(field), 2, DEGREE), each)
+    for changes_T in _changes(fit, predicted_T):
+        change = changes_T / changes_T.abs().max().clamp(min=1e-12)
+        rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
+        found.add("the readings before", one, change[:, :, None])
+        found.add("the readings before", one, torch.cat(rolled, dim=-1))
     return found.families
 
 
-class _Collection:
+def _changes(fit: Fit, predicted_T: Float[Tensor, "reading 3"]) -> list[Float[Tensor, "reading 3"]]:
+    """The last change of the field, and what lingers of all changes for some time."""
+    last_T = before(predicted_T, fit.observations.row) - predicted_T
+    lingering = [lingering_T(fit, steps) for steps in DECAY_STEPS]
+    return [last_T, *(one for one in lingering if one is not None)]
+
+
+class Collection:
     """Families as they are made."""
 
     def __init__(self, fit: Fit) -> None:
@@ -147,7 +160,7 @@ class _Collection:
             self.families.append(Family(name, whitened[:, is_there] / norm))
 
 
-def _add_places(found: _Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
+def _add_places(found: Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
     """Fields that move with a coil: of any kind, and those that sources outside the workspace can make."""
     scene = chain.scene
     everywhere = torch.arange(len(chain.sensor))
@@ -158,7 +171,7 @@ def _add_places(found: _Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
         return  # coil and sensor both stand still
     turn = sensor_from_coil.expand(len(everywhere), 3, 3)[chain.place]
     current = scene.current_A[:, list(chain.rig.coils).index(coil)] / scene.largest_current_A
-    place = _unit(points_m)
+    place = unit_interval(points_m)
     middle = points_m.mean(0)
     inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
     fields = [
@@ -166,19 +179,21 @@ def _add_places(found: _Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
         for degree in range(2, HARMONIC_DEGREE + 1)
     ]
     source = torch.cat(fields, dim=1)
-    radius_m = winding_of(chain.rig, coil, fit.values).radius_m
-    nearby = torch.einsum("rij,rtj->rti", turn, _dipoles(points_m / radius_m))
+    winding = winding_of(chain.rig, coil, fit.values)
+    nearby = torch.einsum("rij,rtj->rti", turn, dipoles(points_m / winding.radius_m))
+    shapes = torch.einsum("rij,rtj->rti", turn, shape_fields(points_m, winding))
+    found.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
     drives = {f"place relative to {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
         drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
-        found.add(name, _polynomials(place, 1, DEGREE) * drive[:, None], turn)
-        found.add(name, _polynomials(place, 1, 2) * drive[:, None], turn)
+        found.add(name, polynomials(place, 1, DEGREE) * drive[:, None], turn)
+        found.add(name, polynomials(place, 1, 2) * drive[:, None], turn)
         found.add_fields(name, source * drive[:, None, None])
         found.add_fields(name, nearby * drive[:, None, None])
 
 
-def _dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column 3"]:
+def dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column 3"]:
     """Fields of dipoles along each axis in and around a coil of radius 1: sources that move with it."""
     places = [(0, 0, -0.3), (1.2, 0, -0.6), (-1.2, 0, -0.6), (0, 1.2, -0.6), (0, -1.2, -0.6), (0, 0, -2.0)]
     columns = []
@@ -191,32 +206,7 @@ def _dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading colum
     return torch.stack(columns, dim=1)
 
 
-def _unit(values: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
-    """Each axis on -1 .. 1."""
-    low, high = values.min(0).values, values.max(0).values
-    return (2.0 * values - low - high) / (high - low).clamp(min=1e-12)
-
-
-def _legendre(x: Float[Tensor, " reading"], degree: int) -> Float[Tensor, "reading order"]:
-    """Legendre polynomials up to a degree, the higher the weaker."""
-    orders = [torch.ones_like(x), x]
-    for n in range(1, degree):
-        orders.append(((2 * n + 1) * x * orders[n] - n * orders[n - 1]) / (n + 1))
-    return torch.stack([order / (1.0 + 0.5 * n) for n, order in enumerate(orders)], dim=1)
-
-
-def _polynomials(
-    x: Float[Tensor, "reading axis"], lowest: int, highest: int
-) -> Float[Tensor, "reading order"]:
-    """Products of Legendre polynomials in three axes from a lowest to a highest total degree."""
-    one, two, three = (_legendre(x[:, i], highest) for i in range(3))
-    orders = product(range(highest + 1), repeat=3)
-    return torch.stack(
-        [one[:, i] * two[:, j] * three[:, k] for i, j, k in orders if lowest <= i + j + k <= highest], dim=1
-    )
-
-
-def _before(predicted_T: Float[Tensor, "reading 3"], row: Tensor) -> Float[Tensor, "reading 3"]:
+def before(predicted_T: Float[Tensor, "reading 3"], row: Tensor) -> Float[Tensor, "reading 3"]:
     """Predicted field of the reading taken before each, among those at hand."""
     order = torch.argsort(row)
     before = torch.empty_like(order)

@@ -23,9 +23,9 @@ from estimator.effects import EFFECTS
 from estimator.effects.base import NoiseEffect
 from estimator.rig import Cause
 
-LOG_PRIOR_NOTHING = math.log(0.5)
-LOG_PRIOR_CAUSE = math.log(0.4)  # shared by all causes
-LOG_PRIOR_UNEXPLAINED = math.log(0.1)
+LOG_PRIOR_NOTHING = math.log(0.4)
+LOG_PRIOR_CAUSE = math.log(0.3)  # shared by all causes
+LOG_PRIOR_UNEXPLAINED = math.log(0.3)
 LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 CREDIBLE = 0.95
 MOST_LEADERS = 4

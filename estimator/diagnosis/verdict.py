@@ -23,6 +23,7 @@ from estimator.diagnosis.search import (
 from estimator.rig import Cause
 
 LEAST_LOG_ODDS = math.log(20.0)
+LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 
 
 class Verdict(StrEnum):
@@ -55,7 +56,7 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
     prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
-    if left.log_bayes_factor + prior > LEAST_LOG_ODDS:
+    if left.log_bayes_factor + prior > LEAST_LOG_ODDS_LEFT:
         return Verdict.UNEXPLAINED
     if len(named) > 1 and whole.log_bayes_factor + prior > max(LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED

@@ -5,7 +5,13 @@ Every function draws into the Axes it is given or into a figure of its own, retu
 
 from estimator.plots.corner import corner
 from estimator.plots.field_map import field_plane
-from estimator.plots.place_map import angular_deviation_map, relative_error_map, residual_map
+from estimator.plots.hypotheses import evidence_bars, explained, structure_bars
+from estimator.plots.place_map import (
+    angular_deviation_map,
+    before_and_after_map,
+    relative_error_map,
+    residual_map,
+)
 from estimator.plots.posterior import interval_summary, trace, traces
 from estimator.plots.residuals import (
     predicted_against_measured,
@@ -16,7 +22,10 @@ from estimator.plots.residuals import (
 
 __all__ = [
     "angular_deviation_map",
+    "before_and_after_map",
     "corner",
+    "evidence_bars",
+    "explained",
     "field_plane",
     "interval_summary",
     "predicted_against_measured",
@@ -25,6 +34,7 @@ __all__ = [
     "residual_by_sensor",
     "residual_histogram",
     "residual_map",
+    "structure_bars",
     "trace",
     "traces",
 ]

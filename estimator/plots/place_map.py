@@ -6,6 +6,8 @@ one plane; readings that lie behind each other in it are one disc, coloured by t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -65,6 +67,21 @@ def angular_deviation_map(
     return _two_planes(positions_m, angle_mrad, winding, "angle between measured and predicted (mrad)", title)
 
 
+@styled
+def before_and_after_map(
+    positions_m: Vectors,
+    before_T: Vectors,
+    after_T: Vectors,
+    winding: Winding,
+    sigma_T: float | None = None,
+    title: str = "",
+) -> Figure:
+    """Length of the residual under two models at the same places and in the same colours, in µT; arguments as in `residual_map`."""
+    noise_uT = None if sigma_T is None else sigma_T * 1e6 * MEDIAN_OF_MAXWELL
+    rows = {"before": _length(before_T) * 1e6, "after": _length(after_T) * 1e6}
+    return _panels(positions_m, rows, winding, "|measured − predicted| (µT)", title, noise_uT)
+
+
 def _two_planes(
     positions_m: Vectors,
     values: np.ndarray,
@@ -73,26 +90,44 @@ def _two_planes(
     title: str,
     noise: float | None = None,
 ) -> Figure:
-    """Values at the places from the side (XZ) and from the front (XY); the median over the hidden axis."""
-    is_known = np.isfinite(values)
+    """Values at the places from the side (XZ) and from the front (XY)."""
+    return _panels(positions_m, {"": values}, winding, label, title, noise)
+
+
+def _panels(
+    positions_m: Vectors,
+    rows: Mapping[str, np.ndarray],
+    winding: Winding,
+    label: str,
+    title: str,
+    noise: float | None = None,
+) -> Figure:
+    """Values at the places from the side (XZ) and from the front (XY), the median over the hidden axis; a row for each set of values."""
+    is_known = np.isfinite(np.stack(list(rows.values()))).all(axis=0)
     if not is_known.any():
         raise InvalidInput(f"a map of {label} needs readings of the field's components; received none")
-    places_mm, values = positions_m[is_known] * 1e3, values[is_known]
+    places_mm = positions_m[is_known] * 1e3
     same_mm = SAME_LAYER * float(np.ptp(places_mm, axis=0).max())
     layers = np.empty(places_mm.shape, int)
     for axis in range(3):
         layers[:, axis], places_mm[:, axis] = _layers(places_mm[:, axis], same_mm)
     cell_mm = np.ptp(places_mm, axis=0) / np.maximum(layers.max(0), 1)
     cell_mm = np.where(cell_mm > 0.0, cell_mm, cell_mm.max() or 1.0)
-    seen = {axes: _medians(places_mm, values, layers, axes) for axes in ((0, 2), (0, 1))}
-    typical = max(float(np.quantile(medians, 0.98)) for _, medians in seen.values())
+    seen = [
+        [(row, up, *_medians(places_mm, values[is_known], layers, (0, up))) for up in (2, 1)]
+        for row, values in rows.items()
+    ]
+    typical = max(float(np.quantile(medians, 0.98)) for row in seen for *_, medians in row)
     top = max(typical, NOISE_STAYS_PALE * (noise or 0.0)) or 1.0
 
-    made = figure(9.0, 4.2, title)
-    panels = made.subplots(1, 2)
-    for ax, ((_, up), (centres, medians)) in zip(panels, seen.items(), strict=True):
-        _frame(ax, places_mm[:, (0, up)], winding, up, cell_mm[[0, up]])
-        drawn = _discs(ax, centres, medians, cell_mm[[0, up]], top)
+    made = figure(9.0, 0.6 + 3.6 * len(rows), title)
+    panels = made.subplots(len(rows), 2, squeeze=False)
+    for line, row in zip(panels, seen, strict=True):
+        for ax, (name, up, centres, medians) in zip(line, row, strict=True):
+            _frame(ax, places_mm[:, (0, up)], winding, up, cell_mm[[0, up]])
+            drawn = _discs(ax, centres, medians, cell_mm[[0, up]], top)
+            if name:
+                ax.set_title(f"{name}, {ax.get_title()}")
     bar = made.colorbar(drawn, ax=panels, label=label, extend="max")
     if noise is not None:
         bar.ax.axhline(noise, color="white", lw=3.0)

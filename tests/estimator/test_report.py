@@ -87,12 +87,13 @@ def test_text_of_users_is_escaped_everywhere() -> None:
             [NAUGHTY],
             [Table(NAUGHTY, [NAUGHTY], [[NAUGHTY]], NAUGHTY)],
             [Picture(f'{NAUGHTY}" onerror="x', NAUGHTY, figure)],
+            [Table(NAUGHTY, [NAUGHTY], [[NAUGHTY]], NAUGHTY)],
             {NAUGHTY: NAUGHTY},
         )
     )
     assert "<script" not in text
     assert "<b>" not in text
-    assert text.count("&lt;script&gt;") == 14
+    assert text.count("&lt;script&gt;") == 18
     assert not [attributes for _, attributes in Tags(text).seen if "onerror" in attributes]
 
 

@@ -1,0 +1,34 @@
+"""Smooth functions of what a reading depends on: Legendre polynomials in one axis and in three."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def unit_interval(values: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
+    """Each axis on -1 .. 1."""
+    low, high = values.min(0).values, values.max(0).values
+    return (2.0 * values - low - high) / (high - low).clamp(min=1e-12)
+
+
+def legendre(x: Float[Tensor, " reading"], degree: int) -> Float[Tensor, "reading order"]:
+    """Legendre polynomials up to a degree, the higher the weaker."""
+    orders = [torch.ones_like(x), x]
+    for n in range(1, degree):
+        orders.append(((2 * n + 1) * x * orders[n] - n * orders[n - 1]) / (n + 1))
+    return torch.stack([order / (1.0 + 0.5 * n) for n, order in enumerate(orders)], dim=1)
+
+
+def polynomials(
+    x: Float[Tensor, "reading axis"], lowest: int, highest: int
+) -> Float[Tensor, "reading order"]:
+    """Products of Legendre polynomials in three axes from a lowest to a highest total degree."""
+    one, two, three = (legendre(x[:, i], highest) for i in range(3))
+    orders = product(range(highest + 1), repeat=3)
+    return torch.stack(
+        [one[:, i] * two[:, j] * three[:, k] for i, j, k in orders if lowest <= i + j + k <= highest], dim=1
+    )

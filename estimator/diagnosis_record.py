@@ -1,0 +1,165 @@
+"""The verdict on a session, and how `diagnosis.json` says it (DESIGN section 5)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from estimator.calibration import write_text
+from estimator.diagnosis.design import Proposal
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.gain import Gain
+from estimator.diagnosis.record import Fault
+from estimator.diagnosis.resolution import Visible
+from estimator.diagnosis.search import Search
+from estimator.diagnosis.symptoms import Symptoms
+from estimator.diagnosis.verdict import NamedCause, Verdict
+from estimator.effects import EFFECTS
+from estimator.rig import Cause, Rig
+
+DIAGNOSIS, EXTENDED_RIG, REPORT = "diagnosis.json", "rig_extended.yaml", "report.html"
+HALF_WIDTH_90 = 1.644854
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The verdict on a session.
+
+    Attributes:
+        rig: As it was described.
+        source: Where the readings come from.
+        verdict: The outcome.
+        faults: Mistakes of the record that were undone first.
+        causes: What was named after that, in order.
+        search: How it was found, step by step.
+        visible: Smallest visible size of every quantity of every cause.
+        twins: Groups of causes that this session could not tell apart.
+        next_measurements: What would tell the alternatives apart, best first.
+        plain: The rig as it was described, fitted.
+        fit: The extended rig, fitted to many readings.
+        before, after: What their residuals show.
+        gain: On readings that were not used for fitting; None where there are none.
+    """
+
+    rig: Rig
+    source: str
+    verdict: Verdict
+    faults: tuple[Fault, ...]
+    causes: tuple[NamedCause, ...]
+    search: Search
+    visible: tuple[Visible, ...]
+    twins: tuple[tuple[Cause, ...], ...]
+    next_measurements: tuple[Proposal, ...]
+    plain: Fit
+    fit: Fit
+    before: Symptoms
+    after: Symptoms
+    gain: Gain | None
+    extended_rig_text: str
+    seed: int
+
+    def label(self, cause: Cause) -> str:
+        """Name of a cause; with its place where the rig has several."""
+        places = EFFECTS[cause.name].places(self.rig)
+        return cause.name if len(places) < 2 else cause.label
+
+    def record(self) -> dict[str, Any]:
+        """As `diagnosis.json` holds it."""
+        left = self.search.steps[-1].left
+        result: dict[str, Any] = {
+            "verdict": str(self.verdict),
+            "causes": [*(self._fault(f) for f in self.faults), *(self._cause(c) for c in self.causes)],
+            "indistinguishable": [[self.label(cause) for cause in group] for group in self.twins],
+            "next_measurement": [
+                {
+                    "action": one.action.words,
+                    "splits": list(one.splits),
+                    "expected_log_evidence": one.expected_log_evidence,
+                }
+                for one in self.next_measurements
+            ],
+            "smallest_visible": {
+                f"{self.label(one.cause)}.{one.key}": {
+                    "size": one.size if one.is_visible else None,
+                    "unit": one.unit,
+                }
+                for one in self.visible
+            },
+            "signatures": {"before": self.before.record(), "after": self.after.record()},
+            "unexplained": {
+                "log_bayes_factor": left.log_bayes_factor,
+                "looks_like": left.family,
+                "rms_sigma": left.rms_sigma,
+            },
+            "steps": self._steps(),
+            "dropped": [self.label(cause) for cause in self.search.dropped],
+            "seed": self.seed,
+        }
+        if self.gain is not None:
+            result["gain"] = {"before": self.gain.before.record(), "after": self.gain.after.record()}
+            result["elpd_difference"], result["elpd_se"] = self.gain.elpd_difference, self.gain.elpd_se
+            result["moved_sd"] = self.gain.moved_sd
+        return result
+
+    def save(self, folder: Path) -> None:
+        """Write `diagnosis.json` and `rig_extended.yaml`."""
+        write_text(folder / DIAGNOSIS, json.dumps(self.record(), indent=2, allow_nan=False) + "\n")
+        write_text(folder / EXTENDED_RIG, self.extended_rig_text)
+
+    def parameters(self, cause: Cause) -> dict[str, dict[str, Any]]:
+        """Median, width and interval of each quantity of a cause in the extended rig, by Laplace."""
+        prefix = f"{cause.label}."
+        result = {}
+        for name, parameter in self.fit.rig.parameters.items():
+            if name.startswith(prefix):
+                value = float(self.fit.values[name])
+                sd = self.fit.value_sd(name) if parameter.is_free else 0.0
+                result[name[len(prefix) :]] = {
+                    "median": value,
+                    "sd": sd,
+                    "ci90": [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd],
+                    "unit": parameter.unit,
+                }
+        return result
+
+    def _cause(self, one: NamedCause) -> dict[str, Any]:
+        return {
+            "name": self.label(one.cause),
+            "place": one.cause.place,
+            "probability": one.probability,
+            "alternatives": [{"name": self.label(c), "probability": p} for c, p in one.alternatives],
+            "log_bayes_factor": one.log_bayes_factor,
+            "parameters": self.parameters(one.cause),
+        }
+
+    def _fault(self, fault: Fault) -> dict[str, Any]:
+        weights = torch.softmax(torch.tensor([0.0, *(value for _, value in fault.twins)]), 0).tolist()
+        others = zip((cause for cause, _ in fault.twins), weights[1:], strict=True)
+        return {
+            "name": self.label(fault.cause),
+            "place": fault.cause.place,
+            "probability": weights[0],
+            "alternatives": [{"name": self.label(c), "probability": p} for c, p in others],
+            "log_bayes_factor": fault.log_bayes_factor,
+            "parameters": self.parameters(fault.cause),
+        }
+
+    def _steps(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "taken": None if step.taken is None else self.label(step.taken),
+                "considered": [
+                    {
+                        "name": rival.name if rival.cause is None else self.label(rival.cause),
+                        "log_bayes_factor": rival.log_bayes_factor,
+                        "probability": rival.probability,
+                    }
+                    for rival in step.rivals
+                ],
+            }
+            for step in self.search.steps
+        ]
