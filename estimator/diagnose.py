@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
+from estimator.calibrate import calibrate
 from estimator.chain import Chain
+from estimator.config import rig_from_text
 from estimator.diagnosis.design import Proposal, actions, proposals
 from estimator.diagnosis.discrepancy import families
 from estimator.diagnosis.extension import extended_text
@@ -19,7 +22,7 @@ from estimator.diagnosis.search import Search, search
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
-from estimator.diagnosis_record import Diagnosis
+from estimator.diagnosis_record import POSTERIOR, Diagnosis
 from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
 from estimator.records import Observations
@@ -39,6 +42,7 @@ def diagnose(
     validation: Session | None = None,
     out: Path | str | None = None,
     seed: int = 0,
+    has_posterior: bool = False,
     on_stage: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and measure the gain.
@@ -47,8 +51,9 @@ def diagnose(
         session: Readings; those marked as validation judge the gain. Where none is marked, a fifth is kept out in blocks.
         rig: Another description of the session's rig.
         validation: Another session of the same rig to judge the gain by.
-        out: Folder for `diagnosis.json` and `rig_extended.yaml`.
-        seed: Of the split, the thinning and the starts.
+        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
+        seed: Of the split, the thinning, the starts and the sampling.
+        has_posterior: Sample the extended rig where a cause was found, with all readings but those for validation.
         on_stage: Told what is going on.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
@@ -99,8 +104,14 @@ def diagnose(
         extended_text(rig, after),
         seed,
     )
-    if out is not None:
-        folder = Path(out)
+    folder = None if out is None else Path(out)
+    if has_posterior and result.fit.rig.effects:
+        tell("posterior of the extended rig")
+        extended = rig_from_text(result.extended_rig_text)
+        kept = None if folder is None else folder / POSTERIOR
+        sampled = calibrate(session, extended, out=kept, overwrite=True, seed=seed)
+        result = replace(result, posterior=sampled)
+    if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
     return result

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from estimator.calibration import write_text
+from estimator.calibration import Calibration, write_text
 from estimator.diagnosis.design import Proposal
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.gain import Gain
@@ -21,7 +21,12 @@ from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.rig import Cause, Rig
 
-DIAGNOSIS, EXTENDED_RIG, REPORT = "diagnosis.json", "rig_extended.yaml", "report.html"
+DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
+    "diagnosis.json",
+    "rig_extended.yaml",
+    "report.html",
+    "calibration",
+)
 HALF_WIDTH_90 = 1.644854
 
 
@@ -43,6 +48,7 @@ class Diagnosis:
         fit: The extended rig, fitted to many readings.
         before, after: What their residuals show.
         gain: On readings that were not used for fitting; None where there are none.
+        posterior: The extended rig, sampled; None where that was not asked for or nothing was found.
     """
 
     rig: Rig
@@ -61,6 +67,7 @@ class Diagnosis:
     gain: Gain | None
     extended_rig_text: str
     seed: int
+    posterior: Calibration | None = None
 
     def label(self, cause: Cause) -> str:
         """Name of a cause; with its place where the rig has several."""
@@ -111,11 +118,15 @@ class Diagnosis:
         write_text(folder / EXTENDED_RIG, self.extended_rig_text)
 
     def parameters(self, cause: Cause) -> dict[str, dict[str, Any]]:
-        """Median, width and interval of each quantity of a cause in the extended rig, by Laplace."""
+        """Median, width and interval of each quantity of a cause in the extended rig: sampled, or by Laplace."""
         prefix = f"{cause.label}."
+        sampled = {} if self.posterior is None else self.posterior.record["parameters"]
         result = {}
         for name, parameter in self.fit.rig.parameters.items():
-            if name.startswith(prefix):
+            if name in sampled and name.startswith(prefix):
+                keys = ("median", "sd", "ci90", "unit")
+                result[name[len(prefix) :]] = {key: sampled[name][key] for key in keys}
+            elif name.startswith(prefix):
                 value = float(self.fit.values[name])
                 sd = self.fit.value_sd(name) if parameter.is_free else 0.0
                 result[name[len(prefix) :]] = {

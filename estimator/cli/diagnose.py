@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from estimator.calibration import write_text
+from estimator.calibration_report import calibration_report
 from estimator.cli.output import (
     explain_errors,
     json_option,
@@ -20,7 +21,7 @@ from estimator.cli.output import (
 )
 from estimator.config import load_rig
 from estimator.diagnose import diagnose
-from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, REPORT
+from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
 from estimator.diagnosis_report import diagnosis_report
 from estimator.store.session import load_session
 
@@ -42,6 +43,13 @@ from estimator.store.session import load_session
 @click.option(
     "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
 )
+@click.option(
+    "--posterior/--no-posterior",
+    "has_posterior",
+    default=True,
+    show_default=True,
+    help=f"Sample the extended rig with emcee where a cause was found, into {POSTERIOR} below the folder.",
+)
 @seed_option
 @overwrite_option
 @json_option
@@ -51,6 +59,7 @@ def diagnose_command(
     validation_path: Path | None,
     out: Path,
     rig_path: Path | None,
+    has_posterior: bool,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -63,14 +72,17 @@ def diagnose_command(
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
-    found = diagnose(session, rig, validation=validation, seed=seed, on_stage=_tell)
+    made = out.with_name(f".{out.name}.unfinished")
+    shutil.rmtree(made, ignore_errors=True)
+    found = diagnose(
+        session, rig, validation=validation, out=made, seed=seed, has_posterior=has_posterior, on_stage=_tell
+    )
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
-    page = diagnosis_report(found, command)
-    if overwrite and out.exists():
-        shutil.rmtree(out)
-    out.mkdir(parents=True, exist_ok=True)
-    found.save(out)
-    write_text(out / REPORT, page)
+    write_text(made / REPORT, diagnosis_report(found, command))
+    if found.posterior is not None:
+        write_text(made / POSTERIOR / REPORT, calibration_report(found.posterior, command))
+    shutil.rmtree(out, ignore_errors=True)
+    made.rename(out)
     record = found.record()
     show(record, _text(record, out), as_json)
 

@@ -18,6 +18,7 @@ from estimator.cli.output import (
 )
 from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason
+from estimator.hide import full_names
 from estimator.plan import load_plan
 from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
@@ -43,6 +44,14 @@ from estimator.store.session import Session
     metavar="NAME=VALUE",
     help="Set one parameter of the truth, in SI; repeatable.",
 )
+@click.option(
+    "--hide",
+    "hidden",
+    multiple=True,
+    metavar="CAUSE=SIZE",
+    help="Hide a cause that the rig file does not tell of, as CAUSE[PLACE].QUANTITY=SIZE in SI; place and quantity may be left out "
+    "where there is one, or the first is meant. Repeatable.",
+)
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
@@ -54,6 +63,7 @@ def simulate_command(
     plan_path: Path,
     truth: str,
     assignments: tuple[str, ...],
+    hidden: tuple[str, ...],
     seed: int,
     out: Path,
     csv_path: Path | None,
@@ -67,7 +77,9 @@ def simulate_command(
     rig = load_rig(rig_path)
     values = _truth(rig, truth, seed) | named_number(assignments, "--set")
     plan = load_plan(plan_path, rig)
-    readings = simulate(rig, plan, values, seed)
+    causes = full_names(rig, named_number(hidden, "--hide"))
+    readings = simulate(rig, plan, values, seed, causes)
+    values |= causes
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
     if csv_path is not None:
         write_readings_csv(session, csv_path)

@@ -10,8 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.chain import Chain
-from estimator.diagnosis.fitting import Fit, with_effect
+from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
 from estimator.effects.record import RECORD
 from estimator.rig import Cause, Rig

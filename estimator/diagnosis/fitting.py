@@ -15,14 +15,13 @@ from torch.func import jacfwd
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.linear import FreeNoise, Projector
-from estimator.effects import EFFECTS
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.polish import Polished, polish
 from estimator.parameters import LogNormal, Parameter
 from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -135,24 +134,6 @@ def fit_rig(
     polished = polish(posterior, vector, tolerance=1e-4)
     top = int(polished.log_posterior.argmax())
     return Fit(posterior, polished.rows(slice(top, top + 1)))
-
-
-def with_effect(
-    rig: Rig, cause: Cause, observations: Observations, shapes: Mapping[str, float], is_free: bool = True
-) -> Rig:
-    """The rig with an effect at its null, its shapes where a start puts them, and its quantities free (or fixed)."""
-    scene = Chain.unruled(rig, observations).scene
-    parameters = [
-        Parameter(
-            f"{cause.label}.{quantity.key}",
-            quantity.unit,
-            shapes.get(quantity.key, quantity.prior.centre if quantity.is_positive else quantity.null),
-            None if quantity.is_fixed or not is_free else quantity.prior,
-            is_positive=quantity.is_positive,
-        )
-        for quantity in EFFECTS[cause.name].quantities(scene.extent)
-    ]
-    return rig.with_cause(cause, parameters)
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:

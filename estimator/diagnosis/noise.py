@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect
 from estimator.rig import Cause
 

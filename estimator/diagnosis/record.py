@@ -15,8 +15,9 @@ from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.record import RECORD
 from estimator.inference.likelihood import LogPosterior
 from estimator.records import Observations

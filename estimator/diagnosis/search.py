@@ -16,10 +16,11 @@ from torch import Tensor
 
 from estimator.diagnosis.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
-from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.diagnosis.noise import noise_causes
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect
 from estimator.rig import Cause
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from estimator.effects.base import Kind, NoiseEffect, Quantity
-from estimator.effects.scene import Extent
+from estimator.effects.scene import Extent, Scene
 from estimator.parameters import LogNormal, Uniform
 
 
@@ -23,6 +23,10 @@ class Outliers(NoiseEffect):
             Quantity("share", "1", Uniform(0.0, 0.5), 0.0, is_fixed=True),
             Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
         )
+
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Ten times the noise."""
+        return ({"ratio": 10.0},)
 
 
 class PositionJitter(NoiseEffect):

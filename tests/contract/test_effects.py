@@ -11,8 +11,9 @@ from torch.func import jacfwd
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.extension import extended_text
-from estimator.diagnosis.fitting import fit_rig, with_effect
+from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
 from estimator.effects.record import RECORD
 from estimator.effects.scene import Extent

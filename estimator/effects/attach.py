@@ -1,0 +1,36 @@
+"""A rig with one more effect, as a hypothesis to fit or as a truth to simulate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from estimator.effects import EFFECTS
+from estimator.effects.scene import Scene
+from estimator.parameters import Parameter
+from estimator.records import Observations
+from estimator.rig import Cause, Rig
+
+
+def with_effect(
+    rig: Rig, cause: Cause, observations: Observations, values: Mapping[str, float], is_free: bool = True
+) -> Rig:
+    """The rig with an effect: its quantities at given values, else at their null, free or fixed.
+
+    Args:
+        rig: Without that effect.
+        cause: Name and place.
+        observations: Of the session, whose extent sets the priors.
+        values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation.
+        is_free: A fit may change them.
+    """
+    parameters = [
+        Parameter(
+            f"{cause.label}.{quantity.key}",
+            quantity.unit,
+            values.get(quantity.key, quantity.prior.centre if quantity.is_positive else quantity.null),
+            None if quantity.is_fixed or not is_free else quantity.prior,
+            is_positive=quantity.is_positive,
+        )
+        for quantity in EFFECTS[cause.name].quantities(Scene(rig, observations).extent)
+    ]
+    return rig.with_cause(cause, parameters)
