@@ -12,6 +12,7 @@ Examples:
 from estimator.calibrate import Stage, calibrate
 from estimator.calibration import Calibration
 from estimator.config import load_rig
+from estimator.design import Design, design
 from estimator.diagnose import diagnose
 from estimator.diagnosis_record import Diagnosis
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
@@ -27,6 +28,7 @@ __all__ = [
     "Calibration",
     "CoilcalError",
     "CorruptStore",
+    "Design",
     "Diagnosis",
     "InvalidInput",
     "Observations",
@@ -37,6 +39,7 @@ __all__ = [
     "Stage",
     "block_split",
     "calibrate",
+    "design",
     "diagnose",
     "draw_truth",
     "load_plan",

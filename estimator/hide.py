@@ -1,4 +1,4 @@
-"""Causes as simulators: what a user writes as `axis_gain[hall].x=0.01` becomes an effect of the rig that makes the readings."""
+"""Causes as users write them: `axis_gain[hall].x=0.01` becomes an effect of the rig that makes the readings."""
 
 from __future__ import annotations
 
@@ -45,22 +45,30 @@ def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
     return found
 
 
-def _read(text: str, rig: Rig) -> tuple[Cause, str]:
+def cause_of(text: str, rig: Rig) -> Cause:
+    """The cause that `cause` or `cause[place]` means in a rig.
+
+    Raises:
+        InvalidInput: There is none, or the place is left open where there are several.
+    """
     match = WRITTEN.match(text)
     if match is None:
-        raise InvalidInput(
-            f"a hidden cause must look like cause, cause[place] or cause[place].quantity; received {text!r}"
-        )
+        raise InvalidInput(f"a cause must look like cause or cause[place]; received {text!r}")
     effect = effect_of(match["name"])
     places = effect.places(rig)
     place = match["place"] or (places[0] if len(places) == 1 else None)
     if place not in places:
         raise InvalidInput(f"{effect.name} must say where, one of {', '.join(places)}; received {text!r}")
-    cause = Cause(effect.name, place)
+    return Cause(effect.name, place)
+
+
+def _read(text: str, rig: Rig) -> tuple[Cause, str]:
+    cause = cause_of(text, rig)
     if cause in rig.effects:
         raise InvalidInput(f"{cause.label} must not be in the rig already to be hidden; received {text!r}")
-    keys = [quantity.key for quantity in effect.quantities(Extent())]
-    key = match["key"] or keys[0]
+    keys = [quantity.key for quantity in effect_of(cause.name).quantities(Extent())]
+    match = WRITTEN.match(text)
+    key = (match["key"] if match else None) or keys[0]
     if key not in keys:
-        raise InvalidInput(f"{effect.name} must be given by one of {', '.join(keys)}; received {text!r}")
+        raise InvalidInput(f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}")
     return cause, key

@@ -10,14 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import yaml
 from scipy.stats import qmc
 
 from estimator.config import POSE_QUANTITIES
 from estimator.records import Observations
-from estimator.rig import MotionKind, Rig
+from estimator.rig import MotionKind, Mover, Rig
+from estimator.units import UNITS
 from estimator.yaml_section import Section
 
 CARTESIAN = POSE_QUANTITIES[:6]  # place and rotation vector; tilts and spin belong to mounts
+SHOWN = {"length": "mm", "angle": "deg"}  # in plans that are written
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
@@ -28,6 +31,7 @@ class Plan:
     Attributes:
         calibration, validation: Per pose and mover the six numbers of the mover's columns, in SI.
         currents_A: Settings visited at every pose; coils that are not named are off.
+        stops: Pose and setting one by one, after all others, in the order of the file.
         is_random_order: Poses in random instead of file order.
         repeats: Visits of every pose and setting.
         settle_s: Time from one reading to the next.
@@ -40,6 +44,7 @@ class Plan:
     is_random_order: bool
     repeats: int
     settle_s: float
+    stops: tuple[tuple[Mapping[str, np.ndarray], Mapping[str, float]], ...] = ()
 
 
 def load_plan(path: Path | str, rig: Rig) -> Plan:
@@ -51,11 +56,15 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
     top = Section.from_file(Path(path))
     if top.required("schema_version") != 1:
         top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
-    poses = top.section("poses")
-    poses.required("calibration")
-    calibration = _poses(poses.section("calibration"), rig)
-    validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
-    poses.finish()
+    stops = tuple(_stop(entry, rig) for entry in top.sections("stops"))
+    calibration: tuple[Mapping[str, np.ndarray], ...] = ()
+    validation: tuple[Mapping[str, np.ndarray], ...] = ()
+    if not stops or "poses" in top:
+        poses = top.section("poses")
+        poses.required("calibration")
+        calibration = _poses(poses.section("calibration"), rig)
+        validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
+        poses.finish()
     settle_s = top.number("settle_s", 1.0)
     if settle_s <= 0.0:
         top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
@@ -63,10 +72,11 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
         str(top.required("name")),
         calibration,
         validation,
-        _currents(top, rig),
+        _currents(top, rig) if calibration else (),
         top.choice("order", ("raster", "random"), "raster") == "random",
         _count(top, "repeats", 1.0),
         settle_s,
+        stops,
     )
     top.finish()
     return plan
@@ -79,6 +89,7 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
         for repeat in range(plan.repeats):
             order = rng.permutation(len(poses)) if plan.is_random_order else np.arange(len(poses))
             rows += [(poses[i], setting, is_validation, repeat) for i in order for setting in plan.currents_A]
+    rows += [(*stop, False, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
     n_sensors = len(rig.sensors)
     times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
     current_A = [[setting.get(coil.name, 0.0) for coil in rig.coils] for _, setting, _, _ in rows]
@@ -110,7 +121,7 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     axes: list[tuple[str, int, np.ndarray]] = []
     for mover in rig.movers:
         block = section.section(mover.name)
-        quantities = JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
+        quantities = quantities_of(mover)
         is_grid = n_scattered is None
         axes += [(mover.name, i, _stops(block, *quantity, is_grid)) for i, quantity in enumerate(quantities)]
         block.finish()
@@ -124,6 +135,24 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
             pose[name][i] = value
         poses.append(pose)
     return tuple(poses)
+
+
+def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping[str, float]]:
+    """One pose of all movers, and the currents there."""
+    setting = section.required("current_A")
+    _check_setting(section, "current_A", setting, rig)
+    pose = {}
+    for mover in rig.movers:
+        block = section.section(mover.name)
+        pose[mover.name] = np.array([_stops(block, *quantity, False)[0] for quantity in quantities_of(mover)])
+        block.finish()
+    section.finish()
+    return pose, {str(name): float(value) for name, value in setting.items()}
+
+
+def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
+    """What the six numbers of a mover's pose are called in a plan, and their dimensions."""
+    return JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
 
 
 def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
@@ -156,14 +185,42 @@ def _count(section: Section, key: str, default: float | None = None) -> int:
 
 def _currents(top: Section, rig: Rig) -> tuple[Mapping[str, float], ...]:
     settings = top.required("currents_A")
-    coils = [coil.name for coil in rig.coils]
     if not isinstance(settings, list) or not settings:
         top.refuse("currents_A", "must be a list of settings such as [{coil1: 3}]", repr(settings))
     for setting in settings:
-        if not isinstance(setting, dict) or any(name not in coils for name in setting):
-            top.refuse("currents_A", f"must name coils of the rig ({', '.join(coils)})", repr(setting))
-        for current in setting.values():
-            is_number = isinstance(current, int | float) and not isinstance(current, bool)
-            if not is_number or not math.isfinite(current):
-                top.refuse("currents_A", "must hold finite numbers", repr(setting))
+        _check_setting(top, "currents_A", setting, rig)
     return tuple({str(k): float(v) for k, v in setting.items()} for setting in settings)
+
+
+def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> None:
+    coils = [coil.name for coil in rig.coils]
+    if not isinstance(setting, dict) or any(name not in coils for name in setting):
+        section.refuse(key, f"must name coils of the rig ({', '.join(coils)})", repr(setting))
+    for current in setting.values():
+        is_number = isinstance(current, int | float) and not isinstance(current, bool)
+        if not is_number or not math.isfinite(current):
+            section.refuse(key, "must hold finite numbers", repr(setting))
+
+
+def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> str:
+    """A plan, as a file holds it, that visits the poses and currents of some readings one by one.
+
+    Args:
+        name: Of the plan.
+        rig: Names movers and coils.
+        readings: One row per stop.
+        settle_s: Time from one reading to the next.
+    """
+    stops = []
+    for row in range(len(readings)):
+        stop: dict[str, object] = {}
+        for mover in rig.movers:
+            numbers = zip(quantities_of(mover), readings.motion[mover.name][row].tolist(), strict=True)
+            stop[mover.name] = {
+                f"{q}_{SHOWN[d]}": round(v / UNITS[SHOWN[d]].to_si, 4) for (q, d), v in numbers if v != 0.0
+            }
+        currents = zip(rig.coils, readings.current_A[row].tolist(), strict=True)
+        stop["current_A"] = {coil.name: round(current, 6) for coil, current in currents}
+        stops.append(stop)
+    content = {"schema_version": 1, "name": name, "settle_s": round(settle_s, 3), "stops": stops}
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)

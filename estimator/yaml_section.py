@@ -151,6 +151,17 @@ class Section:
             self.refuse(key, "must hold keys and values", repr(self.value(key)))
         return Section(node, self.place(key), self.file)
 
+    def sections(self, key: str) -> list[Section]:
+        """Mappings in a list below this one; none where the key is absent."""
+        self._untaken.discard(key)
+        node = self._entries.get(key)
+        if node is None:
+            return []
+        entries = node.value if isinstance(node, yaml.SequenceNode) else []
+        if not entries or not all(isinstance(entry, yaml.MappingNode) for entry in entries):
+            self.refuse(key, "must be a list of keys and values", repr(self.value(key)))
+        return [Section(entry, f"{self.place(key)}[{i}]", self.file) for i, entry in enumerate(entries)]
+
     def is_section(self, key: str) -> bool:
         """Whether the key holds a mapping."""
         return isinstance(self._entries.get(key), yaml.MappingNode)

@@ -8,6 +8,7 @@ import click
 import torch
 
 from estimator.cli.calibrate import calibrate_command
+from estimator.cli.design import design_command
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.predict import predict_command
@@ -38,6 +39,7 @@ for command in (
     import_command,
     calibrate_command,
     diagnose_command,
+    design_command,
     predict_command,
     report_command,
 ):

@@ -70,13 +70,16 @@ def proposals(hypotheses: Mapping[str, Fit], actions: Sequence[Action]) -> list[
     return sorted(found, key=lambda one: -one.expected_log_evidence)
 
 
-def separation(hypotheses: Mapping[str, Fit], action: Action) -> Float[Tensor, " pair"]:
-    """Expected log evidence after an action, for every ordered pair of truth and rival."""
+def separation(hypotheses: Mapping[str, Fit], action: Action | None = None) -> Float[Tensor, " pair"]:
+    """Expected log evidence of the readings so far, or after an action, for every ordered pair of truth and rival."""
     fits = list(hypotheses.values())
-    seen = [_Rows.of(fit, fit.observations, fit.rig) for fit in fits]
-    more = [_Rows.of(fit, action.readings, _turned(fit.rig, action.turned)) for fit in fits]
+    seen = [Rows.of(fit, fit.observations, fit.rig) for fit in fits]
+    more = seen[:0]
+    if action is not None:
+        more = [Rows.of(fit, action.readings, _turned(fit.rig, action.turned)) for fit in fits]
     pairs = permutations(range(len(fits)), 2)
-    return torch.stack([_distance(fits[j], (seen[i], more[i]), (seen[j], more[j])) for i, j in pairs])
+    rows = list(zip(seen, more, strict=True)) if more else [(one,) for one in seen]
+    return torch.stack([_distance(fits[j], rows[i], rows[j]) for i, j in pairs])
 
 
 def actions(session: Observations, rig: Rig) -> list[Action]:
@@ -100,7 +103,7 @@ def actions(session: Observations, rig: Rig) -> list[Action]:
         if several:
             found.append((f"the same places with {coil.name} alone", stops, alone))
     made = [
-        Action(f"{words}, {n} readings", _continued(session, rows, currents), {})
+        Action(f"{words}, {n} readings", continued(session, rows, currents), {})
         for words, rows, currents in found
     ]
     for sensor in rig.sensors:
@@ -111,7 +114,7 @@ def actions(session: Observations, rig: Rig) -> list[Action]:
             made.append(
                 Action(
                     f"the same places with {sensor.name} turned by 90 degrees about its {axis} axis, {n} readings",
-                    _continued(session, stops, current_A),
+                    continued(session, stops, current_A),
                     {sensor.name: (quarter[0], quarter[1], quarter[2])},
                 )
             )
@@ -119,7 +122,7 @@ def actions(session: Observations, rig: Rig) -> list[Action]:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class Rows:
     """What one hypothesis expects of some readings, to first order."""
 
     predicted_T: Float[Tensor, " component"]
@@ -127,7 +130,7 @@ class _Rows:
     sigma_T: Float[Tensor, " component"]
 
     @classmethod
-    def of(cls, fit: Fit, readings: Observations, rig: Rig) -> _Rows:
+    def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
         """Of readings with a rig that differs from that of the fit in fixed numbers only."""
         chain = replace(Chain.unruled(rig, readings), rules=fit.posterior.chain.rules)
         posterior = LogPosterior(Coordinates(rig), chain, readings)
@@ -137,7 +140,7 @@ class _Rows:
         return cls(predicted_T, jacfwd(posterior.predicted)(fit.vector), sigma_T)
 
 
-def _distance(rival: Fit, truth: tuple[_Rows, ...], own: tuple[_Rows, ...]) -> Tensor:
+def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:
     """Half the squared distance between what two hypotheses expect, after the rival has adjusted its parameters within their priors."""
     sigma_T = torch.cat([rows.sigma_T for rows in truth])
     change = torch.cat([t.predicted_T - o.predicted_T for t, o in zip(truth, own, strict=True)]) / sigma_T
@@ -158,7 +161,7 @@ def _some_stops(session: Observations) -> Tensor:
     return first[order[:N_STOPS]]
 
 
-def _continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observations:
+def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observations:
     """Readings at the poses of some rows, taken after the session at its pace; their history is the session and they."""
     history = session.history
     pace_s = float((history.time_s[-1] - history.time_s[0]) / max(len(history) - 1, 1)) or 1.0

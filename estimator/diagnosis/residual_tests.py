@@ -84,14 +84,19 @@ def lack_of_fit(fit: Fit) -> LackOfFit:
 def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     """Test the residual for structure along every covariate; the most striking first.
 
-    Each component of the reading is compared with Legendre polynomials of the covariate, less what the fit can follow. Pure noise, put
+    Each component of the reading is compared with Legendre polynomials of the covariate, less what the fit can follow and less a
+    constant, which is tested by itself. Pure noise, put
     through the same fit, gives the distribution of the most striking of all tests.
 
     References: Westfall and Young, Resampling-Based Multiple Testing (1993), section 2.3 (single-step minP); Langsrud, Stat. Comput. 15
         (2005) 53 (rotation tests: exact for normal noise of unknown size).
     """
-    tested = covariates(fit)
+    constant = Covariate("nothing: a constant", "1", torch.ones(len(fit.observations), dtype=torch.float64))
+    tested = [constant, *covariates(fit)]
     bases = [[_basis(fit, one, axis) for axis in range(3)] for one in tested]
+    bases[1:] = [
+        [_without(basis, same) for basis, same in zip(of_one, bases[0], strict=True)] for of_one in bases[1:]
+    ]
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), N_DRAWS, generator=generator, dtype=torch.float64)
     noise = project(fit.projector, noise)
@@ -121,12 +126,24 @@ def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "componen
     """Orthonormal smooth functions of a covariate on one component of the reading, less what the fit follows."""
     values = covariate.by_reading
     degree = min(DEGREE, len(torch.unique(values)) - 1)
-    smooth = legendre(unit_interval(values[:, None])[:, 0], degree)[:, 1 : degree + 1]
+    smooth = legendre(unit_interval(values[:, None])[:, 0], max(degree, 1))
+    smooth = smooth[:, 1 : degree + 1] if degree else smooth[:, :1]
     on_axis = torch.zeros(smooth.shape[1], len(values), 3, dtype=torch.float64)
     on_axis[:, :, axis] = smooth.T
     columns = (fit.posterior.measured_components(on_axis) * fit.whitening_per_T).T
-    left, size, _ = torch.linalg.svd(project(fit.projector, columns), full_matrices=False)
-    largest = columns.norm(dim=0).max() if columns.shape[1] else torch.zeros(())
+    return _orthonormal(project(fit.projector, columns), columns.norm(dim=0).max())
+
+
+def _without(basis: Tensor, other: Tensor) -> Tensor:
+    """What a basis spans beyond another."""
+    return _orthonormal(basis - other @ (other.T @ basis), torch.ones((), dtype=torch.float64))
+
+
+def _orthonormal(
+    columns: Float[Tensor, "component column"], largest: Tensor
+) -> Float[Tensor, "component direction"]:
+    """Orthonormal basis of what is not rounding of something so large."""
+    left, size, _ = torch.linalg.svd(columns, full_matrices=False)
     basis: Tensor = left[:, size > RANK_TOLERANCE * largest]
     return basis
 

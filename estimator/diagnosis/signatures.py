@@ -28,7 +28,7 @@ from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.smooth import legendre, polynomials, unit_interval
 from estimator.rig import Coil
 
-PLACE_DEGREE, FIELD_DEGREE, TIME_DEGREE, HARMONIC_DEGREE = 3, 3, 6, 5
+DEGREES, TIME_DEGREE, HARMONIC_DEGREE = (1, 2, 3), 6, 5
 CLEAR = 3.0  # log evidence by which one answer must lead to be given alone
 SAME = 1e-6
 
@@ -40,7 +40,7 @@ class Signatures:
     """Log evidence against pure noise of each description; None where the session does not show it.
 
     Attributes:
-        stays_with: the name of a coil, room, sensor, clock, path.
+        stays_with: the name of a coil, constant, room, sensor, clock, path.
         current: independent, odd, even, cubic.
         field_equations: a magnetic field (div B = 0, curl B = 0 where the sensor was), or any other field of vectors.
     """
@@ -75,14 +75,19 @@ def _stays_with(fit: Fit) -> Evidence:
     found = Collection(fit)
     for i, (coil, place_m) in enumerate(sensor_in_coils(fit).items()):
         turn = _sensor_from_coil(fit, fit.rig.coils[i])
-        place = polynomials(unit_interval(place_m), 0, PLACE_DEGREE)
-        found.add(coil, place * _drive(fit, i)[:, None], turn)
-        found.add(coil, place, turn)
+        for degree in DEGREES:
+            place = polynomials(unit_interval(place_m), 0, degree)
+            found.add(coil, place * _drive(fit, i)[:, None], turn)
+            found.add(coil, place, turn)
+    found.add("constant", one, each)
     place_m, sensor_from_world = sensor_in_room(fit)
-    found.add("room", polynomials(unit_interval(place_m), 0, 2), sensor_from_world)
-    found.add("sensor", polynomials(unit_interval(field_T), 0, FIELD_DEGREE), each)
+    for degree in DEGREES:
+        found.add("room", polynomials(unit_interval(place_m), 0, degree - 1), sensor_from_world)
+        found.add("sensor", polynomials(unit_interval(field_T), 0, degree), each)
     time = 2.0 * scene.hours / scene.duration_h - 1.0
-    found.add("clock", legendre(time, TIME_DEGREE)[:, 1:], torch.cat((each, own), dim=-1))
+    for degree in (1, TIME_DEGREE):
+        found.add("clock", legendre(time, degree), each)
+        found.add("clock", legendre(time, degree), torch.cat((each, own), dim=-1))
     change = (before(field_T, scene.observations.row) - field_T) / largest_T
     rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
     found.add("path", one, torch.cat(rolled, dim=-1))
@@ -94,16 +99,18 @@ def _current(fit: Fit) -> Evidence | None:
     found = Collection(fit)
     for i, place_m in enumerate(sensor_in_coils(fit).values()):
         drive = _drive(fit, i)
-        place = polynomials(unit_interval(place_m), 0, PLACE_DEGREE)
         turn = _sensor_from_coil(fit, fit.rig.coils[i])
         if float(drive.max() - drive.min()) < SAME:
             continue
-        found.add("independent", place, turn)
-        found.add("odd", place * drive[:, None], turn)
-        if len(torch.unique((drive.abs() / SAME).round())) > 1:
-            found.add("even", place * drive[:, None] ** 2, turn)
-        if len(torch.unique((drive.abs() / SAME).round()[drive.abs() > SAME])) > 1:
-            found.add("cubic", place * drive[:, None] ** 3, turn)
+        sizes = torch.unique((drive.abs() / SAME).round())
+        for degree in DEGREES:
+            place = polynomials(unit_interval(place_m), 0, degree)
+            found.add("independent", place, turn)
+            found.add("odd", place * drive[:, None], turn)
+            if len(sizes) > 1:
+                found.add("even", place * drive[:, None] ** 2, turn)
+            if len(sizes[sizes > 0.0]) > 1:
+                found.add("cubic", place * drive[:, None] ** 3, turn)
     return _evidence(fit, found.families) if found.families and len(scene) else None
 
 
@@ -122,8 +129,9 @@ def _field_equations(fit: Fit) -> Evidence | None:
             for fields in (torch.cat(sources, dim=1), near):
                 turned = torch.einsum("rij,rtj->rti", turn, fields)
                 found.add_fields("a magnetic field", turned * now[:, None, None])
-            place = polynomials(unit_interval(place_m), 0, PLACE_DEGREE)
-            found.add("no magnetic field", place * now[:, None], turn)
+            for degree in DEGREES:
+                place = polynomials(unit_interval(place_m), 0, degree)
+                found.add("no magnetic field", place * now[:, None], turn)
     return _evidence(fit, found.families) if found.families else None
 
 
@@ -148,6 +156,7 @@ def _sensor_from_coil(fit: Fit, coil: Coil) -> Float[Tensor, "reading 3 3"]:
 
 
 WORDS: Mapping[str, str] = {
+    "constant": "is the same in all readings",
     "room": "stays in the room",
     "sensor": "is a matter of what the sensor reads, wherever it is",
     "clock": "goes with time",

@@ -15,6 +15,7 @@ NAMES = [
     "Calibration",
     "CoilcalError",
     "CorruptStore",
+    "Design",
     "Diagnosis",
     "InvalidInput",
     "Observations",
@@ -25,6 +26,7 @@ NAMES = [
     "Stage",
     "block_split",
     "calibrate",
+    "design",
     "diagnose",
     "draw_truth",
     "load_plan",
@@ -34,7 +36,7 @@ NAMES = [
 ]
 SIGNATURES = {
     "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, on_stage",
-    "simulate": "rig, plan, truth, seed",
+    "simulate": "rig, plan, truth, seed, hidden",
     "draw_truth": "rig, seed",
     "load_plan": "path, rig",
     "load_rig": "path",

@@ -26,8 +26,8 @@ class Visible:
 
     Attributes:
         sigma: Beside the base model.
-        unlike_sigma: Beside the base model and any one rival: another hidden cause; for a cause outside the library all within. None for
-            discrete flaws and noise.
+        unlike_sigma: Beside the base model and any one rival, which is another hidden cause; for a cause outside the library beside any
+            two of all within. None for discrete flaws and noise.
     """
 
     sigma: float

@@ -1,7 +1,9 @@
 """What of a hidden flaw another cause could imitate: two causes of a session, or a cause outside the library beside those within.
 
 A cause is given as draws of everything but its size, and imitates with as many of them as it has numbers, mixed freely: those that fit
-best, one after another. That stands for the fit of a cause, which may be curved in its numbers (the place of an iron body).
+best, one after another. That stands for the fit of a cause, which may be curved in its numbers (the place of an iron body, which
+therefore has more draws). What two known causes imitate together no diagnosis can call unknown: a cause outside the library is
+measured by what is left beside any two of them.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from tests.hidden.library import CAUSES, names
 from tests.hidden.protocols import Array
 from tests.hidden.visible_size import Adjustable, effect_T, whiten
 
-DRAWS = 24
+DRAWS, DRAWS_OF_PLACES = 24, 100
+PLACED = ("iron_plate", "iron_body")
+BEST_FIRST = 4  # of the rivals, to be joined by a second
 SMALL_SHARE = 0.02  # of the largest plausible size, where most causes are linear
 FIRST_SEED = 9000
 LEAST_SIGMA = 1.0  # a draw less visible than this at its largest plausible size imitates nothing
@@ -35,8 +39,8 @@ class Rival:
     columns: Array
     freedom: int
 
-    def left_over(self, left_over: Array) -> float:
-        """Norm of what stays of a whitened effect (that the base model is cleared from) when this cause imitates what it can."""
+    def rest(self, left_over: Array) -> Array:
+        """What stays of a whitened effect (that the base model is cleared from) when this cause imitates what it can."""
         rest, columns = left_over, self.columns
         for _ in range(min(self.freedom, columns.shape[1])):
             length = np.linalg.norm(columns, axis=0)
@@ -45,12 +49,16 @@ class Rival:
             unit = columns[:, np.argmax(fit)] / length[np.argmax(fit)]
             rest = rest - unit * (unit @ rest)
             columns = columns - np.outer(unit, unit @ columns)
-        return float(np.linalg.norm(rest))
+        return rest
+
+    def left_over(self, left_over: Array) -> float:
+        """Norm of that rest."""
+        return float(np.linalg.norm(self.rest(left_over)))
 
 
 def rival_of(adjustable: Adjustable, cause: Cause) -> Rival:
     """A cause as it could act in a session."""
-    draws = DRAWS
+    draws = DRAWS_OF_PLACES if cause.name in PLACED else DRAWS
     flaws = [Flaw(cause, SMALL_SHARE * cause.largest, FIRST_SEED + k) for k in range(draws)]
     effects = [whiten(adjustable.scene, effect_T(adjustable.scene, [flaw])) for flaw in flaws]
     columns = adjustable.cleared(np.stack(effects, axis=1))
@@ -66,3 +74,9 @@ def known_rivals(adjustable: Adjustable) -> list[Rival]:
 def unlike_sigma(left_over: Array, rivals: Sequence[Rival]) -> float:
     """The part of a whitened effect that no single rival imitates, in sigmas."""
     return min((rival.left_over(left_over) for rival in rivals), default=float(np.linalg.norm(left_over)))
+
+
+def unlike_any_two_sigma(left_over: Array, rivals: Sequence[Rival]) -> float:
+    """The part of a whitened effect that no two rivals imitate together, in sigmas: the best few are joined by every other."""
+    rests = sorted((rival.rest(left_over) for rival in rivals), key=lambda rest: float(np.linalg.norm(rest)))
+    return min(unlike_sigma(rest, rivals) for rest in rests[:BEST_FIRST])

@@ -12,7 +12,7 @@ from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
 from tests.hidden.library import CAUSES
 from tests.hidden.protocols import draw_schedule
-from tests.hidden.rivals import known_rivals, rival_of, unlike_sigma
+from tests.hidden.rivals import known_rivals, rival_of, unlike_any_two_sigma, unlike_sigma
 from tests.hidden.scene import Scene, ideal_scene
 from tests.hidden.visible_size import PRIOR_SD, Adjustable, crossing
 
@@ -33,8 +33,8 @@ def draw_session(
     Args:
         seed: Fixes everything.
         cause: Name, names, or None for a clean session.
-        visible_sigma: Wanted visible size: of each cause, given the others; of a cause outside the library, of the part that no known one
-            imitates. Discrete causes are there whatever it is; noise is drawn between half and all of its largest plausible size.
+        visible_sigma: Wanted visible size: of each cause, given the others; of a cause outside the library, of the part that no two
+            known ones imitate. Discrete causes are there whatever it is; noise is drawn between half and all of its largest plausible size.
         protocol: `paper` or `recommended`.
     Raises:
         ValueError: The cause cannot happen in the protocol, or cannot become that visible at a plausible size.
@@ -80,21 +80,22 @@ def _hide(
     hidden = []
     for one in causes:
         rivals = [rival_of(adjustable, other) for other in causes if other is not one and other.has_size]
+        unlike = unlike_sigma
         if not one.is_known:
-            rivals += known_rivals(adjustable)
+            rivals, unlike = [*rivals, *known_rivals(adjustable)], unlike_any_two_sigma
         for _ in range(SHAPES_TRIED):
             shape = int(rng.integers(2**31))
             size: float | None = 1.0 if one.is_discrete else one.largest * rng.uniform(0.5, 1.0)
             if one.has_size:
-                size = crossing(adjustable, one, shape, target, partial(unlike_sigma, rivals=rivals))
+                size = crossing(adjustable, one, shape, target, partial(unlike, rivals=rivals))
             if size is not None:
                 break
         else:
             raise ValueError(f"{one.name} does not reach {target:g} sigma at a plausible size")
         flaw = Flaw(one, size, shape)
         left_over = adjustable.left_over([flaw])
-        unlike = unlike_sigma(left_over, rivals) if one.has_size else None
-        hidden.append((flaw, Visible(float(np.linalg.norm(left_over)), unlike)))
+        unlike_them = unlike(left_over, rivals) if one.has_size else None
+        hidden.append((flaw, Visible(float(np.linalg.norm(left_over)), unlike_them)))
     return hidden
 
 

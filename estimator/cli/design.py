@@ -1,0 +1,89 @@
+"""`coilcal design`: which readings to take next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from estimator.calibration import write_text
+from estimator.cli.output import explain_errors, json_option, overwrite_option, refuse_existing, show
+from estimator.config import load_rig
+from estimator.design import Design, design
+from estimator.store.session import load_session
+
+MOST_PRINTED = 8
+
+
+@click.command("design")
+@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option(
+    "--split",
+    multiple=True,
+    metavar="CAUSE",
+    help="A cause that is to be told from the others so named, as CAUSE or CAUSE[PLACE]; give two or more.",
+)
+@click.option("--shrink", metavar="PARAMETER", help="Or a parameter of the rig whose interval is to shrink.")
+@click.option(
+    "--readings",
+    "n_readings",
+    type=click.IntRange(1, 500),
+    default=20,
+    show_default=True,
+    help="How many to propose.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Plan to write (YAML), for coilcal simulate and acquire."
+)
+@click.option(
+    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
+)
+@overwrite_option
+@json_option
+@explain_errors
+def design_command(
+    session_path: Path,
+    split: tuple[str, ...],
+    shrink: str | None,
+    n_readings: int,
+    out: Path | None,
+    rig_path: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Propose the readings to take after SESSION: to tell causes apart, or to shrink a parameter.
+
+    Stops are chosen among the poses of the session and some currents, one after another. Programmes that need a change of the set-up,
+    such as a turned sensor, are listed with what they would bring.
+    """
+    if out is not None:
+        refuse_existing(out, overwrite)
+    rig = load_rig(rig_path) if rig_path else None
+    found = design(load_session(session_path), split=split, shrink=shrink, n_readings=n_readings, rig=rig)
+    if out is not None:
+        write_text(out, found.plan)
+    result = {
+        "goal": found.goal,
+        "programmes": [
+            {"action": one.action.words, "expected_log_evidence": one.expected_log_evidence}
+            for one in found.actions
+        ],
+        "so_far": found.so_far,
+        "reached": list(found.reached),
+        "plan": None if out is None else str(out),
+    }
+    show(result, _text(found, out, shrink is not None), as_json)
+
+
+def _text(found: Design, out: Path | None, is_shrinking: bool) -> str:
+    lines = [f"goal: {found.goal}"]
+    what = "standard deviation" if is_shrinking else "expected log evidence (3 is 20 to 1)"
+    lines.append(f"{what} of the readings so far: {found.so_far:.3g}")
+    if found.actions:
+        lines.append("with a programme of readings added:")
+        lines += [
+            f"  {one.expected_log_evidence:8.1f}  {one.action.words}" for one in found.actions[:MOST_PRINTED]
+        ]
+    lines.append(f"with the {len(found.reached)} chosen stops added: {found.reached[-1]:.3g}")
+    lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
+    return "\n".join(lines)
