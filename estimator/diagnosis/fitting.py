@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,13 +16,14 @@ from torch.func import jacfwd
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.linear import FreeNoise, Projector
+from estimator.effects import EFFECTS
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.polish import Polished, polish
 from estimator.parameters import LogNormal, Parameter
 from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.rig import Cause, Rig
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,31 @@ class Fit:
             lambda vector: self.posterior.coordinates.values(vector)[name] + 0.0 * vector.sum()
         )(self.vector)
         return float(torch.sqrt(slope @ self.covariance @ slope))
+
+    def log_evidence_for(self, cause: Cause) -> float:
+        """Log Bayes factor of one of the rig's causes against its null, beside all others; infinite where it has no null to be told from.
+
+        References: Dickey and Lientz, Ann. Math. Stat. 41, 214 (1970): ratio of prior and posterior density at the null.
+        """
+        quantities = {
+            f"{cause.label}.{q.key}": q
+            for q in EFFECTS[cause.name].quantities(self.posterior.chain.scene.extent)
+            if not q.is_shape
+        }
+        names = [name for name in quantities if name in self.posterior.coordinates.names]
+        if not names or any(quantities[name].is_positive for name in names):
+            return math.inf
+        columns = [self.posterior.coordinates.names.index(name) for name in names]
+        null = torch.tensor([quantities[name].null for name in names], dtype=torch.float64)
+        own = torch.distributions.MultivariateNormal(
+            self.vector[columns], self.covariance[columns][:, columns]
+        )
+        log_prior = 0.0
+        for name in names:
+            prior = self.rig.parameters[name].prior
+            assert prior is not None
+            log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
+        return log_prior - float(own.log_prob(null))
 
     @property
     def free_noise(self) -> FreeNoise | None:

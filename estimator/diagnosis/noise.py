@@ -20,14 +20,25 @@ FEWEST = 10  # components of a sensor, for a share of them to mean anything
 RATIOS = (4.0, 10.0, 25.0)  # scatter of outliers to begin with, in units of the noise
 
 
-def noise_causes(fit: Fit) -> Iterator[tuple[Cause, float, Fit]]:
-    """The causes of scatter that the residuals hint at most, with log Bayes factor and fit: of each kind the one place that gains most."""
+def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | None]]:
+    """The causes of scatter that the residuals hint at most, with log Bayes factor and fit: of each kind the one place that gains most.
+
+    Args:
+        fit: Without them.
+        beside: Log Bayes factor of the best cause of another kind, 0 where none earns its place. A mover that scatters is asked after all
+            others, and outliers where they promise more; else the hint stands for the evidence and nothing is fitted.
+    """
     for name, effect in EFFECTS.items():
         if isinstance(effect, NoiseEffect):
             places = [Cause(name, place) for place in effect.places(fit.rig)]
             hints = [(_hint(fit, cause), cause) for cause in places if cause not in fit.rig.effects]
             gain, cause = max(hints, key=lambda pair: pair[0], default=(0.0, None))
-            if cause is not None and gain > LEAST_GAIN:
+            if cause is None or gain <= LEAST_GAIN:
+                continue
+            is_asked = beside <= 0.0 or (name == "outliers" and gain > beside)
+            if not is_asked:
+                yield cause, gain, None
+            else:
                 yield cause, *(_outliers(fit, cause) if name == "outliers" else _jitter(fit, cause))
 
 

@@ -32,6 +32,7 @@ CREDIBLE = 0.95
 MOST_LEADERS = 4
 LEADERS_WITHIN = 10.0  # of the best in log evidence of the screening
 MOST_CAUSES = 12
+SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 
 
@@ -188,12 +189,14 @@ def _step(fit: Fit, pool: list[Candidate], smooth: list[Family]) -> Step:
         if i < MOST_LEADERS and value > max(best - LEADERS_WITHIN, 0.0):
             value, fitted = _in_full(fit, value, start)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
-    rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noise_causes(fit)]
+    least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(max(len(ranked), 1)) + LOG_PRIOR_NOTHING
+    beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
+    noisy = noise_causes(fit, beside if beside > least else 0.0)
+    rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noisy]
     rivals = _with_probabilities(rivals, len(ranked))
     causes = [rival for rival in rivals if rival.cause is not None]
     if not causes:
         return Step(tuple(rivals), None, (), left)
-    least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(len(ranked)) + LOG_PRIOR_NOTHING
     earning = [rival for rival in causes if rival.fit is not None and rival.log_bayes_factor > least]
     first = _first(earning)
     if first and first.name != next(rival.name for rival in causes):
@@ -304,19 +307,17 @@ def _credible(causes: list[Rival], taken: Cause | None) -> tuple[Rival, ...]:
 
 
 def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
-    """Drop causes, one after another, without which the evidence is higher."""
+    """Drop causes, one after another, without which the evidence is higher; those far from their null are not refitted without."""
     gone: list[Cause] = []
     while True:
         own = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
-        if len(own) < 2:
+        doubtful = [cause for cause in own[:-1] if fit.log_evidence_for(cause) < SURELY_NEEDED]
+        if not doubtful:
             return fit, gone
-        observations = fit.observations
+        observations, rules = fit.observations, fit.posterior.chain.rules
         without = [
-            (
-                cause,
-                fit_rig(fit.rig.without_cause(cause), observations, fit.values, fit.posterior.chain.rules),
-            )
-            for cause in own[:-1]
+            (cause, fit_rig(fit.rig.without_cause(cause), observations, fit.values, rules))
+            for cause in doubtful
         ]
         cause, best = max(without, key=lambda pair: pair[1].log_evidence)
         if best.log_evidence <= fit.log_evidence:
