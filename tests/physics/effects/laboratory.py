@@ -17,6 +17,7 @@ import yaml
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.effects import EFFECTS
+from estimator.effects.base import Kind
 from estimator.effects.scene import Extent
 from estimator.records import Observations
 from estimator.units import MU0_T_M_PER_A
@@ -43,6 +44,23 @@ POINTS_M = np.array(
         [-0.044, -0.047, 0.012],
     ]
 )
+# Every effect that adds a field or changes a winding, of a size that shows.
+SOURCES = {
+    "axial_pitch": {"excess": 0.05},
+    "radial_pitch": {"excess": -0.1},
+    "turns_gradient": {"slope": 0.2},
+    "short_layer": {"missing": 0.4, "at_front": 1.0},
+    "coil_ovality": {"cos2": 0.02, "sin2": -0.01},
+    "lead_wire": {"gap_m": 0.01, "azimuth_rad": 2.0, "length_m": 0.2},
+    "iron_core": {"share": 0.2},
+    "core_saturation": {"share": 0.2, "loss_per_A2": 0.01},
+    "dipole_model": {"weight": 0.5},
+    "spherical_sum": {"weight": 0.5},
+    "background_field": {"x_T": 1e-5, "z_T": 4e-5},
+    "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
+    "iron_plate": {"strength": 0.4, "azimuth_rad": 0.7, "elevation_rad": -0.4, "distance_m": 0.12},
+    "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
+}
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years
 Field = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> flux density (n, 3)
 
@@ -93,6 +111,11 @@ def dipole_T(moment_A_m2: np.ndarray, at_m: np.ndarray, points_m: np.ndarray) ->
     """Field of a point dipole by magpylib."""
     dipole = magpylib.misc.Dipole(moment=moment_A_m2, position=at_m)
     return MU0_RATIO * dipole.getB(points_m, squeeze=False).reshape(-1, 3)
+
+
+def label_of(name: str) -> str:
+    """An effect at the first coil, or in the room."""
+    return f"{name}[{'room' if EFFECTS[name].kind is Kind.ROOM else 'coil'}]"
 
 
 def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:

@@ -8,24 +8,8 @@ from torch import Tensor
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import RoomEffect, SourceEffect, WindingEffect
-from tests.physics.effects.laboratory import POINTS_M, chain_of, readings
+from tests.physics.effects.laboratory import POINTS_M, SOURCES, chain_of, label_of, readings
 
-GIVEN = {
-    "axial_pitch": {"excess": 0.05},
-    "radial_pitch": {"excess": -0.1},
-    "turns_gradient": {"slope": 0.2},
-    "short_layer": {"missing": 0.4, "at_front": 1.0},
-    "coil_ovality": {"cos2": 0.02, "sin2": -0.01},
-    "lead_wire": {"gap_m": 0.01, "azimuth_rad": 2.0, "length_m": 0.2},
-    "iron_core": {"share": 0.2},
-    "core_saturation": {"share": 0.2, "loss_per_A2": 0.01},
-    "dipole_model": {"weight": 0.5},
-    "spherical_sum": {"weight": 0.5},
-    "background_field": {"x_T": 1e-5, "z_T": 4e-5},
-    "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
-    "iron_plate": {"strength": 0.4, "azimuth_rad": 0.7, "elevation_rad": -0.4, "distance_m": 0.12},
-    "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
-}
 UNIFORM = ("background_field", "background_drift")
 FAR_M = 1.4 * POINTS_M  # an oval loop is summed over 32 nodes: its error dies out away from the wire
 
@@ -33,18 +17,17 @@ FAR_M = 1.4 * POINTS_M  # an oval loop is summed over 32 nodes: its error dies o
 def added_gradient(name: str) -> Tensor:
     """d B_i / d x_j of what an effect adds, of both coils' currents."""
     observations = readings(FAR_M, (2.0, -3.0), time_s=1800.0 * torch.arange(len(FAR_M)).numpy())
-    place = "room" if issubclass(type(EFFECTS[name]), RoomEffect) else "coil"
-    effects = {f"{name}[{place}]": GIVEN[name]}
+    effects = {label_of(name): SOURCES[name]}
     with_it, without = (chain_of(observations, e).gradient_T_per_m("mapper") for e in (effects, {}))
     return with_it - without
 
 
 def test_every_source_is_looked_at():
     kinds = (SourceEffect, RoomEffect, WindingEffect)
-    assert set(GIVEN) == {name for name, effect in EFFECTS.items() if isinstance(effect, kinds)}
+    assert set(SOURCES) == {name for name, effect in EFFECTS.items() if isinstance(effect, kinds)}
 
 
-@pytest.mark.parametrize("name", [name for name in GIVEN if name not in ("spherical_sum", *UNIFORM)])
+@pytest.mark.parametrize("name", [name for name in SOURCES if name not in ("spherical_sum", *UNIFORM)])
 def test_added_field_has_neither_divergence_nor_curl(name):
     gradient = added_gradient(name)
     norm = gradient.flatten(1).norm(dim=1)
