@@ -1,0 +1,38 @@
+"""Fits of the small rig of tests/estimator, with and without causes, a fraction of a second each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from estimator.chain import Chain
+from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.records import Observations
+from estimator.rig import Cause, Rig
+
+
+def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
+    """The rig with causes free, fitted."""
+    fit = fit_rig(rig, observations, {}, Chain.build(rig, observations).rules)
+    for cause in causes:
+        wider = with_effect(fit.rig, cause, observations, {})
+        fit = fit_rig(wider, observations, fit.start_with(wider), fit.posterior.chain.rules)
+    return fit
+
+
+def with_wrong(
+    rig: Rig, observations: Observations, cause: Cause, given: Mapping[str, float]
+) -> Observations:
+    """The readings as they would be with a cause: what it changes at the truth is added to them."""
+    wrong = with_effect(rig, cause, observations, {}, is_free=False).with_values(
+        {f"{cause.label}.{key}": value for key, value in given.items()}
+    )
+    before, after = (predicted_T(r, observations) for r in (rig, wrong))
+    return observations.with_field(observations.field_sensor_T + after - before)
+
+
+def predicted_T(rig: Rig, observations: Observations) -> torch.Tensor:
+    """What a rig predicts at its nominal values."""
+    values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
+    return Chain.build(rig, observations).predict(values).expand(len(observations), 3)

@@ -1,0 +1,129 @@
+"""What a search amounts to, for searches put together by hand, and which causes stand beside something unknown."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from scipy.special import softmax
+
+from estimator.diagnosis.candidates import candidates
+from estimator.diagnosis.discrepancy import Discrepancy, families
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.search import Rival, Search, Step
+from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
+from estimator.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+OFFSET, GAIN, TILT = Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("mount_tilt", "coil1")
+CLEAR = 1000.0  # in log evidence: beyond every threshold
+
+
+@pytest.fixture(scope="module")
+def base(small_rig: Rig, small_session: Session) -> Fit:
+    return fit_of(small_rig, small_session.observations.calibration)
+
+
+@pytest.fixture(scope="module")
+def both(small_rig: Rig, small_session: Session) -> Fit:
+    return fit_of(small_rig, small_session.observations.calibration, OFFSET, GAIN)
+
+
+def left(log_bayes_factor: float) -> Discrepancy:
+    return Discrepancy(log_bayes_factor, "time", {"time": log_bayes_factor}, 1.0, torch.zeros(3).double())
+
+
+def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -3.0) -> Step:
+    """One step: causes of a credible set with their log Bayes factors."""
+    credible = tuple(Rival(cause, cause.label, value) for cause, value in evidence.items())
+    nothing = (Rival(None, "nothing", 0.0), Rival(None, "unexplained", structure))
+    return Step((*credible, *nothing), taken, credible, left(structure))
+
+
+def found(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
+    return Search(base, final, steps, (), tuple(candidates(base, [OFFSET, GAIN])), left(whole))
+
+
+def named(cause: Cause, *others: Cause) -> NamedCause:
+    return NamedCause(cause, 0.9, tuple((other, 0.1) for other in others), 50.0)
+
+
+LAST = step(None, {})
+
+
+def test_without_causes_and_structure_nothing_was_found(base):
+    assert verdict_of(found(base, base, LAST), []) is Verdict.NOTHING_FOUND
+
+
+def test_cause_alone_in_its_credible_set_is_named(base, both):
+    assert verdict_of(found(base, both, LAST), [named(OFFSET)]) is Verdict.NAMED
+    assert verdict_of(found(base, both, LAST), [named(OFFSET), named(GAIN)]) is Verdict.NAMED
+
+
+def test_one_cause_with_an_alternative_makes_the_verdict_indistinguishable(base, both):
+    assert (
+        verdict_of(found(base, both, LAST), [named(OFFSET), named(GAIN, TILT)]) is Verdict.INDISTINGUISHABLE
+    )
+
+
+@pytest.mark.parametrize("causes", [[], [named(OFFSET)], [named(OFFSET, GAIN)]])
+def test_structure_that_is_left_is_unexplained_whatever_was_named(base, both, causes):
+    search = found(base, both, step(None, {}, structure=CLEAR))
+    assert verdict_of(search, causes) is Verdict.UNEXPLAINED
+
+
+def test_evidence_for_structure_counts_at_the_last_step_only(base, both):
+    search = found(base, both, step(OFFSET, {OFFSET: 50.0}, structure=CLEAR), LAST)
+    assert verdict_of(search, [named(OFFSET)]) is Verdict.NAMED
+
+
+def test_several_causes_that_a_flexible_curve_beats_together_are_an_imitation(base, both):
+    search = found(base, both, LAST, whole=CLEAR)
+    assert verdict_of(search, [named(OFFSET), named(GAIN)]) is Verdict.UNEXPLAINED
+    assert verdict_of(search, [named(OFFSET)]) is Verdict.NAMED
+
+
+def test_a_little_evidence_for_structure_changes_nothing(base, both):
+    search = found(base, both, step(None, {}, structure=1.0), whole=1.0)
+    assert verdict_of(search, [named(OFFSET), named(GAIN)]) is Verdict.NAMED
+
+
+def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(base, both):
+    evidence = {OFFSET: 31.0, TILT: 30.2, Cause("background_field", "room"): 28.5}
+    search = found(base, both, step(OFFSET, evidence), step(GAIN, {GAIN: 12.0}), LAST)
+    first, second = named_causes(search)
+    shares = softmax(list(evidence.values()))
+    assert (first.cause, first.log_bayes_factor) == (OFFSET, 31.0)
+    assert first.probability == pytest.approx(shares[0], rel=1e-12)
+    assert [cause for cause, _ in first.alternatives] == list(evidence)[1:]
+    assert [share for _, share in first.alternatives] == pytest.approx(list(shares[1:]), rel=1e-12)
+    assert (second.cause, second.probability, second.alternatives) == (GAIN, 1.0, ())
+
+
+def test_cause_that_was_dropped_later_is_not_named(base, both):
+    search = found(base, both, step(TILT, {TILT: 40.0}), step(OFFSET, {OFFSET: 50.0}), LAST)
+    assert [one.cause for one in named_causes(search)] == [OFFSET]
+
+
+def test_all_log_odds_charge_every_cause_its_prior(base, both):
+    search = found(base, both, LAST)
+    n_causes = len({candidate.cause for candidate in search.pool})
+    gain = both.log_evidence - base.log_evidence
+    one = search.log_odds - gain
+    assert one < 2.0 * -math.log(n_causes)  # two causes, each one of that many and rarer than nothing
+    assert found(base, base, LAST).log_odds == 0.0
+
+
+def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
+    small_rig, small_session, small_truth
+):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
+    final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)
+    search = found(fit_of(small_rig, readings.calibration), final, LAST)
+    smooth = families(final)
+    kept = beside_discrepancy(search, [named(OFFSET), named(GAIN)], smooth)
+    assert GAIN not in [one.cause for one in kept]
+    assert [one.cause for one in beside_discrepancy(search, [named(OFFSET)], [smooth[0]])] == [OFFSET]

@@ -1,0 +1,186 @@
+"""A laboratory whose sensor goes anywhere, and the same windings as loops of magpylib: the second formula of every test beside.
+
+The coil stands in the world's origin with its axis along z, so that its frame is the world's; the sensor reports its pose. Fields come
+through the whole chain, from a rig file with an `effects:` section, so that a test of an effect is also one of where it acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import magpylib
+import numpy as np
+import torch
+import yaml
+
+from estimator.chain import Chain
+from estimator.config import rig_from_text
+from estimator.effects import EFFECTS
+from estimator.effects.base import Kind
+from estimator.effects.scene import Extent
+from estimator.records import Observations
+from estimator.units import MU0_T_M_PER_A
+
+RIG = """
+schema_version: 1
+name: laboratory
+movers: {mapper: {motion: pose}}
+coils:
+  coil: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4}
+  other: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {x_mm: 120, ry_deg: -90}}
+sensors:
+  probe: {carried_by: mapper, noise_uT: 5}
+"""
+# Around the coil: in front, beside, behind, in the bore; none on a symmetry axis but the first.
+POINTS_M = np.array(
+    [
+        [0.0, 0.0, 0.03],
+        [0.012, -0.021, 0.025],
+        [-0.031, 0.017, 0.04],
+        [0.058, 0.023, -0.002],
+        [0.02, 0.05, -0.035],
+        [-0.01, 0.006, -0.003],
+        [-0.044, -0.047, 0.012],
+    ]
+)
+# Every effect that adds a field or changes a winding, of a size that shows.
+SOURCES = {
+    "axial_pitch": {"excess": 0.05},
+    "radial_pitch": {"excess": -0.1},
+    "turns_gradient": {"slope": 0.2},
+    "short_layer": {"missing": 0.4, "at_front": 1.0},
+    "coil_ovality": {"cos2": 0.02, "sin2": -0.01},
+    "lead_wire": {"gap_m": 0.01, "azimuth_rad": 2.0, "length_m": 0.2},
+    "iron_core": {"share": 0.2},
+    "core_saturation": {"share": 0.2, "loss_per_A2": 0.01},
+    "dipole_model": {"weight": 0.5},
+    "spherical_sum": {"weight": 0.5},
+    "background_field": {"x_T": 1e-5, "z_T": 4e-5},
+    "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
+    "iron_plate": {"strength": 0.4, "azimuth_rad": 0.7, "elevation_rad": -0.4, "distance_m": 0.12},
+    "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
+}
+MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years
+Field = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> flux density (n, 3)
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Loops about one axis, each with its own current for one ampere in the coil."""
+
+    radius_m: np.ndarray
+    height_m: np.ndarray
+    current: np.ndarray
+
+    def field_T(self, points_m: np.ndarray) -> np.ndarray:
+        """Sum of magpylib's loops, per ampere."""
+        circles = [
+            magpylib.current.Circle(diameter=2.0 * a, current=i, position=(0.0, 0.0, z))
+            for a, z, i in zip(self.radius_m, self.height_m, self.current, strict=True)
+        ]
+        return MU0_RATIO * magpylib.getB(circles, points_m, sumup=True, squeeze=False).reshape(-1, 3)
+
+    @property
+    def moment_m2(self) -> float:
+        """Current times area."""
+        return float(np.sum(np.pi * self.radius_m**2 * self.current))
+
+
+def winding(
+    radius_m: float = 0.04,
+    axial: int = 6,
+    radial: int = 4,
+    axial_pitch_m: float = 1e-3,
+    radial_pitch_m: float = 1e-3,
+) -> Loops:
+    """The coil of the rig, or another: from the front face back and from the outermost layer in (Osinde et al., eq 9-10)."""
+    heights_m = -axial_pitch_m * (np.arange(axial) + 0.5)
+    radii_m = radius_m - radial_pitch_m * (np.arange(radial) + 0.5)
+    height, radius = (v.ravel() for v in np.meshgrid(heights_m, radii_m, indexing="ij"))
+    return Loops(radius, height, np.ones(len(radius)))
+
+
+def polyline_T(vertices_m: np.ndarray, points_m: np.ndarray, current_A: float = 1.0) -> np.ndarray:
+    """Field of straight pieces of wire by magpylib."""
+    wire = magpylib.current.Polyline(vertices=vertices_m, current=current_A)
+    return MU0_RATIO * wire.getB(points_m, squeeze=False).reshape(-1, 3)
+
+
+def dipole_T(moment_A_m2: np.ndarray, at_m: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """Field of a point dipole by magpylib."""
+    dipole = magpylib.misc.Dipole(moment=moment_A_m2, position=at_m)
+    return MU0_RATIO * dipole.getB(points_m, squeeze=False).reshape(-1, 3)
+
+
+def label_of(name: str) -> str:
+    """An effect at the first coil, or in the room."""
+    return f"{name}[{'room' if EFFECTS[name].kind is Kind.ROOM else 'coil'}]"
+
+
+def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:
+    """`effects:` of a rig file; what is not given is at its null."""
+    entries = {}
+    for label, given in effects.items():
+        nulls = {q.key: q.null for q in EFFECTS[label.partition("[")[0]].quantities(Extent())}
+        assert set(given) <= set(nulls), (label, set(nulls))
+        entries[label] = {key: float(value) for key, value in {**nulls, **given}.items()}
+    return yaml.safe_dump({"effects": entries}, sort_keys=False)
+
+
+def readings(
+    points_m: np.ndarray,
+    current_A: object = (2.0, 0.0),
+    *,
+    turn_rad: object = (0.0, 0.0, 0.0),
+    time_s: np.ndarray | None = None,
+    temperature_C: Mapping[str, np.ndarray] | None = None,
+    mover: str = "mapper",
+) -> Observations:
+    """Readings without field at places and rotation vectors of the mover, by one sensor."""
+    n = len(points_m)
+    motion = np.concatenate((points_m, np.broadcast_to(turn_rad, (n, 3))), axis=1)
+    current = np.array(np.broadcast_to(current_A, (n, np.shape(current_A)[-1])), dtype=float)
+    return Observations(
+        torch.arange(n, dtype=torch.float64) if time_s is None else torch.tensor(time_s, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.int64),
+        torch.from_numpy(current),
+        {mover: torch.from_numpy(motion)},
+        torch.full((n, 3), 1e-3, dtype=torch.float64),
+        torch.zeros(n, dtype=torch.bool),
+        torch.zeros(n, dtype=torch.int64),
+        {name: torch.tensor(value, dtype=torch.float64) for name, value in (temperature_C or {}).items()},
+    )
+
+
+def chain_of(observations: Observations, effects: Mapping[str, Mapping[str, float]], rig: str = RIG) -> Chain:
+    """The chain of a rig with effects, with the full sum over the loops."""
+    text = rig + (effects_text(effects) if effects else "")
+    return Chain.build(rig_from_text(text), observations, tolerance=1e-13)
+
+
+def predicted_T(
+    observations: Observations,
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+    rig: str = RIG,
+) -> np.ndarray:
+    """What the sensor reads."""
+    chain = chain_of(observations, effects or {}, rig)
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in chain.rig.nominal_values().items()}
+    return chain.predict(values).expand(len(observations), 3).numpy()
+
+
+def added_T(
+    observations: Observations, effects: Mapping[str, Mapping[str, float]], rig: str = RIG
+) -> np.ndarray:
+    """What effects add to the readings."""
+    return predicted_T(observations, effects, rig) - predicted_T(observations, None, rig)
+
+
+def assert_same_field(found_T: np.ndarray, expected_T: np.ndarray, rtol: float = 1e-9) -> None:
+    """Vectors agree to a share of each vector's own length."""
+    norm = np.linalg.norm(expected_T, axis=-1)
+    assert found_T.shape == expected_T.shape
+    assert (norm > 0.0).all()
+    error = np.linalg.norm(found_T - expected_T, axis=-1) / norm
+    assert error.max() < rtol, error

@@ -1,0 +1,124 @@
+"""Effects of the supply against sums of magpylib's loops with the current that should flow, and heating against its differential equation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from estimator.config import rig_from_text
+from estimator.effects.scene import Scene
+from tests.physics.effects.laboratory import (
+    POINTS_M,
+    RIG,
+    assert_same_field,
+    predicted_T,
+    readings,
+    winding,
+)
+
+N = len(POINTS_M)
+
+
+def coils_T(coil_A: object, other_A: object) -> np.ndarray:
+    """Both coils by magpylib; the second stands across the first."""
+    turn = Rotation.from_rotvec([0.0, -90.0, 0.0], degrees=True)
+    in_other_m = turn.inv().apply(POINTS_M - np.array([0.12, 0.0, 0.0]))
+    other = turn.apply(winding(0.03, 5, 3).field_T(in_other_m))
+    first = winding().field_T(POINTS_M)
+    return np.broadcast_to(coil_A, N)[:, None] * first + np.broadcast_to(other_A, N)[:, None] * other
+
+
+def test_laboratory_without_effects_is_the_sum_of_magpylibs_loops():
+    assert_same_field(predicted_T(readings(POINTS_M, (2.0, -3.0))), coils_T(2.0, -3.0))
+
+
+def test_current_gain_multiplies_the_current_of_its_coil_only():
+    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_gain[coil]": {"excess": 0.03}})
+    assert_same_field(found, coils_T(2.0 * 1.03, -3.0))
+
+
+def test_current_offset_flows_at_every_current_and_at_none():
+    commanded = np.array([2.0, -2.0, 0.0, 1.0, 0.0, -0.5, 3.0])
+    current_A = np.stack((commanded, np.full(N, 0.5)), axis=1)
+    found = predicted_T(readings(POINTS_M, current_A), {"current_offset[coil]": {"offset_A": 0.07}})
+    assert_same_field(found, coils_T(commanded + 0.07, 0.5))
+
+
+def test_current_offset_flows_in_a_coil_that_is_never_switched_on():
+    found = predicted_T(readings(POINTS_M, (0.0, 1.0)), {"current_offset[coil]": {"offset_A": 0.07}})
+    assert_same_field(found, coils_T(0.07, 1.0))
+
+
+def test_gain_and_offset_act_in_that_order():
+    effects = {"current_offset[coil]": {"offset_A": 0.07}, "current_gain[coil]": {"excess": 0.03}}
+    assert_same_field(predicted_T(readings(POINTS_M, (2.0, 0.0)), effects), coils_T(2.0 * 1.03 + 0.07, 0.0))
+
+
+@pytest.mark.parametrize(("coil", "expected"), [("coil", (2.0 + 0.04 * -3.0, -3.0)), ("other", (2.0, -2.92))])
+def test_neighbour_coil_carries_a_share_of_the_other_current(coil, expected):
+    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {f"neighbour_coil[{coil}]": {"share": 0.04}})
+    assert_same_field(found, coils_T(*expected))
+
+
+def test_current_sign_exchanges_the_leads_of_one_coil():
+    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_sign[other]": {"sign": -1.0}})
+    assert_same_field(found, coils_T(2.0, 3.0))
+
+
+@pytest.mark.parametrize("tau_share", [0.1, 0.4, 2.0])
+def test_coil_heating_follows_the_equation_of_one_thermal_mass(tau_share):
+    """tau dw/dt = I(t)^2 - w from a cold start, the current held from one reading to the next; delivered is I (1 - loss w)."""
+    n, duration_s, loss_per_A2 = 250, 5000.0, 2e-3
+    time_s = np.linspace(0.0, duration_s, n)
+    tau_s = tau_share * duration_s
+    current_A = 3.0 * np.sign(np.sin(0.9 + 7.0 * time_s / duration_s)) * (time_s < 0.8 * duration_s)
+    current_A += 1e-3  # so that a ratio can be taken everywhere
+
+    def slope(t: float, w: np.ndarray) -> np.ndarray:
+        held = min(int(t / duration_s * (n - 1)), n - 1)
+        return (current_A[held] ** 2 - w) / tau_s
+
+    heat = solve_ivp(slope, (0.0, duration_s), [0.0], t_eval=time_s, max_step=duration_s / n / 2).y[0]
+    observations = readings(
+        np.repeat(POINTS_M[:1], n, axis=0), np.stack((current_A, 0 * current_A), axis=1), time_s=time_s
+    )
+    given = {"loss_per_A2": loss_per_A2, "tau_h": tau_s / 3600.0}
+    found = predicted_T(observations, {"coil_heating[coil]": given})
+    cold = predicted_T(observations)
+    loss = 1.0 - found[:, 2] / cold[:, 2]
+    one_step = 9.0 / (
+        tau_share * n
+    )  # what a step warms the cold coil: the code takes its heat at the end of each
+    assert np.abs(loss / loss_per_A2 - heat).max() < 1.5 * one_step < 0.1 * heat.max()
+
+
+def test_coil_that_is_on_for_long_has_lost_its_share_per_square_ampere():
+    n = 60
+    observations = readings(np.repeat(POINTS_M[:1], n, axis=0), (2.0, 0.0), time_s=100.0 * np.arange(n))
+    effect = {"coil_heating[coil]": {"loss_per_A2": 0.01, "tau_h": 200.0 / 3600.0}}
+    assert predicted_T(observations, effect)[-1, 2] / predicted_T(observations)[-1, 2] == pytest.approx(
+        1.0 - 0.01 * 2.0**2, abs=1e-6
+    )
+
+
+def test_heat_is_the_same_for_a_part_of_the_session_and_for_readings_out_of_order():
+    n = 80
+    random = np.random.default_rng(1)
+    current_A = np.stack((random.choice([0.0, 2.0, -3.0], n), np.zeros(n)), axis=1)
+    observations = readings(random.uniform(0.03, 0.05, (n, 3)), current_A, time_s=10.0 * np.arange(n))
+    tau_h = torch.tensor(0.05, dtype=torch.float64)
+    rig = rig_from_text(RIG)
+    whole = Scene(rig, observations).heat_A2(0, tau_h)
+    rows = torch.from_numpy(random.permutation(n)[:30])
+    torch.testing.assert_close(Scene(rig, observations.rows(rows)).heat_A2(0, tau_h), whole[rows])
+
+
+def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_mean():
+    celsius = np.array([20.0, 21.0, 24.0, np.nan, 23.0, 20.0, 24.0])
+    observations = readings(POINTS_M, (2.0, -3.0), temperature_C={"coil": celsius})
+    found = predicted_T(observations, {"coil_heating[coil]": {"loss_per_K": 0.004, "tau_h": 1.0}})
+    kelvin = np.nan_to_num(celsius - np.nanmean(celsius))
+    assert_same_field(found, coils_T(2.0 * (1.0 - 0.004 * kelvin), -3.0))
