@@ -29,6 +29,7 @@ from estimator.effects.base import (
     SourceEffect,
     WindingEffect,
 )
+from estimator.effects.record import UnitError
 from estimator.effects.scene import Scene
 from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
@@ -165,6 +166,8 @@ class Chain:
             torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils)), dim=-1
         )
         current_A = gains[..., None, :] * self.scene.current_A
+        for record in uses_of(self.rig, UnitError):
+            current_A = record.effect.current_A(current_A, record.theta(values))
         for use in uses_of(self.rig, CurrentEffect):
             current_A = use.effect.apply(current_A, use.theta(values), self.scene, use.index(self.rig.coils))
         return current_A

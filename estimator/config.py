@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from estimator.effects import EFFECTS
+from estimator.effects.base import Quantity
 from estimator.effects.scene import Extent
 from estimator.errors import InvalidInput
 from estimator.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig import Cause, Coil, DisplacementFrame, MotionKind, Mover, Rig, Sensor
+from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
@@ -117,13 +119,27 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         above.refuse(
             label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(found["place"])
         )
-    for quantity in effect.quantities(Extent()):
+    quantities = effect.quantities(Extent())
+    for quantity in quantities:
         if quantity.key not in section:
+            _refuse_misspelt(section, quantity, {q.key for q in quantities})
             section.required(quantity.key)
         name = f"{label}.{quantity.key}"
         _store(section, quantity.key, name, quantity.unit, 1.0, numbers, quantity.is_positive)
     section.finish()
+    values = {q.key: numbers.parameters[f"{label}.{q.key}"].value for q in quantities}
+    broken = effect.broken_rule(values)
+    if broken is not None:
+        section.refuse(broken[0], broken[1], f"{values[broken[0]]:g}")
     return Cause(effect.name, found["place"])
+
+
+def _refuse_misspelt(section: Section, quantity: Quantity, known: set[str]) -> None:
+    """A quantity that is there without its unit, or in another."""
+    stem = quantity.key.removesuffix(f"_{quantity.unit}")
+    for key in section:
+        if key not in known and (key == stem or split_unit(key)[0] == stem):
+            section.refuse(key, f"must be written as {quantity.key}, in SI", repr(section.value(key)))
 
 
 def _check_names(sections: tuple[Section, ...]) -> None:

@@ -22,7 +22,7 @@ from estimator.diagnosis.search import Search, search
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
-from estimator.diagnosis_record import POSTERIOR, Diagnosis
+from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
 from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
 from estimator.records import Observations
@@ -86,6 +86,9 @@ def diagnose(
     if len(seen) > len(few):
         many = _thinned(seen, MOST_FITTED, seed)
         before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, found.final))
+    judged = gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
+    if judged is not None and judged.is_loss:
+        verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
     result = Diagnosis(
         rig,
         session.source,
@@ -100,7 +103,7 @@ def diagnose(
         after,
         Symptoms.of(plain, seed),
         Symptoms.of(found.final, seed),
-        gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None,
+        judged,
         extended_text(rig, after),
         seed,
     )
@@ -139,7 +142,9 @@ def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list
     best: list[Proposal] = []
     for one in named:
         step = next(step for step in found.steps if step.taken == one.cause)
-        rivals = {r.cause.label: r.fit for r in step.credible if r.fit is not None and r.cause is not None}
+        rivals = {
+            label_of(r.cause, rig): r.fit for r in step.credible if r.fit is not None and r.cause is not None
+        }
         if len(rivals) > 1:
             possible = actions(next(iter(rivals.values())).observations, rig)
             best += [p for p in proposals(rivals, possible) if p.expected_log_evidence > CLEAR]

@@ -30,6 +30,11 @@ DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
 HALF_WIDTH_90 = 1.644854
 
 
+def label_of(cause: Cause, rig: Rig) -> str:
+    """Name of a cause; with its place where the rig has several."""
+    return cause.name if len(EFFECTS[cause.name].places(rig)) < 2 else cause.label
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """The verdict on a session.
@@ -71,8 +76,7 @@ class Diagnosis:
 
     def label(self, cause: Cause) -> str:
         """Name of a cause; with its place where the rig has several."""
-        places = EFFECTS[cause.name].places(self.rig)
-        return cause.name if len(places) < 2 else cause.label
+        return label_of(cause, self.rig)
 
     def record(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""

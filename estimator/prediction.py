@@ -11,8 +11,10 @@ from torch.func import jvp
 
 from estimator.chain import CoilInRoom, static_columns, winding_of, world_from_body
 from estimator.coordinates import Values
-from estimator.effects.base import RoomEffect, SourceEffect
-from estimator.effects.supply import CurrentGain, CurrentOffset
+from estimator.effects.base import CurrentEffect, RoomEffect, SourceEffect
+from estimator.effects.record import UnitError
+from estimator.effects.scene import Scene
+from estimator.effects.supply import CoilHeating
 from estimator.effects.surroundings import BackgroundField
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
@@ -25,6 +27,7 @@ from estimator.field.winding import (
 )
 from estimator.frames import Transform
 from estimator.motion import base_from_motion
+from estimator.records import Observations
 from estimator.rig import Coil, Rig
 
 
@@ -61,6 +64,7 @@ class RoomField:
             )
         zero = torch.zeros(6, dtype=points_m.dtype)
         self.flange = {m.name: base_from_motion(m, motion.get(m.name, zero)[None]) for m in rig.movers}
+        self._scene = Scene(rig, _one_reading(rig))
         self.rules: dict[str, Rule] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
         for coil in rig.coils:
@@ -81,6 +85,7 @@ class RoomField:
         """Flux density in the world frame; NaN at points that lie inside a winding (`is_inside` says which)."""
         points_m = self.points_m if points_m is None else points_m
         total = torch.zeros_like(points_m)
+        delivered_A = self._delivered_A(values, current_A)
         for i, coil in enumerate(self.rig.coils):
             if coil.name not in self.rules:
                 continue
@@ -88,11 +93,11 @@ class RoomField:
             world_from_coil = self._world_from_coil(coil, values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
             per_ampere = winding_field_per_ampere(points_coil_m, winding, rule)
-            delivered_A = self._delivered_A(coil, i, values, current_A)
-            field = delivered_A[..., None, None] * per_ampere
+            own_A = delivered_A[..., i]
+            field = own_A[..., None, None] * per_ampere
             for use in uses_of(self.rig, SourceEffect, coil.name):
                 theta = use.theta(values)
-                drive = use.effect.drive(delivered_A[..., None], theta)[..., None]
+                drive = use.effect.drive(own_A[..., None], theta)[..., None]
                 field = field + drive * use.effect.apply(points_coil_m, winding, rule, theta)
             field = world_from_coil.rotate(field)
             for answering in uses_of(self.rig, RoomEffect):
@@ -101,7 +106,7 @@ class RoomField:
                     CoilInRoom(world_from_coil, winding, rule), points_m, theta
                 )
                 if answer is not None:
-                    field = field + delivered_A[..., None, None] * answer
+                    field = field + own_A[..., None, None] * answer
             total = total + field
         for room in uses_of(self.rig, BackgroundField):
             total = total + room.effect.field_T(room.theta(values))[..., None, :]
@@ -121,14 +126,27 @@ class RoomField:
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)
 
-    def _delivered_A(self, coil: Coil, i: int, values: Values, current_A: Tensor) -> Tensor:
-        """Current that flows when this much is commanded to a cold coil: gain and offset; what heats or leaks needs a history."""
-        delivered_A = values[f"{coil.name}.current_gain"] * current_A[..., i]
-        for gain in uses_of(self.rig, CurrentGain, coil.name):
-            delivered_A = delivered_A * (1.0 + gain.theta(values)["excess"])
-        for offset in uses_of(self.rig, CurrentOffset, coil.name):
-            delivered_A = delivered_A + offset.theta(values)["offset_A"]
-        return delivered_A
+    def _delivered_A(self, values: Values, current_A: Tensor) -> Float[Tensor, "*batch coil"]:
+        """Currents that flow when these are commanded to cold coils; what heats needs a history."""
+        gains = torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils))
+        delivered_A = (torch.stack(gains, dim=-1) * current_A)[..., None, :]
+        for record in uses_of(self.rig, UnitError):
+            delivered_A = record.effect.current_A(delivered_A, record.theta(values))
+        for use in uses_of(self.rig, CurrentEffect):
+            if not isinstance(use.effect, CoilHeating):
+                i = use.index(self.rig.coils)
+                delivered_A = use.effect.apply(delivered_A, use.theta(values), self._scene, i)
+        return delivered_A[..., 0, :]
 
     def _world_from_coil(self, coil: Coil, values: Values) -> Transform:
         return world_from_body(self.rig, coil, "coil", self.flange, values, static_columns(self.rig))
+
+
+def _one_reading(rig: Rig) -> Observations:
+    """A session of one moment without currents: what effects without memory need to know of one."""
+    zeros = torch.zeros(1, dtype=torch.float64)
+    motion = {mover.name: zeros.expand(6)[None] for mover in rig.movers}
+    index, flag = torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.bool)
+    return Observations(
+        zeros, index, zeros.expand(len(rig.coils))[None], motion, zeros.expand(3)[None], flag, index, {}
+    )

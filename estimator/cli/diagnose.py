@@ -23,6 +23,7 @@ from estimator.config import load_rig
 from estimator.diagnose import diagnose
 from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
 from estimator.diagnosis_report import diagnosis_report
+from estimator.errors import InvalidInput
 from estimator.store.session import load_session
 
 
@@ -69,6 +70,10 @@ def diagnose_command(
     Every verdict ends with exit code 0: named, indistinguishable, unexplained, nothing_found.
     """
     refuse_existing(out, overwrite)
+    if out.exists() and not (out / DIAGNOSIS).exists():
+        raise InvalidInput(
+            f"--overwrite replaces folders that coilcal diagnose has made; received {out}, which has no {DIAGNOSIS}"
+        )
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None

@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
-import re
-
 import yaml
 
 from estimator.diagnosis.fitting import Fit
 from estimator.parameters import LogNormal, Normal, Parameter, Prior, Uniform
 from estimator.rig import Rig
+from estimator.yaml_section import Section
 
-EFFECTS_BLOCK = re.compile(r"^effects:.*?(?=^\S|\Z)", re.MULTILINE | re.DOTALL)
+NOTE = "# Found by coilcal diagnose; null is 0 unless said otherwise."
 
 
 def extended_text(rig: Rig, fit: Fit) -> str:
-    """The rig's YAML with the effects of a fit: values at its maximum, priors as declared with the causes."""
-    base = EFFECTS_BLOCK.sub("", rig.text).rstrip() + "\n"
-    if not fit.rig.effects:
-        return base
-    entries: dict[str, dict[str, object]] = {}
+    """The rig's YAML with the effects of a fit: those of the file as they were written, new ones with values at the maximum."""
+    base, written = _without_effects(rig.text)
+    entries: dict[str, object] = {}
     for cause in fit.rig.effects:
         prefix = f"{cause.label}."
-        entries[cause.label] = {
+        entries[cause.label] = written.get(cause.label) or {
             name[len(prefix) :]: _entry(parameter, float(fit.values[name]))
             for name, parameter in fit.rig.parameters.items()
             if name.startswith(prefix)
         }
+    if not entries:
+        return base
     block = yaml.safe_dump({"effects": entries}, sort_keys=False, default_flow_style=None, width=130)
-    return f"{base}\n# Found by coilcal diagnose; null is 0 unless said otherwise.\n{block}"
+    return f"{base}\n{NOTE}\n{block}"
+
+
+def _without_effects(text: str) -> tuple[str, dict[str, object]]:
+    """A rig file without its effects, and what it says of them."""
+    lines = [line for line in text.splitlines() if line != NOTE]
+    top = yaml.compose("\n".join(lines))
+    written = Section.from_text("\n".join(lines), "rig").value("effects") or {}
+    nodes = top.value if isinstance(top, yaml.MappingNode) else []
+    for key, value in nodes:
+        if key.value == "effects":
+            end = value.end_mark.line + (value.end_mark.column > 0)
+            lines[key.start_mark.line : end] = []
+    return "\n".join(lines).rstrip() + "\n", written
 
 
 def _entry(parameter: Parameter, value: float) -> object:

@@ -13,11 +13,11 @@ from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit
+from estimator.effects.noise import Outliers
+from estimator.effects.use import uses_of
 from estimator.inference.likelihood import LogPosterior
 from estimator.metrics import Errors, errors
 from estimator.records import Observations
-
-HALF_WIDTHS = {"coverage50": 0.674490, "coverage90": 1.644854}
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,11 @@ class Gain:
         """Whether the gain exceeds twice its standard error."""
         return self.elpd_difference > 2.0 * self.elpd_se
 
+    @property
+    def is_loss(self) -> bool:
+        """Whether a loss exceeds three times its standard error."""
+        return self.elpd_difference < -3.0 * self.elpd_se
+
 
 def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
     """Judge two fits on readings that neither has seen."""
@@ -92,14 +97,30 @@ def judged(fit: Fit, unseen: Observations) -> Judged:
         noise_T = posterior.component_sigma_T(fit.vector)
         slope: Tensor = jacfwd(posterior.predicted)(fit.vector)
     spread2 = ((slope @ fit.covariance) * slope).sum(-1)
-    sd_T = torch.sqrt(noise_T**2 + spread2)
-    z = (posterior.measured_T - mean_T) / sd_T
-    log_density = -0.5 * z**2 - torch.log(sd_T) - 0.5 * math.log(2.0 * math.pi)
+    off_T = posterior.measured_T - mean_T
+    log_density, below = _mixture(posterior, fit, off_T, noise_T, spread2)
     reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
-    by_reading = torch.zeros(len(unseen), dtype=z.dtype).index_add(0, reading, log_density)
-    inside = {name: float((z.abs() <= width).double().mean()) for name, width in HALF_WIDTHS.items()}
+    by_reading = torch.zeros(len(unseen), dtype=off_T.dtype).index_add(0, reading, log_density)
+    inside = {p: float(((below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
     found = errors(unseen.field_sensor_T.numpy(), predicted_T.numpy())
-    return Judged(found, float(by_reading.sum()), inside["coverage50"], inside["coverage90"], by_reading)
+    return Judged(found, float(by_reading.sum()), inside[0.5], inside[0.9], by_reading)
+
+
+def _mixture(
+    posterior: LogPosterior, fit: Fit, off_T: Tensor, noise_T: Tensor, spread2: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Log predictive density of each component and the probability below it: normal, with wide wings where the rig has outliers."""
+    share, ratio = torch.zeros_like(off_T), torch.ones_like(off_T)
+    for use in uses_of(fit.rig, Outliers):
+        mine, theta = posterior.sensor == use.index(fit.rig.sensors), use.theta(fit.values)
+        share = torch.where(mine, theta["share"], share)
+        ratio = torch.where(mine, theta["ratio"], ratio)
+    good, bad = (
+        torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + spread2))
+        for width_T in (noise_T, ratio * noise_T)
+    )
+    parts = torch.stack((torch.log1p(-share) + good.log_prob(off_T), torch.log(share) + bad.log_prob(off_T)))
+    return torch.logsumexp(parts, 0), (1.0 - share) * good.cdf(off_T) + share * bad.cdf(off_T)
 
 
 def _untied(fit: Fit) -> dict[str, float]:

@@ -104,7 +104,15 @@ def _faults(base: Fit) -> list[Fit]:
     ]
     ranked.sort(key=lambda pair: -pair[0])
     rules = base.posterior.chain.rules
-    return [fit_rig(rig, observations, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
+    fits = [fit_rig(rig, observations, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
+    return [fit for fit in fits if _is_mistake(fit)]
+
+
+def _is_mistake(fit: Fit) -> bool:
+    """Whether the last effect of a fit still is a mistake of the record, not a small correction of something else."""
+    prefix = f"{fit.rig.effects[-1].label}."
+    own = {name[len(prefix) :]: float(v) for name, v in fit.values.items() if name.startswith(prefix)}
+    return EFFECTS[fit.rig.effects[-1].name].is_mistake(own)
 
 
 def _coarse(rig: Rig, base: Fit, observations: Observations) -> float:

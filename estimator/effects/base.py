@@ -115,6 +115,19 @@ class Effect(ABC):
         """Whether the session could show it at all; what needs a temperature is not asked without a thermometer."""
         return True
 
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """The first quantity whose value it cannot have, and the rule; None where all are possible."""
+        for quantity in self.quantities(Extent()):
+            low, high = quantity.prior.lower, quantity.prior.upper
+            is_bounded = quantity.is_fixed and quantity.unit == "1"
+            if is_bounded and not low <= values[quantity.key] <= high:
+                return quantity.key, f"must lie between {low:g} and {high:g}"
+        return None
+
+    def is_mistake(self, values: Mapping[str, float]) -> bool:
+        """Whether values that were fitted still are the mistake of the record that the cause stands for."""
+        return True
+
 
 class CurrentEffect(Effect):
     """Changes what the supply delivers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import permutations, product
 from typing import ClassVar
 
@@ -18,6 +19,7 @@ from estimator.parameters import Uniform
 from estimator.rig import MotionKind, Rig
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
+SMALLEST_TURN_RAD = math.radians(15.0)
 CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
 
 
@@ -54,6 +56,12 @@ class AxesSwapped(ReadingEffect):
         mix = mix * torch.sign(reads)[..., None]
         return (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """Every component is read once."""
+        if sorted(abs(value) for value in values.values()) == [1.0, 2.0, 3.0]:
+            return None
+        return next(iter(values)), "must be, with the other two, 1, 2 and 3 in some order and with any signs"
+
 
 class UnitError(ReadingEffect):
     """Fields or currents are in another unit than the file says."""
@@ -75,8 +83,18 @@ class UnitError(ReadingEffect):
     def apply(
         self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
     ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are recorded, with the fields that the recorded currents stand for."""
-        return field_sensor_T * (theta["field_factor"] / theta["current_factor"])[..., None, None]
+        """Components as they are recorded."""
+        return field_sensor_T * theta["field_factor"][..., None, None]
+
+    def current_A(
+        self, recorded: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Commanded currents behind the recorded ones."""
+        return recorded / theta["current_factor"][..., None, None]
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """Factors are positive."""
+        return next(((key, "must be > 0") for key, value in values.items() if not value > 0.0), None)
 
 
 class CurrentSign(CurrentEffect):
@@ -102,6 +120,10 @@ class CurrentSign(CurrentEffect):
         sign = theta["sign"][..., None, None]
         return torch.where(torch.arange(current_A.shape[-1]) == coil, sign * current_A, current_A)
 
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """A sign is a sign."""
+        return next(((key, "must be 1 or -1") for key, value in values.items() if abs(value) != 1.0), None)
+
 
 class LeftHanded(MotionEffect):
     """One axis of the recorded displacements is reversed, so that their frame is left-handed."""
@@ -123,6 +145,10 @@ class LeftHanded(MotionEffect):
         """Real pose."""
         sign = torch.stack([theta[f"{axis}_sign"] for axis in "xyz"], dim=-1)[..., None, :]
         return Transform(pose.rotation, sign * pose.translation_m)
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """A sign is a sign."""
+        return next(((key, "must be 1 or -1") for key, value in values.items() if abs(value) != 1.0), None)
 
 
 class DisplacementFrameError(MotionEffect):
@@ -161,6 +187,10 @@ class DisplacementFrameError(MotionEffect):
         """Real pose."""
         turn = rotation_from_vector(torch.stack([theta[f"{a}_rad"] for a in ("rx", "ry", "rz")], dim=-1))
         return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
+
+    def is_mistake(self, values: Mapping[str, float]) -> bool:
+        """Axes that are turned a little are not mistaken for others; something else is wrong."""
+        return math.hypot(*values.values()) > SMALLEST_TURN_RAD
 
 
 def _signed_permutations() -> list[dict[str, float]]:

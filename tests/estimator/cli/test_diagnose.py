@@ -90,7 +90,6 @@ def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]
         assert set(size) == {"size", "unit"}
 
 
-@pytest.mark.xfail(strict=True, reason="not in the record yet")
 @pytest.mark.parametrize("key", ["next_measurement", "signatures"])
 def test_record_holds_what_to_measure_next_and_the_signatures(record: dict[str, Any], key: str):
     assert key in record
@@ -110,7 +109,7 @@ def test_hidden_offset_is_found_with_its_twin(record: dict[str, Any]):
     assert size["unit"] == "T"
     assert size["median"] == pytest.approx(OFFSET_T, abs=3.0 * size["sd"])
     assert size["sd"] < 0.2 * OFFSET_T
-    assert size["median"] == pytest.approx(sum(size["ci90"]) / 2.0)
+    assert size["ci90"][0] < size["median"] < size["ci90"][1]
     assert any({"background_field", "sensor_offset"} <= set(group) for group in record["indistinguishable"])
 
 
@@ -184,10 +183,6 @@ def test_a_wrong_call_gets_the_usage_of_the_command(run: Run, command: str):
     assert result.stderr.startswith("Usage: ")
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="any folder is taken and, after the search, deleted: `--out . --overwrite` takes everything in it along",
-)
 def test_overwriting_refuses_a_folder_that_is_no_diagnosis_before_it_searches(
     workspace: Path,
     run: Run,

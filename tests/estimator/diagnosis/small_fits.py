@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import torch
 
 from estimator.chain import Chain
-from estimator.diagnosis.fitting import Fit, fit_rig, with_effect
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.effects.attach import with_effect
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 

@@ -104,17 +104,10 @@ def test_rig_may_be_extended_again_and_again(text: str, extended: Fit):
     assert again.count("effects:") == 1
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the comment above the block is not taken out with it: one more each time"
-)
 def test_comment_of_the_extension_is_written_once(text: str, extended: Fit):
     assert extended_text(rig_from_text(text), extended).count("Found by coilcal diagnose") == 1
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a comment at the margin ends the block for the expression that takes it out: the rest of the block stays",
-)
 def test_comment_at_the_margin_inside_the_effects_does_no_harm(small_rig: Rig, readings: Observations):
     block = (
         "effects:\n  sensor_offset[hall]: {x_T: 1e-5, y_T: 0, z_T: 0}\n# by the maker\n"
@@ -125,7 +118,6 @@ def test_comment_at_the_margin_inside_the_effects_does_no_harm(small_rig: Rig, r
     assert again.effects == rig.effects
 
 
-@pytest.mark.xfail(strict=True, reason="bounds of priors are not written")
 def test_bounds_of_a_prior_that_the_file_had_are_kept(small_rig: Rig, readings: Observations):
     block = (
         "effects:\n  current_gain[coil1]:\n"
@@ -136,7 +128,6 @@ def test_bounds_of_a_prior_that_the_file_had_are_kept(small_rig: Rig, readings: 
     assert again.parameters["current_gain[coil1].excess"].prior == Normal(0.0, 0.01, -0.005, 0.005)
 
 
-@pytest.mark.xfail(strict=True, reason="ties among effects are written as the plain value that they had")
 def test_tie_that_the_file_had_is_kept(small_rig: Rig, readings: Observations):
     block = (
         "effects:\n  axis_gain[hall]:\n    x: {prior: {normal: {mean: 0, sd: 0.01}}}\n"

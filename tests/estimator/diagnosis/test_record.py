@@ -19,11 +19,6 @@ def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
     assert without_faults(fit) == (fit, [])
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="displacement_frame is a rotation that is fitted: any misfit makes it a fault of a milliradian, named with probability 1.0 and "
-    "never asked again once the real cause is found",
-)
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
 ):

@@ -16,8 +16,9 @@ import torch
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.fitting import fit_rig, with_effect
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.resolution import indistinguishable, project
+from estimator.effects.attach import with_effect
 from estimator.records import Observations
 from estimator.rig import Cause
 from tests.estimator.diagnosis.paper_grid import (

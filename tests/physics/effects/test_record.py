@@ -63,11 +63,6 @@ def test_unit_error_multiplies_what_is_recorded(given, factor):
     assert_same_field(predicted_T(READINGS, {"unit_error[record]": given}), factor * FIELD_T)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="unit_error divides the whole reading by current_factor, also what no current makes: a background of 50 uT beside "
-    "currents recorded in mA is predicted as 50 nT",
-)
 def test_currents_in_another_unit_leave_the_field_of_the_room_as_it_is():
     effects = {"unit_error[record]": {"current_factor": 1e3}, "background_field[room]": {"z_T": 50e-6}}
     assert_same_field(predicted_T(READINGS, effects), 1e-3 * FIELD_T + np.array([0.0, 0.0, 50e-6]))

@@ -20,10 +20,6 @@ from tests.physics.effects.laboratory import (
 )
 
 CURRENT_A = (2.0, -3.0)
-FORGOTTEN = pytest.mark.xfail(
-    strict=True,
-    reason="RoomField knows gain and offset of a current only: a coil with exchanged leads is predicted upside down",
-)
 CASES = {
     **{
         label_of(name): given for name, given in SOURCES.items() if name != "background_drift"
@@ -42,13 +38,7 @@ def room_field_T(effects: dict[str, dict[str, float]]) -> np.ndarray:
     return field.field_T(values, torch.tensor(CURRENT_A, dtype=torch.float64)).numpy()
 
 
-@pytest.mark.parametrize(
-    "label",
-    [
-        pytest.param(label, marks=FORGOTTEN) if label.startswith(("current_sign", "neighbour")) else label
-        for label in CASES
-    ],
-)
+@pytest.mark.parametrize("label", CASES)
 def test_field_of_the_room_is_what_the_chain_predicts(label):
     effects = {label: CASES[label]}
     found = room_field_T(effects)
