@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -89,7 +89,7 @@ def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
 
 def judged(fit: Fit, unseen: Observations) -> Judged:
     """Predictive errors, density and coverage, with the uncertainty of the parameters by Laplace."""
-    chain = Chain.build(fit.rig.with_values(_untied(fit)), unseen)
+    chain = replace(Chain.unruled(fit.rig, unseen), rules=fit.posterior.chain.rules)
     posterior = LogPosterior(fit.posterior.coordinates, chain, unseen)
     with torch.no_grad():
         predicted_T = chain.predict(fit.values).expand(len(unseen), 3)
@@ -121,7 +121,3 @@ def _mixture(
     )
     parts = torch.stack((torch.log1p(-share) + good.log_prob(off_T), torch.log(share) + bad.log_prob(off_T)))
     return torch.logsumexp(parts, 0), (1.0 - share) * good.cdf(off_T) + share * bad.cdf(off_T)
-
-
-def _untied(fit: Fit) -> dict[str, float]:
-    return {n: float(v) for n, v in fit.values.items() if fit.rig.parameters[n].tie is None}

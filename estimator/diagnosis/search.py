@@ -31,7 +31,7 @@ LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 CREDIBLE = 0.95
 MOST_LEADERS = 4
 LEADERS_WITHIN = 10.0  # of the best in log evidence of the screening
-MOST_CAUSES = 12
+MOST_CAUSES = 20
 SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 

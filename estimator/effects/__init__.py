@@ -13,7 +13,15 @@ from estimator.effects.record import (
     LeftHanded,
     UnitError,
 )
-from estimator.effects.robot import Backlash, MountTilt, PositionLag, RobotScale, RobotShear, SensorBumped
+from estimator.effects.robot import (
+    Backlash,
+    MountTilt,
+    PositionLag,
+    RobotScale,
+    RobotShear,
+    SensorBumped,
+    SensorMisplaced,
+)
 from estimator.effects.sensor import (
     AxisGain,
     CrossAxis,
@@ -72,6 +80,7 @@ EFFECTS: dict[str, Effect] = {
         Backlash(),
         MountTilt(),
         SensorBumped(),
+        SensorMisplaced(),
         ElementDisplacement(),
         CrossAxis(),
         AxisGain(),

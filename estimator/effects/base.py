@@ -8,7 +8,7 @@ all come from that declaration. A rig holds effects as entries `cause[place]`, w
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar
@@ -67,9 +67,9 @@ def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
     return Quantity(key, unit, Normal(null, sd), null)
 
 
-def triple(keys: str, suffix: str, unit: str, sd: float) -> tuple[Quantity, ...]:
-    """Quantities alike but for their letters: `triple("xyz", "_T", "T", 1e-5)`."""
-    return tuple(normal(f"{letter}{suffix}", unit, sd) for letter in keys)
+def triple(keys: Iterable[str], suffix: str, unit: str, sd: float) -> tuple[Quantity, ...]:
+    """Quantities alike but for their first letters: `triple("xyz", "_T", "T", 1e-5)`."""
+    return tuple(normal(f"{key}{suffix}", unit, sd) for key in keys)
 
 
 def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = False) -> Quantity:

@@ -128,6 +128,36 @@ class MountTilt(MountEffect):
         return Transform(rotation[..., None, :, :], torch.zeros(1, 3, dtype=rotation.dtype))
 
 
+class SensorMisplaced(MountEffect):
+    """The sensor sits elsewhere on its holder, or turned in it."""
+
+    name: ClassVar[str] = "sensor_misplaced"
+    is_at_reference: ClassVar[bool] = False
+    kind: ClassVar[Kind] = Kind.SENSOR
+    words: ClassVar[str] = "the sensor sits elsewhere on its holder, or turned in it"
+    source: ClassVar[str] = "probes are glued or clamped to about 1 mm and 1 degree"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift and rotation vector in the sensor's own frame."""
+        shift, turn = (
+            triple("xyz", "_m", "m", 1e-3),
+            triple(("rx", "ry", "rz"), "_rad", "rad", math.radians(1.0)),
+        )
+        return (*shift, *turn)
+
+    def concerns(self, scene: Scene, place: str) -> bool:
+        """Beside other sensors; the pose of the coil takes up what a single one has."""
+        return len(scene.rig.sensors) > 1
+
+    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+        """nominal_from_real of the sensor."""
+        shift_m, turn_rad = (
+            torch.stack([theta[key] for key in keys], dim=-1)
+            for keys in (("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad"))
+        )
+        return Transform(rotation_from_vector(turn_rad)[..., None, :, :], shift_m[..., None, :])
+
+
 class SensorBumped(MountEffect):
     """Somebody touched the sensor: from one instant on it sits elsewhere."""
 
