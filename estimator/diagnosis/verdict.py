@@ -23,6 +23,8 @@ from estimator.diagnosis.search import (
 from estimator.rig import Cause
 
 LEAST_LOG_ODDS = math.log(20.0)
+# Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
+SAME_THING = {"iron_plate", "iron_body"}
 LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 
 
@@ -62,6 +64,8 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
+    if {one.cause.name for one in named} >= SAME_THING:
+        return Verdict.UNEXPLAINED
     return Verdict.INDISTINGUISHABLE if any(one.alternatives for one in named) else Verdict.NAMED
 
 

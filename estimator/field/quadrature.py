@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+MOST_MASSES = 1e9  # a step of an optimiser may go astray; squares of what lies beyond overflow
+
 
 class DiscreteRule(NamedTuple):
     """Nodes in units of the spacing, centred on 0, and weights that add up to the count."""
@@ -37,6 +39,7 @@ def discrete_gauss(count: Float[Tensor, "*batch"], n_nodes: int) -> DiscreteRule
     """
     if n_nodes == 1:
         return DiscreteRule(torch.zeros_like(count)[..., None], count[..., None])
+    count = count.clamp(max=MOST_MASSES)
     k = torch.arange(1, n_nodes, dtype=count.dtype, device=count.device)
     square = k**2 * (count[..., None] ** 2 - k**2) / (4.0 * (4.0 * k**2 - 1.0))
     off_diagonal = torch.sqrt(square.clamp(min=1e-12))  # a count below n_nodes decouples the surplus nodes
