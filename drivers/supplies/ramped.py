@@ -110,16 +110,20 @@ class RampedSource(ClosesItself):
             DriverError: The output is not known to be off.
         """
         deadline = Deadline.after(timeout_s)
+        self._set_point_A = None
+        is_on = True
         try:
-            self._ramp_down(deadline)
+            is_on = self._supply.is_output_on(deadline)
+            if is_on:
+                self._ramp_down(deadline)
         except DriverError as error:
             _LOG.error("ramp to zero failed, switching off at once: %s", error)
             # Past its deadline or not, the last attempt gets the time of a few commands.
             deadline = Deadline.after(max(deadline.remaining_s, 3 * _ONE_COMMAND_S))
-        self._set_point_A = None
-        self._supply.switch_output(False, deadline)
-        if self._supply.is_output_on(deadline):
-            raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
+        if is_on:
+            self._supply.switch_output(False, deadline)
+            if self._supply.is_output_on(deadline):
+                raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
 
     def close(self) -> None:
         """See `Device.close`."""
@@ -148,11 +152,11 @@ class RampedSource(ClosesItself):
         return self._set_point_A
 
     def _ramp_down(self, deadline: Deadline) -> None:
-        if not self._supply.is_output_on(deadline):
-            return
+        self._supply.prepare(deadline)
         start_A = self._supply.read_set_point_A(deadline)
         for step_A in ramp_steps(start_A, 0.0, self._slew_A_per_s):
             self._write(step_A, deadline)
+        self._set_point_A = None
 
     def _write(self, current_A: float, deadline: Deadline, pause_s: float = STEP_S) -> None:
         """One set-point, read back; the pause after it makes the slope."""
