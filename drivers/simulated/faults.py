@@ -23,6 +23,10 @@ class Fault(IntEnum):
     """Answers end in the middle."""
     SLOW = 6
     """Answers come in pieces with pauses."""
+    PROTECTIVE_STOP = 7
+    """An arm meets an obstacle; it stays stopped until that is unlocked."""
+    EMERGENCY_STOP = 8
+    """Somebody presses the button of an arm."""
 
 
 GARBAGE = bytes([0xFF, 0x00, 0x42, 0x0D, 0x0A, 0xFE])

@@ -9,10 +9,11 @@ import threading
 import time
 import tty
 from collections.abc import Callable
+from functools import partial
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Self
 
 from drivers.errors import DriverError
 from drivers.simulated.faults import Fault, FaultSwitch, spoil
@@ -28,23 +29,19 @@ class Simulator:
     """A running simulator; leaving its `with` block ends it, and so does the death of this process.
 
     Attributes:
-        address: Path of the pseudo-terminal, or `host:port`.
+        address: Path of the pseudo-terminal, `host:port`, or the host of an arm.
         faults: What is wrong with it; may be changed at any time.
     """
 
-    def __init__(
-        self, make: Callable[[], Instrument], line: Literal["serial", "tcp"], host: str = "127.0.0.1"
-    ) -> None:
+    def __init__(self, run: Callable[[FaultSwitch, Connection], None]) -> None:
         """Start it and wait until it listens.
 
         Args:
-            make: Makes the instrument in its process; with the world among its arguments (`functools.partial`).
-            line: What it is connected by.
-            host: Address to listen on; 127.x.y.z gives each simulator its own.
+            run: Body of its process; sends its address once it listens.
         """
         self.faults = FaultSwitch()
         here, there = SPAWN.Pipe(duplex=False)
-        self._process = SPAWN.Process(target=_run, args=(make, line, host, self.faults, there), daemon=True)
+        self._process = SPAWN.Process(target=run, args=(self.faults, there), daemon=True)
         self._process.start()
         there.close()
         try:
@@ -56,6 +53,20 @@ class Simulator:
         except BaseException:
             self.close()
             raise
+
+    @classmethod
+    def on_serial_line(cls, make: Callable[[], Instrument]) -> Self:
+        """An instrument behind a pseudo-terminal.
+
+        Args:
+            make: Makes the instrument in its process; with the world among its arguments (`functools.partial`).
+        """
+        return cls(partial(_serve_line, make, None))
+
+    @classmethod
+    def on_tcp(cls, make: Callable[[], Instrument], host: str = "127.0.0.1") -> Self:
+        """An instrument behind a TCP port that the system chooses; `make` as above."""
+        return cls(partial(_serve_line, make, host))
 
     @property
     def pid(self) -> int | None:
@@ -89,18 +100,6 @@ def exit_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-class _Line(Protocol):
-    """One side of a connection."""
-
-    def wait_for_data(self) -> bytes | None:
-        """What arrived within a tick; None where the other side has gone."""
-        ...
-
-    def send(self, data: bytes) -> None: ...
-
-    def drop(self) -> None: ...
-
-
 class _PtyLine:
     def __init__(self) -> None:
         self._master, slave = os.openpty()
@@ -111,6 +110,7 @@ class _PtyLine:
         self.address = os.ttyname(slave)
 
     def wait_for_data(self) -> bytes | None:
+        """What arrived within a tick; None where the other side has gone."""
         if not select.select([self._master], [], [], _TICK_S)[0]:
             return b""
         try:
@@ -166,22 +166,18 @@ class _TcpLine:
             self._client = None
 
 
-def _run(
-    make: Callable[[], Instrument],
-    kind: Literal["serial", "tcp"],
-    host: str,
-    faults: FaultSwitch,
-    ready: Connection,
+def _serve_line(
+    make: Callable[[], Instrument], host: str | None, faults: FaultSwitch, ready: Connection
 ) -> None:
     exit_with_parent()
     instrument = make()
-    line = _PtyLine() if kind == "serial" else _TcpLine(host)
+    line: _PtyLine | _TcpLine = _PtyLine() if host is None else _TcpLine(host)
     ready.send(line.address)
     ready.close()
     while True:
         if faults.fault is Fault.DROP:
             line.drop()
-            if kind == "serial":  # a pseudo-terminal that was closed does not come back
+            if host is None:  # a pseudo-terminal that was closed does not come back
                 return
             while faults.fault is Fault.DROP:
                 time.sleep(_TICK_S)

@@ -100,7 +100,8 @@ def started(world):
 
     def start(kind):
         line, instrument, driver = kind
-        simulator = Simulator(instrument(world), line)
+        make = Simulator.on_serial_line if line == "serial" else Simulator.on_tcp
+        simulator = make(instrument(world))
         opened.append(simulator)
         device = driver(simulator.address)
         return simulator, device
