@@ -24,16 +24,17 @@ _ASYNC_RUNNING = 1 << 15
 _FASTEST_ROTATION_RAD_PER_S = 1.0
 
 _KINDS = (
-    (re.compile(r"timestamp|.*_double_register_\d+|speed_scaling|target_speed_fraction|actual_(momentum|.*voltage|robot_current"
-                r"|execution_time)|standard_analog_.*|payload"), "DOUBLE"),
-    (re.compile(r"actual_joint_voltage"), "VECTOR6D"),
-    (re.compile(r".*_int_register_\d+|robot_mode|safety_mode"), "INT32"),
-    (re.compile(r"runtime_state|.*_status_bits"), "UINT32"),
-    (re.compile(r"actual_digital_.*_bits"), "UINT64"),
-    (re.compile(r"joint_mode"), "VECTOR6INT32"),
-    (re.compile(r"actual_tool_accelerometer|payload_(cog|inertia)"), "VECTOR3D" ),
-    (re.compile(r"(actual|target)_\w+|joint_\w+|ft_raw_wrench|external_force_torque"), "VECTOR6D"),
-)  # fmt: skip
+    (r"actual_joint_voltage", "VECTOR6D"),
+    (r"actual_(momentum|.*voltage|robot_current|execution_time)|standard_analog_.*|payload", "DOUBLE"),
+    (r"timestamp|.*_double_register_\d+|speed_scaling|target_speed_fraction", "DOUBLE"),
+    (r".*_int_register_\d+|robot_mode|safety_mode", "INT32"),
+    (r"runtime_state|.*_status_bits", "UINT32"),
+    (r"actual_digital_.*_bits", "UINT64"),
+    (r"joint_mode", "VECTOR6INT32"),
+    (r"actual_tool_accelerometer|payload_(cog|inertia)", "VECTOR3D"),
+    (r"(actual|target)_\w+|joint_\w+|ft_raw_wrench|external_force_torque", "VECTOR6D"),
+)
+"""Types of the variables that ur_rtde and this package ask for; the first pattern counts."""
 
 
 def kind_of(name: str) -> str:
@@ -43,9 +44,7 @@ def kind_of(name: str) -> str:
         >>> kind_of("actual_TCP_pose"), kind_of("output_int_register_2"), kind_of("actual_joint_voltage"), kind_of("wishes")
         ('VECTOR6D', 'INT32', 'VECTOR6D', 'NOT_FOUND')
     """
-    if name == "actual_joint_voltage":
-        return "VECTOR6D"
-    return next((kind for pattern, kind in _KINDS if pattern.fullmatch(name)), "NOT_FOUND")
+    return next((kind for pattern, kind in _KINDS if re.fullmatch(pattern, name)), "NOT_FOUND")
 
 
 class UrController:
@@ -132,8 +131,13 @@ class UrController:
         if self._is_executing and (self._is_async or not self._world.is_moving):
             self._outputs["output_int_register_0"] = 2
 
-    def outputs(self, names: Sequence[str]) -> list[Value]:
-        """Values of variables at this moment, all of one instant."""
+    def outputs(self, names: Sequence[str], cycle_s: float) -> list[Value]:
+        """Values of variables now, all of one instant.
+
+        Args:
+            names: Of the variables.
+            cycle_s: When the control cycle was due; its clock ticks evenly, however late this process is.
+        """
         now_s = time.monotonic()
         pose = self._world.snapshot().base_from_flange
         last_s, last_pose, speed = self._last
@@ -144,7 +148,7 @@ class UrController:
         is_running = self._runtime_state == _PLAYING
         values: dict[str, Value] = {
             **self._outputs,
-            "timestamp": now_s - self._start_s,
+            "timestamp": cycle_s - self._start_s,
             "actual_TCP_pose": numbers,
             "actual_q": numbers,
             "actual_TCP_speed": (speed, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -168,7 +172,7 @@ class UrController:
                 self._finish_async()
             case 29:
                 self._tcp = numbers
-            case 30:  # the joints of the simulated arm are the numbers of its pose
+            case 30 | 46:  # the joints of the simulated arm are the numbers of its pose
                 self._write_doubles(numbers)
             case 35:
                 frequency_Hz = self._double(0)
@@ -199,7 +203,7 @@ class UrController:
 
     def _stop_program(self) -> None:
         self._world.halt()
-        self._finish_async()
+        self._is_async = False  # its register keeps saying that it runs: nobody is left to write it
         self._runtime_state = _STOPPED
         self._outputs["output_int_register_0"] = 0
 

@@ -24,10 +24,12 @@ from drivers.simulated.ur_controller import UrController, kind_of
 from drivers.simulated.world import World
 
 DASHBOARD_PORT, SCRIPT_PORT = 29999, 30003
-_RUN_STATES = {
+_SAFETY_STOPS = {
     Fault.PROTECTIVE_STOP: UrController.protective_stop,
     Fault.EMERGENCY_STOP: UrController.emergency_stop,
 }
+
+_LONGEST_BACKLOG_S = 0.5
 
 
 class _Client(Protocol):
@@ -49,13 +51,18 @@ class _RtdeClient:
         return b"".join(rtde.encode(answer) for package in packages for answer in self._answer(package))
 
     def due(self) -> bytes:
-        """The data package of this cycle, where one is due."""
+        """The data packages since the last call; after a long pause those of the pause are left out."""
         now_s = time.monotonic()
-        if not self.is_started or self.outputs is None or now_s < self.next_s:
+        if not self.is_started or self.outputs is None:
             return b""
-        # Never two in one cycle: a controller that was late leaves packages out.
-        self.next_s = max(self.next_s + self.period_s, now_s - self.period_s)
-        return rtde.encode(rtde.encode_data(self.outputs, self.controller.outputs(self.outputs.names)))
+        if now_s - self.next_s > _LONGEST_BACKLOG_S:
+            self.next_s = now_s
+        packages = []
+        while self.next_s <= now_s:
+            values = self.controller.outputs(self.outputs.names, self.next_s)
+            packages.append(rtde.encode(rtde.encode_data(self.outputs, values)))
+            self.next_s += self.period_s
+        return b"".join(packages)
 
     def _answer(self, package: Package) -> list[Package]:
         kind, payload = package.type, package.payload
@@ -109,7 +116,7 @@ class _UrServer:
 
     def __init__(self, controller: UrController, host: str) -> None:
         self._controller = controller
-        self._servers = {
+        self._servers: dict[socket.socket, Callable[[], _Client]] = {
             socket.create_server((host, rtde.PORT)): lambda: _RtdeClient(controller),
             socket.create_server((host, DASHBOARD_PORT)): lambda: _LineClient(controller.dashboard),
             socket.create_server((host, SCRIPT_PORT)): lambda: _ScriptClient(controller),
@@ -125,8 +132,8 @@ class _UrServer:
                 self._serve(ready)
         self._controller.tick()
         for connection, client in list(self._clients.items()):
-            if isinstance(client, _RtdeClient) and (package := client.due()) and fault is not Fault.MUTE:
-                self._send(connection, package)
+            if isinstance(client, _RtdeClient) and (packages := client.due()) and fault is not Fault.MUTE:
+                self._send(connection, packages)
 
     def drop_rtde(self) -> None:
         """Break the RTDE connections."""
@@ -184,7 +191,7 @@ def serve_ur(
         if fault is Fault.DROP:
             server.drop_rtde()
             faults.fault = Fault.NONE
-        elif fault in _RUN_STATES:
-            _RUN_STATES[fault](controller)
+        elif fault in _SAFETY_STOPS:
+            _SAFETY_STOPS[fault](controller)
             faults.fault = Fault.NONE
         server.cycle(fault, 0.0005)

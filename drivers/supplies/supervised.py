@@ -1,0 +1,56 @@
+"""A current source in a process of its own: when the host's program is gone, it ramps the current to zero and switches off."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from drivers.device import ClosesItself
+from drivers.protocols import Reading
+from drivers.supervised import Supervised
+from drivers.supplies.ramped import RampedSource
+
+_START_S = 10.0
+_CLOSE_S = 30.0
+
+
+class SupervisedSource(ClosesItself):
+    """A `CurrentSource`, with the supply's port owned by a child process."""
+
+    def __init__(self, make: Callable[[threading.Event], RampedSource], name: str) -> None:
+        """Start the child, which opens the port.
+
+        Args:
+            make: Makes the source in the child; the event ends a ramp.
+            name: What to call it in messages.
+        """
+        self._supervised = Supervised(make, name, start_timeout_s=_START_S)
+        self._is_closed = False
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the child process."""
+        return self._supervised.pid
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return str(self._supervised.call("identify", timeout_s=timeout_s))
+
+    def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
+        """See `CurrentSource.set_current_A`."""
+        self._supervised.call("set_current_A", current_A=current_A, timeout_s=timeout_s)
+
+    def read_current_A(self, *, timeout_s: float) -> Reading[float]:
+        """See `CurrentSource.read_current_A`."""
+        reading: Reading[float] = self._supervised.call("read_current_A", timeout_s=timeout_s)
+        return reading
+
+    def output_off(self, *, timeout_s: float) -> None:
+        """See `CurrentSource.output_off`; ends a ramp of another thread."""
+        self._supervised.call("output_off", timeout_s=timeout_s, is_urgent=True)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._supervised.close(timeout_s=_CLOSE_S)
