@@ -113,8 +113,13 @@ class FieldSensor(Device, Protocol):
 class CurrentSource(Device, Protocol):
     """A power supply that drives one coil."""
 
+    @property
+    def slew_A_per_s(self) -> float:
+        """Rate of change that it does not exceed."""
+        ...
+
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
-        """Ask for a current and switch the output on; returns when the device has accepted the set-point.
+        """Ramp to a current, with the output on; returns when the device has accepted the last set-point.
 
         Args:
             current_A: Positive out of the positive terminal; a unipolar supply refuses what is negative.

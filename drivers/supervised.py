@@ -7,6 +7,7 @@ the measurement. What it cannot help against is the death of the whole computer:
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import os
@@ -90,6 +91,8 @@ class Supervised:
         there.close()
         self._lock, self._send_lock = threading.RLock(), threading.Lock()
         self._number = 0
+        # At its end this process waits for its children, and the child for the end of the pipe: the pipe goes first.
+        atexit.register(self._connection.close)
         try:
             self._receive(0, Deadline.after(start_timeout_s))
         except BaseException:
@@ -176,6 +179,7 @@ class Supervised:
         return DeviceFault(f"{self.name} must have its process; {reason}")
 
     def _abandon(self) -> None:
+        atexit.unregister(self._connection.close)
         self._connection.close()
         if self._process.exitcode is None:
             _LOG.warning("%s still brings its device to rest", self.name)

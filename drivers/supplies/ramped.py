@@ -55,13 +55,15 @@ class RampedSource(ClosesItself):
         Args:
             supply: Commands of the model.
             slew_A_per_s: Highest rate of change, from inductance and compliance of the coil: U / L.
-            interrupt: Set by another thread to end a ramp of `set_current_A` early; `output_off` does not listen to it.
+            interrupt: Set by another thread to end a ramp of `set_current_A` early, as `output_off` does by itself.
         """
         if not slew_A_per_s > 0:
             raise Refused(f"source.slew_A_per_s must be > 0; received {slew_A_per_s}")
         self.name = supply.name
-        self._supply, self._slew_A_per_s = supply, slew_A_per_s
+        self._supply, self.slew_A_per_s = supply, slew_A_per_s
         self._interrupt = interrupt or threading.Event()
+        self._is_switching_off = threading.Event()
+        self._lock = threading.RLock()
         self._set_point_A: float | None = None
         self._is_closed = False
         self._counter = ReadingCounter()
@@ -82,19 +84,12 @@ class RampedSource(ClosesItself):
             raise Refused(
                 f"source.current_A must be within {supply.lowest_A:g} and {supply.highest_A:g}; received {current_A:g} ({self.name})"
             )
-        start_A = self._prepared_set_point_A(deadline)
-        needed_s = abs(current_A - start_A) / self._slew_A_per_s
-        if needed_s > timeout_s:
-            raise Refused(
-                f"a ramp from {start_A:g} to {current_A:g} A must have {needed_s:.1f} s; received {timeout_s:g} s ({self.name})"
-            )
-        for step_A in ramp_steps(start_A, current_A, self._slew_A_per_s):
-            if self._interrupt.is_set():
-                raise DeviceFault(
-                    f"the ramp to {current_A:g} A must end; it was interrupted at {self._set_point_A} A ({self.name})"
-                )
-            if step_A != start_A:
-                self._write(step_A, deadline)
+        if not self._lock.acquire(timeout=deadline.remaining_s):
+            raise deadline.exceeded(f"{self.name} must be free", "a ramp of another thread goes on")
+        try:
+            self._ramp(current_A, deadline)
+        finally:
+            self._lock.release()
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
         """See `CurrentSource.read_current_A`; `OVER_RANGE` where the voltage limit holds the current back."""
@@ -110,6 +105,41 @@ class RampedSource(ClosesItself):
             DriverError: The output is not known to be off.
         """
         deadline = Deadline.after(timeout_s)
+        self._is_switching_off.set()  # the ramp of another thread ends at its next step
+        is_mine = self._lock.acquire(timeout=deadline.remaining_s)
+        try:
+            self._switch_off(deadline)
+        finally:
+            self._is_switching_off.clear()
+            if is_mine:
+                self._lock.release()
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self.output_off(timeout_s=_CLOSE_S + self._supply.highest_A / self.slew_A_per_s)
+        finally:
+            self._supply.close()
+
+    def _ramp(self, current_A: float, deadline: Deadline) -> None:
+        start_A = self._prepared_set_point_A(deadline)
+        needed_s = abs(current_A - start_A) / self.slew_A_per_s
+        if needed_s > deadline.allowed_s:
+            raise Refused(
+                f"a ramp from {start_A:g} to {current_A:g} A must have {needed_s:.1f} s; received {deadline.allowed_s:g} s ({self.name})"
+            )
+        for step_A in ramp_steps(start_A, current_A, self.slew_A_per_s):
+            if self._interrupt.is_set() or self._is_switching_off.is_set():
+                raise DeviceFault(
+                    f"the ramp to {current_A:g} A must end; it was interrupted at {self._set_point_A} A ({self.name})"
+                )
+            if step_A != start_A:
+                self._write(step_A, deadline)
+
+    def _switch_off(self, deadline: Deadline) -> None:
         self._set_point_A = None
         is_on = True
         try:
@@ -124,16 +154,6 @@ class RampedSource(ClosesItself):
             self._supply.switch_output(False, deadline)
             if self._supply.is_output_on(deadline):
                 raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
-
-    def close(self) -> None:
-        """See `Device.close`."""
-        if self._is_closed:
-            return
-        self._is_closed = True
-        try:
-            self.output_off(timeout_s=_CLOSE_S + self._supply.highest_A / self._slew_A_per_s)
-        finally:
-            self._supply.close()
 
     def _prepared_set_point_A(self, deadline: Deadline) -> float:
         """The present set-point, with the output on; switching on happens at zero."""
@@ -154,7 +174,7 @@ class RampedSource(ClosesItself):
     def _ramp_down(self, deadline: Deadline) -> None:
         self._supply.prepare(deadline)
         start_A = self._supply.read_set_point_A(deadline)
-        for step_A in ramp_steps(start_A, 0.0, self._slew_A_per_s):
+        for step_A in ramp_steps(start_A, 0.0, self.slew_A_per_s):
             self._write(step_A, deadline)
         self._set_point_A = None
 

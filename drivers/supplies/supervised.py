@@ -17,13 +17,17 @@ _CLOSE_S = 30.0
 class SupervisedSource(ClosesItself):
     """A `CurrentSource`, with the supply's port owned by a child process."""
 
-    def __init__(self, make: Callable[[threading.Event], RampedSource], name: str) -> None:
+    def __init__(
+        self, make: Callable[[threading.Event], RampedSource], name: str, *, slew_A_per_s: float
+    ) -> None:
         """Start the child, which opens the port.
 
         Args:
             make: Makes the source in the child; the event ends a ramp.
             name: What to call it in messages.
+            slew_A_per_s: Of the source that is made.
         """
+        self.slew_A_per_s = slew_A_per_s
         self._supervised = Supervised(make, name, start_timeout_s=_START_S)
         self._is_closed = False
 

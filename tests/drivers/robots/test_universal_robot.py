@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import signal
@@ -41,10 +42,8 @@ def rig(request, world):
         arm = UniversalRobot(host, model)
         yield simulator, arm
         simulator.faults.fault = Fault.NONE
-        try:
+        with contextlib.suppress(DriverError):
             arm.close()
-        except DriverError:
-            pass
 
 
 both_models = pytest.mark.parametrize(
