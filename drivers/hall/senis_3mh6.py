@@ -61,8 +61,10 @@ def split_packets(stream: bytes) -> tuple[list[Packet], int, bytes]:
     packets, n_skipped, place = [], 0, 0
     while len(stream) - place >= _PACKET.size:
         end = place + _PACKET.size
-        is_followed = stream[end : end + 1] == b"\x42" or (end == len(stream) and not n_skipped)
-        if stream[place] == _START and stream[end - 1] == _END and is_followed:
+        looks_whole = stream[place] == _START and stream[end - 1] == _END
+        if looks_whole and end == len(stream) and n_skipped:
+            break  # out of step a moment ago: the next byte will tell
+        if looks_whole and stream[end : end + 1] in {b"", b"\x42"}:
             _, x, temperature, y, z, _ = _PACKET.unpack_from(stream, place)
             packets.append(Packet((x, y, z), temperature))
             place = end

@@ -80,6 +80,8 @@ class SerialPort:
             try:
                 waiting = int(self._serial.in_waiting)
                 data = b"" if is_last and not waiting else bytes(self._serial.read(max(1, waiting)))
+                if data and not waiting:  # the first byte of several
+                    data += bytes(self._serial.read(self._serial.in_waiting))
             except (
                 OSError,
                 TypeError,

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import Literal
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
@@ -130,9 +130,10 @@ class ReplayedPort:
 class RecordingPort:
     """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last."""
 
-    def __init__(self, port: Port, file: TextIO) -> None:
+    def __init__(self, port: Port, path: Path) -> None:
+        """Record to a file; what it held is kept."""
         self.name = port.name
-        self._port, self._file = port, file
+        self._port, self._file = port, path.open("a", encoding="utf-8")
         self._start_s = time.monotonic()
 
     def send(self, data: bytes, deadline: Deadline) -> None:
@@ -147,8 +148,9 @@ class RecordingPort:
         return data
 
     def close(self) -> None:
-        """See `Port.close`; the file stays open, since who opened it closes it."""
+        """See `Port.close`."""
         self._port.close()
+        self._file.close()
 
     def _write(self, direction: Literal["<", ">"], data: bytes) -> None:
         self._file.write(encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n")

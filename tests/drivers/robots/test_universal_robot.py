@@ -27,6 +27,11 @@ FAR = FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0))
 _addresses = itertools.count(1)
 
 
+def free_host():
+    """An address that no other test listens on: the ports of a controller are fixed, and pytest-xdist runs several."""
+    return f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
+
+
 @pytest.fixture
 def world():
     return World([CoilCircuit(2.0, 0.0)], HOME)
@@ -36,8 +41,7 @@ def world():
 def rig(request, world):
     """Simulator and arm."""
     model, version = request.param
-    # The ports of a controller are fixed: each test, in each process of pytest-xdist, listens on an address of its own.
-    host = f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
+    host = free_host()
     with Simulator(partial(serve_ur, world, version, "20195300001", host)) as simulator:
         arm = UniversalRobot(host, model)
         yield simulator, arm
