@@ -29,7 +29,7 @@ RATE_CODES = {
 }  # fmt: skip
 """Packets per second and the code of `K`."""
 
-_PACKET = struct.Struct(">BffffxxxxxxxB")
+_PACKET = struct.Struct(">Bffff7sB")
 _START, _END = 0x42, 0x0D
 _QUIET_S = 0.1
 
@@ -65,7 +65,7 @@ def split_packets(stream: bytes) -> tuple[list[Packet], int, bytes]:
         if looks_whole and end == len(stream) and n_skipped:
             break  # out of step a moment ago: the next byte will tell
         if looks_whole and stream[end : end + 1] in {b"", b"\x42"}:
-            _, x, temperature, y, z, _ = _PACKET.unpack_from(stream, place)
+            _, x, temperature, y, z, _, _ = _PACKET.unpack_from(stream, place)
             packets.append(Packet((x, y, z), temperature))
             place = end
         else:
@@ -74,10 +74,10 @@ def split_packets(stream: bytes) -> tuple[list[Packet], int, bytes]:
     return packets, n_skipped, stream[place:]
 
 
-def encode_packet(packet: Packet) -> bytes:
-    """A packet as the instrument sends it."""
+def encode_packet(packet: Packet, seven_more: bytes = bytes(7)) -> bytes:
+    """A packet as the instrument sends it; what its seven other bytes mean is not known."""
     x, y, z = packet.field
-    return _PACKET.pack(_START, x, packet.temperature, y, z, _END)
+    return _PACKET.pack(_START, x, packet.temperature, y, z, seven_more, _END)
 
 
 def decode_rate_answer(answer: bytes, code: int) -> None:

@@ -183,12 +183,15 @@ class SimulatedSenis:
         """See `Instrument.stream`; packets of one call share the field of its moment."""
         if not self._is_streaming:
             return b""
-        n_due = int((time.monotonic() - self._begin_s) * self._rate_Hz) - self._n_sent
-        if n_due <= 0:
+        n_before = self._n_sent
+        self._n_sent = int((time.monotonic() - self._begin_s) * self._rate_Hz)
+        if self._n_sent == n_before:
             return b""
-        self._n_sent += n_due
         x_T, y_T, z_T = self._field(self._world.snapshot())
-        return encode_packet(Packet((1e3 * x_T, 1e3 * y_T, 1e3 * z_T), _CHIP_C)) * n_due
+        packet = Packet((1e3 * x_T, 1e3 * y_T, 1e3 * z_T), _CHIP_C)
+        # The real ones carry no count; here the bytes without a known meaning do, so that tests see a loss.
+        counts = range(n_before, self._n_sent)
+        return b"".join(encode_packet(packet, count.to_bytes(7, "big")) for count in counts)
 
     def _execute(self, command: bytes) -> bytes:
         if command == b"S":
