@@ -28,6 +28,7 @@ from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
 from drivers.transport.port import Port
+from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
@@ -153,6 +154,7 @@ def _open_sensor(settings: Settings) -> FieldSensor:
             settings.quantity("full_scale", "field"),
         )
         port = _port(settings, senis_3mh6.SERIAL)()
+        port = port if "replay" in settings else PumpedPort(port)
         try:
             return senis_3mh6.Senis3MH6(
                 port, rate_Hz=rate_Hz, range_number=range_number, full_scale_T=full_scale_T

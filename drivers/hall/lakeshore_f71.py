@@ -26,6 +26,9 @@ SAMPLE_S = 0.01
 """Base of the buffer's clock; a point of the buffer averages a whole number of samples."""
 
 READ_BUFFER = ":FETC:BUFF:DC?;:STAT:OPER:COND?"
+CLEAR_BUFFER = ":FETC:BUFF:CLE"
+"""As in the NICOS driver. A full buffer takes seconds over the serial line, so what nobody wants is not read."""
+
 _ERRORS = ";:SYST:ERR:ALL?"
 _OVERLOAD_BIT = 1 << 1
 _POLL_S = 0.004
@@ -125,7 +128,8 @@ class LakeShoreF71(ClosesItself):
         """See `FieldSensor.read_field_T`."""
         deadline = Deadline.after(timeout_s)
         with self._channel.exchange(deadline):
-            self._fetch(deadline)
+            self._set_up(deadline)
+            self._ask(CLEAR_BUFFER, 0, deadline)
             self._last_time_s = None  # what is thrown away is not lost
             self._wait(deadline)  # the first was begun before the call
             points, overload = self._wait(deadline)
@@ -135,6 +139,7 @@ class LakeShoreF71(ClosesItself):
         """See `FieldSensor.read_new_T`."""
         deadline = Deadline.after(timeout_s)
         with self._channel.exchange(deadline):
+            self._set_up(deadline)
             points, overload = self._wait(deadline)
             arrived_s = time.monotonic()
             return [self._reading(point, overload, arrived_s) for point in points]
@@ -143,15 +148,18 @@ class LakeShoreF71(ClosesItself):
         """See `Device.close`."""
         self._channel.close()
 
+    def _set_up(self, deadline: Deadline) -> None:
+        if self._set_up_at_fault != self._channel.n_faults:
+            self._ask(encode_setup(self._range_T, self._n_averaged), 0, deadline)
+            self._ask(CLEAR_BUFFER, 0, deadline)
+            self._set_up_at_fault = self._channel.n_faults
+
     def _wait(self, deadline: Deadline) -> tuple[list[BufferPoint], ReadingFlag]:
         while not (fetched := self._fetch(deadline))[0]:
             deadline.sleep(_POLL_S, "F71 must have measured")
         return fetched
 
     def _fetch(self, deadline: Deadline) -> tuple[list[BufferPoint], ReadingFlag]:
-        if self._set_up_at_fault != self._channel.n_faults:
-            self._ask(encode_setup(self._range_T, self._n_averaged), 0, deadline)
-            self._set_up_at_fault = self._channel.n_faults
         buffer, condition = self._ask(READ_BUFFER, 2, deadline)
         is_overload = int(number(condition, "F71 status")) & _OVERLOAD_BIT
         return decode_buffer(buffer), ReadingFlag.OVER_RANGE if is_overload else ReadingFlag.NONE

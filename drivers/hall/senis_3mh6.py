@@ -8,7 +8,6 @@ By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -141,20 +140,24 @@ class Senis3MH6(ClosesItself):
         with self._exchange(deadline):
             self._start(deadline)
             _, _, self._rest = split_packets(self._rest + self._channel.take_arrived(deadline))
-            packets: list[Packet] = []
-            while len(packets) < 2:  # the first was begun before the call
-                packets += self._receive(deadline)
-            return self._reading(packets[-1], time.monotonic())
+            n_passed = 0
+            while True:
+                for packet in self._receive(deadline):
+                    n_passed += 1
+                    if n_passed > 1:  # the first was begun before the call
+                        return self._reading(packet, self._channel.arrived_s)
 
     def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
         """See `FieldSensor.read_new_T`."""
         deadline = Deadline.after(timeout_s)
         with self._exchange(deadline):
             self._start(deadline)
-            while not (packets := self._receive(deadline)):
-                pass
-            arrived_s = time.monotonic()
-            return [self._reading(packet, arrived_s) for packet in packets]
+            readings: list[Reading[Vector]] = []
+            while not readings or (self._channel.has_arrived() and not deadline.is_over):
+                # Each piece of the stream with the time of its own arrival.
+                packets = self._receive(deadline)
+                readings += [self._reading(packet, self._channel.arrived_s) for packet in packets]
+            return readings
 
     def close(self) -> None:
         """See `Device.close`; ends the stream, for one that nobody reads fills the buffers of the port."""

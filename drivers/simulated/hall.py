@@ -33,6 +33,7 @@ class SimulatedF71:
                 "*IDN?": lambda _: "LSCI,F71,LSA0001/LSA0002,1.6.2019101001",
                 "FETC:DC?": self._fetch,
                 "FETC:TEMP?": lambda _: f"{_CHIP_C:.3f}",
+                "FETC:BUFF:CLE": lambda _: self._points.clear(),
                 "FETC:BUFF:DC?": lambda _: self._fetch_buffer(),
                 "STAT:OPER:COND?": lambda _: str(2 * self._is_overload),
                 "SENS:AVER:COUN": self._set_averaging,

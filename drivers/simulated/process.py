@@ -23,6 +23,7 @@ from drivers.simulated.world import SPAWN
 _TICK_S = 0.002
 _START_S = 30.0
 _SLOW_S = 0.01
+_HANDSHAKE_S = 0.2
 
 
 class Simulator:
@@ -122,8 +123,11 @@ class _PtyLine:
         while data:
             try:
                 data = data[os.write(self._master, data) :]
-            except BlockingIOError:  # nobody reads: as on a real line without handshake, the rest is lost
-                return
+            except (
+                BlockingIOError
+            ):  # as on a line with handshake; where nobody reads at all, the rest is lost
+                if not select.select([], [self._master], [], _HANDSHAKE_S)[1]:
+                    return
 
     def drop(self) -> None:
         os.close(self._slave)

@@ -50,8 +50,10 @@ def kind_of(name: str) -> str:
 class UrController:
     """State of the controller; its server calls `tick` in every control cycle."""
 
-    def __init__(self, world: World, *, version: str, serial_number: str, reach_m: float = 0.5) -> None:
-        self._world, self._reach_m = world, reach_m
+    def __init__(
+        self, world: World, arm: int, *, version: str, serial_number: str, reach_m: float = 0.5
+    ) -> None:
+        self._world, self._arm, self._reach_m = world, arm, reach_m
         self.version, self.serial_number = version, serial_number
         self.inputs: dict[str, Value] = {}
         self._outputs: dict[str, Value] = {"output_int_register_0": 0, "output_int_register_2": 0}
@@ -63,7 +65,7 @@ class UrController:
         self._n_operations = 0
         self._tcp: tuple[float, ...] = (0.0,) * 6
         self._watchdog_s, self._kicked_s = math.inf, 0.0
-        self._last = (self._start_s, world.snapshot().base_from_flange, 0.0)
+        self._last = (self._start_s, self._pose, 0.0)
 
     def upload(self, script: str) -> None:
         """Run a program; ur_rtde uploads its control script."""
@@ -119,7 +121,7 @@ class UrController:
         if time.monotonic() - self._kicked_s > self._watchdog_s:
             self._stop_program()
             return
-        if self._is_async and not self._world.is_moving:
+        if self._is_async and not self._world.is_moving(self._arm):
             self._finish_async()
         command = self._int("input_int_register_0")
         if command == 0:
@@ -128,7 +130,7 @@ class UrController:
         elif not self._is_executing:
             self._is_executing = True
             self._begin(command)
-        if self._is_executing and (self._is_async or not self._world.is_moving):
+        if self._is_executing and (self._is_async or not self._world.is_moving(self._arm)):
             self._outputs["output_int_register_0"] = 2
 
     def outputs(self, names: Sequence[str], cycle_s: float) -> list[Value]:
@@ -139,7 +141,7 @@ class UrController:
             cycle_s: When the control cycle was due; its clock ticks evenly, however late this process is.
         """
         now_s = time.monotonic()
-        pose = self._world.snapshot().base_from_flange
+        pose = self._pose
         last_s, last_pose, speed = self._last
         if now_s - last_s > 1e-3:
             speed = distance_m(last_pose, pose) / (now_s - last_s)
@@ -162,13 +164,17 @@ class UrController:
         }
         return [values.get(name, _zero(name)) for name in names]
 
+    @property
+    def _pose(self) -> FlangePose:
+        return self._world.snapshot().base_from_flange[self._arm]
+
     def _begin(self, command: int) -> None:
         numbers = tuple(self._double(register) for register in range(6))
         match command:
             case 1 | 3:
                 self._move(numbers, self._double(6), is_async=self._int("input_int_register_1") == 1)
             case 33 | 34:
-                self._world.halt()
+                self._world.halt(self._arm)
                 self._finish_async()
             case 29:
                 self._tcp = numbers
@@ -186,12 +192,12 @@ class UrController:
                 self._stop_program()
 
     def _move(self, numbers: tuple[float, ...], speed: float, *, is_async: bool) -> None:
-        here = self._world.snapshot().base_from_flange
+        here = self._pose
         x_m, y_m, z_m, x_rad, y_rad, z_rad = numbers
         target = FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))
         turn_rad = math.dist(here.rotation_vector_rad, target.rotation_vector_rad)
         duration_s = max(distance_m(here, target) / speed, turn_rad / _FASTEST_ROTATION_RAD_PER_S)
-        self._world.move(target, duration_s)
+        self._world.move(self._arm, target, duration_s)
         self._is_async = is_async
         if is_async:
             self._n_operations = (self._n_operations + 1) % 128
@@ -202,7 +208,7 @@ class UrController:
         self._outputs["output_int_register_2"] = self._n_operations << 24
 
     def _stop_program(self) -> None:
-        self._world.halt()
+        self._world.halt(self._arm)
         self._is_async = False  # its register keeps saying that it runs: nobody is left to write it
         self._runtime_state = _STOPPED
         self._outputs["output_int_register_0"] = 0

@@ -173,12 +173,19 @@ def _names(payload: bytes) -> tuple[str, ...]:
     return tuple(payload.decode("ascii").rstrip(",").split(","))
 
 
-def serve_ur(
-    world: World, version: str, serial_number: str, host: str, faults: FaultSwitch, ready: Connection
-) -> None:
-    """Body of the simulator's process."""
+def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitch, ready: Connection) -> None:
+    """Body of the simulator's process.
+
+    Args:
+        world: Of the rig.
+        arm: Which of its arms this is.
+        version: Of PolyScope, four numbers: 3.x for a UR3, 5.x for a UR3e.
+        host: Address to listen on.
+        faults: What is wrong with it.
+        ready: Told the address.
+    """
     exit_with_parent()
-    controller = UrController(world, version=version, serial_number=serial_number)
+    controller = UrController(world, arm, version=version, serial_number=f"2019530000{arm + 1}")
     server = _UrServer(controller, host)
     ready.send(host)
     ready.close()

@@ -20,6 +20,8 @@ from drivers.simulated.motion import interpolate
 SPAWN: SpawnContext = multiprocessing.get_context("spawn")
 """Simulators start as fresh processes: a forked one would share the threads and locks of its parent."""
 
+ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
 _COIL_CELLS = 3
 _MOTION_CELLS = 14
 
@@ -31,12 +33,12 @@ class Snapshot:
     Attributes:
         time_s: Since the world began.
         currents_A: In each coil.
-        base_from_flange: Pose of the arm's flange.
+        base_from_flange: Pose of each arm's flange, in the frame of its own base.
     """
 
     time_s: float
     currents_A: tuple[float, ...]
-    base_from_flange: FlangePose
+    base_from_flange: tuple[FlangePose, ...]
 
 
 FieldFunction: TypeAlias = Callable[[Snapshot], Vector]
@@ -62,7 +64,7 @@ class CoilCircuit:
 
 
 class World:
-    """Currents of the coils and pose of the flange.
+    """Currents of the coils and poses of the flanges.
 
     Examples:
         >>> world = World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
@@ -71,20 +73,23 @@ class World:
         (1.5,)
     """
 
-    def __init__(self, circuits: Sequence[CoilCircuit], home: FlangePose | None = None) -> None:
+    def __init__(self, circuits: Sequence[CoilCircuit], homes: Sequence[FlangePose] = (ORIGIN,)) -> None:
+        """All currents are zero, and each flange is at its home."""
         self.circuits = tuple(circuits)
+        self._n_arms = len(homes)
         self._start_s = time.monotonic()
-        self._cells = SPAWN.Array("d", _COIL_CELLS * len(self.circuits) + _MOTION_CELLS)
-        self._motion_at = _COIL_CELLS * len(self.circuits)
-        home = home or FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        self._write_motion(home, home, 0.0)
+        self._first_motion = _COIL_CELLS * len(self.circuits)
+        self._cells = SPAWN.Array("d", self._first_motion + _MOTION_CELLS * self._n_arms)
+        for arm, home in enumerate(homes):
+            self._write_motion(arm, home, home, 0.0)
 
     def snapshot(self) -> Snapshot:
         """The world now."""
         now_s = time.monotonic()
         with self._cells:
             currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
-            return Snapshot(now_s - self._start_s, currents_A, self._pose(now_s))
+            poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
+            return Snapshot(now_s - self._start_s, currents_A, poses)
 
     def drive(self, coil: int, current_A: float) -> None:
         """Let the current of a coil approach a value, with the time constant of its circuit."""
@@ -93,22 +98,21 @@ class World:
             present_A = self._current_A(coil, now_s)
             self._cells[_COIL_CELLS * coil : _COIL_CELLS * (coil + 1)] = [present_A, current_A, now_s]
 
-    def move(self, target: FlangePose, duration_s: float) -> None:
-        """Send the flange from where it is to another pose."""
+    def move(self, arm: int, target: FlangePose, duration_s: float) -> None:
+        """Send a flange from where it is to another pose."""
         with self._cells:
-            self._write_motion(self._pose(time.monotonic()), target, duration_s)
+            self._write_motion(arm, self._pose(arm, time.monotonic()), target, duration_s)
 
-    def halt(self) -> None:
-        """Leave the flange where it is."""
+    def halt(self, arm: int) -> None:
+        """Leave a flange where it is."""
         with self._cells:
-            here = self._pose(time.monotonic())
-            self._write_motion(here, here, 0.0)
+            here = self._pose(arm, time.monotonic())
+            self._write_motion(arm, here, here, 0.0)
 
-    @property
-    def is_moving(self) -> bool:
-        """Whether the flange is on its way."""
+    def is_moving(self, arm: int) -> bool:
+        """Whether a flange is on its way."""
         with self._cells:
-            begin_s, duration_s = self._cells[self._motion_at + 12 : self._motion_at + 14]
+            begin_s, duration_s = self._cells[self._motion(arm)][12:]
         return bool(time.monotonic() < begin_s + duration_s)
 
     def _current_A(self, coil: int, now_s: float) -> float:
@@ -117,24 +121,24 @@ class World:
         left = math.exp(-(now_s - begin_s) / time_constant_s) if time_constant_s > 0 else 0.0
         return float(target_A + (first_A - target_A) * left)
 
-    def _pose(self, now_s: float) -> FlangePose:
-        cells = self._cells[self._motion_at : self._motion_at + _MOTION_CELLS]
+    def _pose(self, arm: int, now_s: float) -> FlangePose:
+        cells = self._cells[self._motion(arm)]
         begin_s, duration_s = cells[12:]
         share = min(1.0, (now_s - begin_s) / duration_s) if duration_s > 0 else 1.0
         return interpolate(_pose(cells[:6]), _pose(cells[6:12]), share)
 
-    def _write_motion(self, start: FlangePose, target: FlangePose, duration_s: float) -> None:
-        cells = [
-            value
-            for pose in (start, target)
-            for part in (pose.position_m, pose.rotation_vector_rad)
-            for value in part
-        ]
-        self._cells[self._motion_at : self._motion_at + _MOTION_CELLS] = [
-            *cells,
-            time.monotonic(),
-            duration_s,
-        ]
+    def _write_motion(self, arm: int, start: FlangePose, target: FlangePose, duration_s: float) -> None:
+        poses = (
+            *start.position_m,
+            *start.rotation_vector_rad,
+            *target.position_m,
+            *target.rotation_vector_rad,
+        )
+        self._cells[self._motion(arm)] = [*poses, time.monotonic(), duration_s]
+
+    def _motion(self, arm: int) -> slice:
+        first = self._first_motion + _MOTION_CELLS * arm
+        return slice(first, first + _MOTION_CELLS)
 
 
 def _pose(cells: Sequence[float]) -> FlangePose:

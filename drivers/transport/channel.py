@@ -43,6 +43,11 @@ class Channel:
         self._is_in_step = True
         self._is_closed = False
 
+    @property
+    def arrived_s(self) -> float:
+        """When the bytes read last arrived, as `time.monotonic()` counts."""
+        return self._port.arrived_s
+
     @contextmanager
     def exchange(self, deadline: Deadline) -> Iterator[None]:
         """Have the port to oneself; errors inside get the port's name and put the channel out of step.
@@ -110,6 +115,15 @@ class Channel:
         if not self._arrived:
             self._receive("the stream must go on", deadline)
         return self._take()
+
+    def has_arrived(self) -> bool:
+        """Whether there is something to read without waiting; inside `exchange`."""
+        if not self._arrived:
+            try:
+                self._arrived += self._port.receive(Deadline.after(0.0))
+            except DeadlineExceeded:
+                return False
+        return True
 
     def read_until_silent(self, quiet_s: float, deadline: Deadline) -> bytes:
         """What comes until nothing does for `quiet_s`; inside `exchange`.

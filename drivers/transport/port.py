@@ -12,9 +12,11 @@ class Port(Protocol):
 
     Attributes:
         name: What the operator knows it by, such as `/dev/ttyUSB0` or `192.168.0.12:7777`.
+        arrived_s: When the bytes handed out last arrived, as `time.monotonic()` counts.
     """
 
     name: str
+    arrived_s: float
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """Hand over all bytes.

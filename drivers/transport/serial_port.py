@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,6 +48,7 @@ class SerialPort:
             DeviceFault: It is not there, not permitted, or another process owns it.
         """
         self.name = device
+        self.arrived_s = time.monotonic()
         try:
             # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to have them set.
             self._serial = serial.Serial(
@@ -88,6 +90,7 @@ class SerialPort:
             ) as error:  # pyserial meets a file number of None when the port goes meanwhile
                 raise self._lost(error) from error
             if data:
+                self.arrived_s = time.monotonic()
                 return data
             if is_last:
                 raise deadline.exceeded(f"{self.name} must receive", "nothing came")

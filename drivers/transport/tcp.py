@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
@@ -21,6 +22,7 @@ class TcpPort:
             DeviceFault: Nobody listens there, or did not answer in time.
         """
         self.name = f"{host}:{port}"
+        self.arrived_s = time.monotonic()
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
         except OSError as error:
@@ -48,6 +50,7 @@ class TcpPort:
             raise self._lost(str(error)) from error
         if not data:
             raise self._lost("the other side closed it")
+        self.arrived_s = time.monotonic()
         return data
 
     def close(self) -> None:

@@ -84,6 +84,7 @@ class ReplayedPort:
 
     def __init__(self, chunks: list[Chunk], name: str) -> None:
         self.name = name
+        self.arrived_s = time.monotonic()
         self._left = deque(chunks)
         self._arrived: deque[bytes] = deque()
 
@@ -117,6 +118,7 @@ class ReplayedPort:
         self._take_arrived()
         if not self._arrived:
             raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+        self.arrived_s = time.monotonic()
         return self._arrived.popleft()
 
     def close(self) -> None:
@@ -133,6 +135,7 @@ class RecordingPort:
     def __init__(self, port: Port, path: Path) -> None:
         """Record to a file; what it held is kept."""
         self.name = port.name
+        self.arrived_s = port.arrived_s
         self._port, self._file = port, path.open("a", encoding="utf-8")
         self._start_s = time.monotonic()
 
@@ -144,6 +147,7 @@ class RecordingPort:
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
         data = self._port.receive(deadline)
+        self.arrived_s = self._port.arrived_s
         self._write("<", data)
         return data
 

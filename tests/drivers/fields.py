@@ -9,5 +9,5 @@ ROOM_T = (2e-5, 0.0, -4e-5)
 def along_z(snapshot):
     """In proportion to the first current, and 10 mT more for each metre the flange is off its base."""
     x_T, y_T, z_T = ROOM_T
-    along_x_m = snapshot.base_from_flange.position_m[0]
+    along_x_m = snapshot.base_from_flange[0].position_m[0]
     return x_T + 0.01 * along_x_m, y_T, z_T + PER_AMPERE_T * snapshot.currents_A[0]

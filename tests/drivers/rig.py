@@ -20,6 +20,7 @@ from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
 from drivers.supplies.korad_ka3005p import KoradKA3005P
 from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
+from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from tests.drivers.fields import along_z
@@ -62,7 +63,7 @@ SENSORS = {
         "serial",
         lambda world: partial(SimulatedSenis, world, along_z),
         lambda address: Senis3MH6(
-            SerialPort(address, SERIAL_SENIS), rate_Hz=1000, range_number=1, full_scale_T=0.1
+            PumpedPort(SerialPort(address, SERIAL_SENIS)), rate_Hz=1000, range_number=1, full_scale_T=0.1
         ),
     ),
 }

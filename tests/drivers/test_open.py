@@ -39,7 +39,7 @@ ARM = {
 
 @pytest.fixture
 def world():
-    return World([CoilCircuit(2.0, 0.0)], FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0)))
+    return World([CoilCircuit(2.0, 0.0)], [FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))])
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def section(world):
     with (
         Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as f71,
         Simulator.on_serial_line(partial(simulated_kepco, world, 0, 5.0)) as kepco,
-        Simulator(partial(serve_ur, world, "5.11.1.108318", "20195300001", host)) as _,
+        Simulator(partial(serve_ur, world, 0, "5.11.1.108318", host)) as _,
     ):
         tcp_host, _, port = f71.address.rpartition(":")
         yield {

@@ -16,6 +16,7 @@ SETUP = (
     b":SENS:MODE DC;:UNIT:FIEL TESLA;:SENS:RANG:AUTO 0;:SENS:RANG 0.35;:SENS:AVER:COUN 1;:SYST:ERR:ALL?\n",
     OK,
 )
+CLEAR = (b":FETC:BUFF:CLE;:SYST:ERR:ALL?\n", OK)
 FETCH = b":FETC:BUFF:DC?;:STAT:OPER:COND?;:SYST:ERR:ALL?\n"
 
 
@@ -32,7 +33,9 @@ def f71(*exchanges):
 
 
 def test_it_is_set_up_once_and_read_from_its_buffer():
-    sensor = f71(SETUP, (FETCH, buffer()), (FETCH, buffer(point(10), point(20))), (FETCH, buffer(point(30))))
+    sensor = f71(
+        SETUP, CLEAR, (FETCH, buffer()), (FETCH, buffer(point(10), point(20))), (FETCH, buffer(point(30)))
+    )
     readings = sensor.read_new_T(timeout_s=1.0) + sensor.read_new_T(timeout_s=1.0)
     assert [reading.value for reading in readings] == [
         (0.1, -0.2, 0.3)
@@ -46,7 +49,8 @@ def test_it_is_set_up_once_and_read_from_its_buffer():
 def test_a_fresh_field_is_the_second_point_after_the_call():
     sensor = f71(
         SETUP,
-        (FETCH, buffer(point(10, "9"))),
+        CLEAR,
+        CLEAR,
         (FETCH, buffer(point(20, "8"))),
         (FETCH, buffer(point(30, "7"))),
     )
@@ -56,18 +60,18 @@ def test_a_fresh_field_is_the_second_point_after_the_call():
 
 
 def test_points_missing_in_the_buffer_are_told():
-    sensor = f71(SETUP, (FETCH, buffer(point(10), point(30), point(40))))
+    sensor = f71(SETUP, CLEAR, (FETCH, buffer(point(10), point(30), point(40))))
     flags = [reading.flags for reading in sensor.read_new_T(timeout_s=1.0)]
     assert flags == [ReadingFlag.NONE, ReadingFlag.DROPPED, ReadingFlag.NONE]
 
 
 def test_a_point_that_comes_again_is_stale():
-    sensor = f71(SETUP, (FETCH, buffer(point(10), point(10))))
+    sensor = f71(SETUP, CLEAR, (FETCH, buffer(point(10), point(10))))
     assert sensor.read_new_T(timeout_s=1.0)[1].flags == ReadingFlag.STALE
 
 
 def test_overload_and_missing_numbers_are_over_range():
-    sensor = f71(SETUP, (FETCH, buffer(point(10), condition=2)), (FETCH, buffer(point(20, "9.91E37"))))
+    sensor = f71(SETUP, CLEAR, (FETCH, buffer(point(10), condition=2)), (FETCH, buffer(point(20, "9.91E37"))))
     overload, missing = sensor.read_new_T(timeout_s=1.0) + sensor.read_new_T(timeout_s=1.0)
     assert overload.flags == missing.flags == ReadingFlag.OVER_RANGE
     assert math.isnan(missing.value[2])
@@ -93,11 +97,11 @@ def test_it_identifies_itself():
 )
 def test_an_answer_that_makes_no_sense_is_a_fault(answer, message):
     with pytest.raises(DeviceFault, match=message):
-        f71(SETUP, (FETCH, answer)).read_new_T(timeout_s=1.0)
+        f71(SETUP, CLEAR, (FETCH, answer)).read_new_T(timeout_s=1.0)
 
 
 def test_it_is_set_up_again_after_a_fault():
-    sensor = f71(SETUP, (FETCH, b"?\r\n"), SETUP, (FETCH, buffer(point(10))))
+    sensor = f71(SETUP, CLEAR, (FETCH, b"?\r\n"), SETUP, CLEAR, (FETCH, buffer(point(10))))
     with pytest.raises(DeviceFault):
         sensor.read_new_T(timeout_s=1.0)
     assert len(sensor.read_new_T(timeout_s=1.0)) == 1

@@ -41,19 +41,17 @@ def test_the_bytes_of_a_packet_are_those_of_the_public_drivers():
 def test_it_is_set_up_and_streams():
     sensor = senis(*START, ("<", packet() + packet(z=4.0)[:10]), ("<", packet(z=4.0)[10:]), (">", b"S"))
     with sensor:
-        first = sensor.read_new_T(timeout_s=1.0)
-        second = sensor.read_new_T(timeout_s=1.0)
-    assert [reading.value for reading in first + second] == [
+        readings = sensor.read_new_T(timeout_s=1.0)
+    assert [reading.value for reading in readings] == [
         pytest.approx((1e-3, -2e-3, 3e-3)),
         pytest.approx((1e-3, -2e-3, 4e-3)),
     ]
-    assert [reading.flags for reading in first + second] == [ReadingFlag.NONE] * 2
+    assert [reading.flags for reading in readings] == [ReadingFlag.NONE] * 2
 
 
 def test_a_packet_cut_in_the_middle_is_dropped_and_told():
     sensor = senis(*START, ("<", packet()), ("<", packet()[:12] + packet(z=4.0) + packet(z=5.0)[:1]))
-    (first,) = sensor.read_new_T(timeout_s=1.0)
-    (second,) = sensor.read_new_T(timeout_s=1.0)
+    first, second = sensor.read_new_T(timeout_s=1.0)
     assert (first.flags, second.flags) == (ReadingFlag.NONE, ReadingFlag.DROPPED)
     assert second.value[2] == pytest.approx(4e-3)
 

@@ -12,6 +12,7 @@ from drivers.hall.senis_3mh6 import SERIAL, Senis3MH6
 from drivers.protocols import ReadingFlag
 from drivers.simulated.hall import SimulatedSenis
 from drivers.simulated.process import Simulator
+from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort
 from tests.drivers.fields import along_z
 
@@ -23,6 +24,10 @@ class Tee:
 
     def __init__(self, port):
         self.name, self.port, self.received = port.name, port, []
+
+    @property
+    def arrived_s(self):
+        return self.port.arrived_s
 
     def send(self, data, deadline):
         self.port.send(data, deadline)
@@ -40,7 +45,7 @@ class Tee:
 )
 def test_no_packet_of_15000_a_second_is_lost(seconds, world):
     with Simulator.on_serial_line(partial(SimulatedSenis, world, along_z)) as simulator:
-        port = Tee(SerialPort(simulator.address, SERIAL))
+        port = Tee(PumpedPort(SerialPort(simulator.address, SERIAL)))
         with Senis3MH6(port, rate_Hz=RATE_HZ, range_number=1, full_scale_T=0.1) as sensor:
             sensor.read_new_T(timeout_s=5.0)
             port.received.clear()

@@ -12,6 +12,7 @@ from functools import partial
 import pytest
 
 from drivers.errors import DeadlineExceeded, DeviceFault
+from drivers.protocols import FlangePose
 from drivers.robots.rtde import PORT
 from drivers.robots.rtde_reader import RtdeReader
 from drivers.simulated.faults import Fault
@@ -25,7 +26,7 @@ NAMES = ("actual_TCP_pose", "actual_q")
 
 @pytest.fixture
 def simulator(world):
-    with Simulator(partial(serve_ur, world, "5.11.1.108318", "20195300001", free_host())) as running:
+    with Simulator(partial(serve_ur, world, 0, "5.11.1.108318", free_host())) as running:
         yield running
 
 
@@ -59,8 +60,8 @@ def test_no_package_is_lost_while_nobody_reads_and_the_computer_is_busy(simulato
 
 def test_all_values_of_a_package_are_of_one_cycle(simulator, world):
     reader = connect(simulator)
-    target = type(world.snapshot().base_from_flange)((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    world.move(target, 0.5)
+    target = FlangePose((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    world.move(0, target, 0.5)
     time.sleep(0.3)
     samples = reader.read_new(timeout_s=1.0)
     reader.close()

@@ -34,7 +34,7 @@ def free_host():
 
 @pytest.fixture
 def world():
-    return World([CoilCircuit(2.0, 0.0)], HOME)
+    return World([CoilCircuit(2.0, 0.0)], [HOME])
 
 
 @pytest.fixture(params=[("UR3e", "5.11.1.108318")])
@@ -42,7 +42,7 @@ def rig(request, world):
     """Simulator and arm."""
     model, version = request.param
     host = free_host()
-    with Simulator(partial(serve_ur, world, version, "20195300001", host)) as simulator:
+    with Simulator(partial(serve_ur, world, 0, version, host)) as simulator:
         arm = UniversalRobot(host, model)
         yield simulator, arm
         simulator.faults.fault = Fault.NONE
@@ -62,7 +62,7 @@ def later(delay_s, action):
 
 
 def travelled_m(world, start):
-    return abs(world.snapshot().base_from_flange.position_m[1] - start)
+    return abs(world.snapshot().base_from_flange[0].position_m[1] - start)
 
 
 @both_models
@@ -73,7 +73,7 @@ def test_the_arm_moves_to_a_pose_and_reads_it(rig, world):
     assert arm.read_pose(timeout_s=1.0).value == HOME
     arm.move_to(NEAR, speed_m_per_s=0.1, timeout_s=5.0)
     assert arm.read_pose(timeout_s=1.0).value.position_m == pytest.approx(NEAR.position_m, abs=1e-6)
-    assert not world.is_moving
+    assert not world.is_moving(0)
     arm.move_to(HOME, speed_m_per_s=0.1, timeout_s=5.0)
 
 
@@ -93,7 +93,7 @@ def test_a_pose_out_of_reach_is_refused_and_nothing_moves(rig, world):
     _, arm = rig
     with pytest.raises(Refused, match="safety limits of the controller"):
         arm.move_to(FlangePose((0.9, 0.0, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0)
-    assert world.snapshot().base_from_flange == HOME
+    assert world.snapshot().base_from_flange == (HOME,)
 
 
 def test_stop_from_another_thread_ends_a_motion(rig, world):
@@ -103,7 +103,7 @@ def test_stop_from_another_thread_ends_a_motion(rig, world):
     with pytest.raises(DeviceFault, match="interrupted and stands"):
         arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=10.0)
     timer.join()
-    assert not world.is_moving
+    assert not world.is_moving(0)
     assert 0.001 < travelled_m(world, 0.02) < 0.05
     arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)
 
@@ -113,7 +113,7 @@ def test_a_motion_that_takes_too_long_is_stopped(rig, world):
     arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
     with pytest.raises(DeadlineExceeded, match="stopped on the way and stands"):
         arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=0.5)
-    assert not world.is_moving
+    assert not world.is_moving(0)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_safety_stop_ends_the_motion_with_one_clear_sentence(rig, world, fault
     timer.join()
     with pytest.raises(DeviceFault, match=sentence):
         arm.move_to(HOME, speed_m_per_s=0.05, timeout_s=10.0)
-    assert not world.is_moving
+    assert not world.is_moving(0)
 
 
 @pytest.mark.parametrize("fault", [Fault.DROP, Fault.STALL, Fault.MUTE])
@@ -146,7 +146,7 @@ def test_a_lost_network_stops_the_arm_by_its_watchdog(rig, world, fault):
     assert time.monotonic() - begin_s < 6.0
     timer.join()
     time.sleep(0.3)
-    assert not world.is_moving
+    assert not world.is_moving(0)
     assert travelled_m(world, 0.02) < 0.05
     simulator.faults.fault = Fault.NONE
     assert arm.read_pose(timeout_s=2.0).value.position_m[0] == pytest.approx(0.3)
@@ -159,7 +159,7 @@ def test_an_arm_whose_child_is_killed_is_stopped_by_its_watchdog(rig, world):
     killed_at = []
 
     def kill():
-        killed_at.append(world.snapshot().base_from_flange.position_m[1])
+        killed_at.append(world.snapshot().base_from_flange[0].position_m[1])
         os.kill(arm.motion_pid, signal.SIGKILL)
 
     timer = later(0.5, kill)

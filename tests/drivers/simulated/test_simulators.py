@@ -80,16 +80,16 @@ def test_the_current_of_a_coil_follows_its_time_constant():
 
 def test_a_motion_takes_its_time_and_can_be_halted():
     home = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    world = World([CoilCircuit(2.0, 0.0)], home)
-    world.move(FlangePose((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    world = World([CoilCircuit(2.0, 0.0)], [home])
+    world.move(0, FlangePose((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
     time.sleep(0.2)
-    assert world.is_moving
-    world.halt()
-    assert not world.is_moving
-    stopped_m = world.snapshot().base_from_flange.position_m[0]
+    assert world.is_moving(0)
+    world.halt(0)
+    assert not world.is_moving(0)
+    stopped_m = world.snapshot().base_from_flange[0].position_m[0]
     assert 0.15 < stopped_m < 0.5
     time.sleep(0.05)
-    assert world.snapshot().base_from_flange.position_m[0] == stopped_m
+    assert world.snapshot().base_from_flange[0].position_m[0] == stopped_m
 
 
 def test_a_rotation_is_interpolated_about_one_axis():

@@ -16,6 +16,7 @@ class ScriptedPort:
     """Hands out pieces at moments after it was sent something; `late` are pieces with their delay."""
 
     name = "scripted"
+    arrived_s = 0.0
 
     def __init__(self, *answers):
         self.answers = list(answers)
