@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 
@@ -9,6 +10,8 @@ from drivers.device import ClosesItself
 from drivers.protocols import Reading
 from drivers.supervised import Supervised
 from drivers.supplies.ramped import RampedSource
+
+_LOG = logging.getLogger(__name__)
 
 _START_S = 10.0
 _CLOSE_S = 30.0
@@ -28,7 +31,8 @@ class SupervisedSource(ClosesItself):
             slew_A_per_s: Of the source that is made.
         """
         self.slew_A_per_s = slew_A_per_s
-        self._supervised = Supervised(make, name, start_timeout_s=_START_S)
+        self._make, self._name = make, name
+        self._supervised = self._start()
         self._is_closed = False
 
     @property
@@ -50,11 +54,22 @@ class SupervisedSource(ClosesItself):
         return reading
 
     def output_off(self, *, timeout_s: float) -> None:
-        """See `CurrentSource.output_off`; ends a ramp of another thread."""
+        """See `CurrentSource.output_off`; ends a ramp of another thread. A dead child is replaced for this."""
+        self._require_child()
         self._supervised.call("output_off", timeout_s=timeout_s, is_urgent=True)
 
     def close(self) -> None:
         """See `Device.close`."""
         if not self._is_closed:
             self._is_closed = True
+            self._require_child()
             self._supervised.close(timeout_s=_CLOSE_S)
+
+    def _start(self) -> Supervised:
+        return Supervised(self._make, self._name, start_timeout_s=_START_S)
+
+    def _require_child(self) -> None:
+        """A current that flows must be ramped down by somebody."""
+        if self._supervised.has_ended:
+            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
+            self._supervised = self._start()

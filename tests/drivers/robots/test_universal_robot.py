@@ -6,6 +6,9 @@ import contextlib
 import itertools
 import os
 import signal
+import subprocess
+import sys
+import textwrap
 import threading
 import time
 from functools import partial
@@ -168,3 +171,30 @@ def test_an_arm_whose_child_is_killed_is_stopped_by_its_watchdog(rig, world):
     timer.join()
     assert travelled_m(world, killed_at[0]) < 0.02 * 0.5
     arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)
+
+
+def test_an_arm_stops_when_the_host_program_is_killed(rig, world):
+    simulator, _ = rig
+    program = f"""
+    from drivers.protocols import FlangePose
+    from drivers.robots.universal_robot import UniversalRobot
+    if __name__ == "__main__":
+        arm = UniversalRobot({simulator.address!r}, "UR3e")
+        arm.move_to(FlangePose((0.3, 0.001, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0)
+        print("ready", flush=True)
+        arm.move_to(FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.02, timeout_s=20.0)
+    """
+    client = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    while client.stdout.readline() != b"ready\n":  # ur_rtde prints as well
+        assert client.poll() is None
+    time.sleep(0.5)
+    assert world.is_moving(0)
+    killed_at_m = world.snapshot().base_from_flange[0].position_m[1]
+    client.kill()
+    client.wait()
+    client.stdout.close()
+    time.sleep(0.5)
+    assert not world.is_moving(0)
+    assert travelled_m(world, killed_at_m) < 0.02 * 0.3

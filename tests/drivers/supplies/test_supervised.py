@@ -125,13 +125,20 @@ def test_the_current_ramps_to_zero_when_the_host_program_is_killed(supply, world
     assert len(steps_A) > 4, "it was switched off without a ramp"
 
 
-def test_a_source_whose_child_is_killed_says_so(supply):
+def test_a_source_whose_child_is_killed_says_so_and_a_new_child_switches_it_off(supply, world):
     source = open_source(supply.address)
+    source.set_current_A(2.0, timeout_s=3.0)
     os.kill(source.pid, signal.SIGKILL)
     with pytest.raises(DeviceFault, match="coil1 must have its process; it ended with code -9"):
         source.read_current_A(timeout_s=2.0)
-    with pytest.raises(DeviceFault):
-        source.close()
+    assert world.snapshot().currents_A[0] == pytest.approx(2.0)
+    source.output_off(timeout_s=5.0)
+    assert world.snapshot().currents_A == (0.0,)
+    source.set_current_A(1.0, timeout_s=3.0)
+    os.kill(source.pid, signal.SIGKILL)
+    time.sleep(0.1)
+    source.close()
+    assert world.snapshot().currents_A == (0.0,)
 
 
 def test_a_port_that_cannot_be_opened_is_told_at_once():
