@@ -17,7 +17,7 @@ from typing import Any, Literal, Self
 
 from drivers.errors import DriverError, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
-from drivers.hall import lakeshore_460, lakeshore_f71, senis_3mh6
+from drivers.hall import lakeshore_460, lakeshore_f71, metrolab_thm1176, senis_3mh6
 from drivers.interlock import Interlock
 from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm
 from drivers.safety import ArmLimits, CurrentLimits
@@ -32,8 +32,9 @@ from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
+from drivers.transport.usbtmc import UsbtmcPort
 
-SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6")
+SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
 SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
 ARMS: dict[str, Literal["UR3", "UR3e"]] = {"ur3": "UR3", "ur3e": "UR3e"}
 
@@ -147,6 +148,13 @@ def _open_sensor(settings: Settings) -> FieldSensor:
     if kind == "lakeshore_460":
         range_T = settings.quantity("range", "field")
         return lakeshore_460.LakeShore460(_port(settings, lakeshore_460.SERIAL)(), range_T=range_T)
+    if kind == "metrolab_thm1176":
+        range_T, n_averaged = (
+            settings.quantity("range", "field"),
+            settings.whole_number("averaged_samples", 100),
+        )
+        port = _port(settings, _SCPI_SERIAL)()
+        return metrolab_thm1176.MetrolabTHM1176(port, range_T=range_T, n_averaged=n_averaged)
     if kind == "senis_3mh6":
         rate_Hz = round(settings.quantity("rate", "frequency"))
         range_number, full_scale_T = (
@@ -245,10 +253,10 @@ def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
 
 def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:
     """What opens the port of a device; importable, since a supply's process opens its own."""
-    ways = [way for way in ("serial", "tcp", "replay") if way in settings]
+    ways = [way for way in ("serial", "tcp", "usbtmc", "replay") if way in settings]
     if len(ways) != 1:
         raise Refused(
-            f"{settings.place} must have one of serial, tcp and replay; received {' and '.join(ways) or 'none'}"
+            f"{settings.place} must have one of serial, tcp, usbtmc and replay; received {' and '.join(ways) or 'none'}"
         )
     address = settings.text(ways[0])
     baud = settings.whole_number("baud", serial.baud)
@@ -268,6 +276,8 @@ def _open_port(
     port: Port
     if way == "serial":
         port = SerialPort(address, line)
+    elif way == "usbtmc":
+        port = UsbtmcPort(address)
     else:
         assert port_number is not None
         port = TcpPort(address, port_number, timeout_s=_CONNECT_S)

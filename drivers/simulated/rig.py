@@ -13,6 +13,7 @@ from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
 from drivers.simulated.instrument import Instrument
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, FieldFunction, World
 
@@ -20,9 +21,10 @@ _SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
     "lakeshore_f71": SimulatedF71,
     "lakeshore_460": Simulated460,
     "senis_3mh6": SimulatedSenis,
+    "metrolab_thm1176": SimulatedTHM1176,
 }
 _VERSIONS = {"ur3": "3.15.4.106291", "ur3e": "5.11.1.108318"}
-_PORTS = ("serial", "tcp", "port", "replay", "host", "baud", "record")
+_PORTS = ("serial", "tcp", "usbtmc", "port", "replay", "host", "baud", "record")
 
 
 class SimulatedRig:

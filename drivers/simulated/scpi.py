@@ -46,6 +46,11 @@ class ScpiInterpreter:
         self._errors: deque[str] = deque()
         self._arrived = b""
 
+    @property
+    def has_errors(self) -> bool:
+        """Whether the queue of errors is not empty."""
+        return bool(self._errors)
+
     def take(self, data: bytes) -> bytes:
         """Answers to the lines that are complete."""
         *lines, self._arrived = (self._arrived + data).split(b"\n")

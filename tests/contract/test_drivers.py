@@ -136,14 +136,13 @@ def test_a_device_identifies_itself(kind, started):
     with device:
         text = device.identify(timeout_s=TIMEOUT_S)
     maker = {
-        "f71_serial": "LSCI",
-        "f71_tcp": "LSCI",
-        "460": "LSCI",
         "3mh6": "Senis",
         "kepco": "KEPCO",
         "korad": "KORAD",
+        "scpi_tcp": "COILCAL",
+        "thm1176": "Metrolab",
     }
-    assert text.startswith(maker.get(kind, "COILCAL"))
+    assert text.startswith(maker.get(kind, "LSCI"))
 
 
 @sources

@@ -10,11 +10,13 @@ from drivers.hall.lakeshore_460 import SERIAL as SERIAL_460
 from drivers.hall.lakeshore_460 import LakeShore460
 from drivers.hall.lakeshore_f71 import SERIAL as SERIAL_F71
 from drivers.hall.lakeshore_f71 import LakeShoreF71
+from drivers.hall.metrolab_thm1176 import MetrolabTHM1176
 from drivers.hall.senis_3mh6 import SERIAL as SERIAL_SENIS
 from drivers.hall.senis_3mh6 import Senis3MH6
 from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.world import CoilCircuit, World
 from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
 from drivers.supplies.korad_ka3005p import KoradKA3005P
@@ -67,6 +69,11 @@ SENSORS = {
         ),
     ),
 }
+SENSORS["thm1176"] = (
+    "serial",
+    lambda world: partial(SimulatedTHM1176, world, along_z),
+    lambda address: MetrolabTHM1176(SerialPort(address, SERIAL_SENIS), range_T=0.1),
+)
 SOURCES = {
     "kepco": (
         "serial",

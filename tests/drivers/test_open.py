@@ -104,7 +104,7 @@ def test_what_is_recorded_opens_as_a_device_that_replays_it(section, tmp_path):
 BAD = {
     "of no kind": ({"serial": "x"}, "must say what it is"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
-    "without port": (SENSOR, "must have one of serial, tcp and replay; received none"),
+    "without port": (SENSOR, "must have one of serial, tcp, usbtmc and replay; received none"),
     "with two ports": ({**SENSOR, "serial": "x", "tcp": "y"}, "received serial and tcp"),
     "without unit": ({"sensor": "lakeshore_460", "range": 30, "serial": "x"}, "range_T must be given once, as range_T or range_mT"),
     "with two units": ({"sensor": "lakeshore_460", "range_T": 1, "range_mT": 30, "serial": "x"}, "must be given once"),
