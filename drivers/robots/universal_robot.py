@@ -20,7 +20,7 @@ from drivers.protocols import FlangePose, Reading, ReadingFlag
 from drivers.readings import ReadingCounter, ascii_text
 from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
-from drivers.robots.ur_motion import NAMES, UrMotion, pose_of, speed_m_per_s
+from drivers.robots.ur_motion import NAMES, UrMotion, is_still, pose_of
 from drivers.supervised import Supervised
 from drivers.transport.channel import Channel
 from drivers.transport.tcp import TcpPort
@@ -33,7 +33,7 @@ JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
 """Range of the joints of a UR3 (its last one turns without end); a rig with cables states narrower ones."""
 
 _START_S, _CLOSE_S = 20.0, 10.0
-_STILL_M_PER_S, _STILL_S = 1e-3, 2.0
+_STILL_S = 2.0
 _CONNECT_S = 3.0
 
 
@@ -171,7 +171,7 @@ class UniversalRobot(ClosesItself):
         reader = self._hearing_reader()
         while True:
             sample = reader.read_after(time.monotonic(), timeout_s=max(0.1, deadline.remaining_s))
-            if speed_m_per_s(sample) <= _STILL_M_PER_S:
+            if is_still(sample):
                 return
             if deadline.is_over:
                 raise DeadlineExceeded(

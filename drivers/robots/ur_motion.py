@@ -20,6 +20,7 @@ from drivers.protocols import FlangePose
 from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
 from drivers.robots.safety_bits import why_not_running
+from drivers.rotation import angle_between_rad
 from drivers.supervised import end_at_once
 from drivers.transport.tcp import TcpPort
 
@@ -32,7 +33,7 @@ _OLDEST_S = 0.15
 _LOOP_S = 0.01
 _ACCELERATION_M_PER_S2 = 0.25
 _BRAKE_M_PER_S2 = 2.0
-_STILL_M_PER_S = 1e-3
+_STILL_M_PER_S, _STILL_RAD_PER_S = 1e-3, 5e-3
 _ARRIVED_M, _ARRIVED_RAD = 5e-4, 2e-3
 _CONNECT_S = 3.0
 _TCP_OFFSET_M = 1e-6
@@ -161,7 +162,7 @@ class UrMotion:
         self._wait_until_still(Deadline.after(2.0))
 
     def _wait_until_still(self, deadline: Deadline) -> None:
-        while speed_m_per_s(self._fresh_sample()) > _STILL_M_PER_S:
+        while not is_still(self._fresh_sample()):
             if deadline.is_over:
                 raise deadline.exceeded(f"{self._name} must stand still", "it still moves")
             self._kick()
@@ -173,9 +174,11 @@ class UrMotion:
             raise DeviceFault(f"{self._name} must finish its motion; {reason}")
         pose = pose_of(sample)
         off_m = math.dist(pose.position_m, target.position_m)
-        if off_m > _ARRIVED_M:
+        off_rad = angle_between_rad(pose.rotation_vector_rad, target.rotation_vector_rad)
+        if off_m > _ARRIVED_M or off_rad > _ARRIVED_RAD:
             raise DeviceFault(
-                f"{self._name} must arrive within {_ARRIVED_M * 1e3:g} mm; it stands {off_m * 1e3:.2f} mm off"
+                f"{self._name} must arrive within {1e3 * _ARRIVED_M:g} mm and {1e3 * _ARRIVED_RAD:g} mrad; "
+                f"it stands {1e3 * off_m:.2f} mm and {1e3 * off_rad:.1f} mrad off"
             )
 
     def _fresh_sample(self) -> Sample:
@@ -218,8 +221,8 @@ def pose_of(sample: Sample) -> FlangePose:
     return FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))
 
 
-def speed_m_per_s(sample: Sample) -> float:
-    """Speed of the flange's origin in a sample."""
+def is_still(sample: Sample) -> bool:
+    """Whether the flange neither moves nor turns."""
     speed = sample.values["actual_TCP_speed"]
     assert isinstance(speed, tuple)
-    return math.hypot(*speed[:3])
+    return math.hypot(*speed[:3]) <= _STILL_M_PER_S and math.hypot(*speed[3:]) <= _STILL_RAD_PER_S

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 from drivers.protocols import FlangePose
 from drivers.robots.rtde import Value
+from drivers.rotation import angle_between_rad
 from drivers.simulated.motion import distance_m
 from drivers.simulated.world import World
 
@@ -65,7 +66,7 @@ class UrController:
         self._n_operations = 0
         self._tcp: tuple[float, ...] = (0.0,) * 6
         self._watchdog_s, self._kicked_s = math.inf, 0.0
-        self._last = (self._start_s, self._pose, 0.0)
+        self._last = (self._start_s, self._pose, (0.0, 0.0))
 
     def upload(self, script: str) -> None:
         """Run a program; ur_rtde uploads its control script."""
@@ -144,7 +145,8 @@ class UrController:
         pose = self._pose
         last_s, last_pose, speed = self._last
         if now_s - last_s > 1e-3:
-            speed = distance_m(last_pose, pose) / (now_s - last_s)
+            turn_rad = angle_between_rad(last_pose.rotation_vector_rad, pose.rotation_vector_rad)
+            speed = (distance_m(last_pose, pose) / (now_s - last_s), turn_rad / (now_s - last_s))
             self._last = (now_s, pose, speed)
         numbers = (*pose.position_m, *pose.rotation_vector_rad)
         is_running = self._runtime_state == _PLAYING
@@ -153,7 +155,7 @@ class UrController:
             "timestamp": cycle_s - self._start_s,
             "actual_TCP_pose": numbers,
             "actual_q": numbers,
-            "actual_TCP_speed": (speed, 0.0, 0.0, 0.0, 0.0, 0.0),
+            "actual_TCP_speed": (speed[0], 0.0, 0.0, speed[1], 0.0, 0.0),
             "runtime_state": self._runtime_state,
             "safety_status_bits": self._safety_bits,
             "robot_status_bits": _POWER_ON_BIT | (_PROGRAM_RUNNING_BIT if is_running else 0),
@@ -195,7 +197,7 @@ class UrController:
         here = self._pose
         x_m, y_m, z_m, x_rad, y_rad, z_rad = numbers
         target = FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))
-        turn_rad = math.dist(here.rotation_vector_rad, target.rotation_vector_rad)
+        turn_rad = angle_between_rad(here.rotation_vector_rad, target.rotation_vector_rad)
         duration_s = max(distance_m(here, target) / speed, turn_rad / _FASTEST_ROTATION_RAD_PER_S)
         self._world.move(self._arm, target, duration_s)
         self._is_async = is_async

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 from functools import partial
 
 import pytest
@@ -93,6 +95,14 @@ SOURCES = {
         ),
     ),
 }
+
+
+_addresses = itertools.count(1)
+
+
+def free_host():
+    """An address that no other test listens on: the ports of a controller are fixed, and pytest-xdist runs several."""
+    return f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from drivers.simulated.supplies import simulated_kepco
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
-from tests.drivers.robots.test_universal_robot import free_host
+from tests.drivers.rig import free_host
 
 SUPPLY = {
     "supply": "kepco_bop",

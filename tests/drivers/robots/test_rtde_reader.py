@@ -19,7 +19,7 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.process import Simulator
 from drivers.simulated.ur_server import serve_ur
 from drivers.transport.tcp import TcpPort
-from tests.drivers.robots.test_universal_robot import free_host
+from tests.drivers.rig import free_host
 
 NAMES = ("actual_TCP_pose", "actual_q")
 

@@ -22,17 +22,11 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.process import Simulator
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
+from tests.drivers.rig import free_host
 
 HOME = FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))
 NEAR = FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0))
 FAR = FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0))
-
-_addresses = itertools.count(1)
-
-
-def free_host():
-    """An address that no other test listens on: the ports of a controller are fixed, and pytest-xdist runs several."""
-    return f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
 
 
 @pytest.fixture
@@ -90,6 +84,15 @@ def test_no_package_is_lost_and_their_clock_ticks_evenly(rig):
     assert all(reading.flags == ReadingFlag.NONE for reading in readings)
     steps_s = {round(b.device_time_s - a.device_time_s, 6) for a, b in itertools.pairwise(readings)}
     assert steps_s in ({0.002}, {0.008})
+
+
+def test_the_arm_turns_in_place(rig):
+    _, arm = rig
+    turned = FlangePose(HOME.position_m, (0.0, 3.1, 0.2))
+    arm.move_to(turned, speed_m_per_s=0.1, timeout_s=5.0)
+    assert arm.read_pose(timeout_s=1.0).value.rotation_vector_rad == pytest.approx(
+        turned.rotation_vector_rad, abs=2e-3
+    )
 
 
 def test_a_pose_out_of_reach_is_refused_and_nothing_moves(rig, world):

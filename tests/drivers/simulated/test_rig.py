@@ -11,7 +11,7 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from tests.drivers.fields import along_z
-from tests.drivers.robots.test_universal_robot import free_host
+from tests.drivers.rig import free_host
 from tests.drivers.test_open import ARM, SENSOR, SUPPLY
 
 HOMES = [FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0)), FlangePose((0.2, 0.1, 0.3), (0.0, 3.0, 0.0))]
