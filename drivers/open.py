@@ -1,7 +1,30 @@
 """Opens the devices of a rig from the `devices` section of its file, each behind the limits that stand beside it.
 
 A supply runs in a process of its own, which switches it off when this one is gone. With `replay`, the transcript of a recorded
-conversation takes the place of the instrument; with `record`, one is written.
+conversation takes the place of the instrument; with `record`, one is written. As YAML, the section reads
+
+    devices:
+      hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
+      # sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30
+      # sensor: senis_3mh6, serial: /dev/ttyUSB0, rate_Hz: 1000, range_number: 1, full_scale_mT: 100
+      # sensor: metrolab_thm1176, usbtmc: /dev/usbtmc0, range_mT: 100, averaged_samples: 100
+      coil1:
+        supply: kepco_bop         # or korad_ka3005p, scpi
+        serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025
+        compliance_V: 20          # limit of its voltage
+        tolerance_mA: 5           # of set-points read back and of the measured current
+        lowest_A: -5              # 0 where not given; the limits of the coil from here on
+        highest_A: 5
+        slew_A_per_s: 10
+        continuous_A: 3           # more is allowed until the coil is as warm as by this
+        thermal_time_constant_min: 5
+      arm1:
+        arm: ur3e                 # or ur3
+        host: 192.168.0.10
+        workspace_low_mm: [0, -300, 0]    # for the flange, in the frame of the arm's base
+        workspace_high_mm: [500, 300, 500]
+        highest_speed_mm_per_s: 100
+        joint_low_deg: [-180, -180, -150, -180, -180, -360]    # with joint_high_deg; both may be left out
 """
 
 from __future__ import annotations
@@ -12,9 +35,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
+from drivers.device import ClosesItself
 from drivers.errors import DriverError, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
 from drivers.hall import lakeshore_460, lakeshore_f71, metrolab_thm1176, senis_3mh6
@@ -43,7 +66,7 @@ _SCPI_SERIAL = SerialSettings(9600)
 
 
 @dataclass
-class DeviceSet:
+class DeviceSet(ClosesItself):
     """The open devices of a rig by their names in its file; leaving its `with` block closes all, sources first.
 
     Attributes:
@@ -73,20 +96,12 @@ class DeviceSet:
             for device in reversed(self.devices.values()):
                 stack.callback(device.close)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSet:
     """Open all devices of a section; where one cannot be opened, none stays open.
 
     Args:
-        section: Name of each device and its settings; `docs` and the examples in `configs` show them.
+        section: Name of each device and its settings, as above.
         place: Of the section, for messages.
 
     Raises:

@@ -240,6 +240,9 @@ def _work(
         _answer(connection, _Answer(call.number, None, error))
     elif error is not None:
         _LOG.error("the host is gone, and bringing the device to rest failed: %s", error)
+    # The device is closed; the destructors of ur_rtde would only take another second.
+    logging.shutdown()
+    os._exit(0)
 
 
 def _next_call(device: Any, calls: queue.SimpleQueue[_Call | None]) -> _Call | None:

@@ -1,4 +1,4 @@
-"""What a simulated instrument is: bytes in, bytes out. A line of its own process serves it."""
+"""What a simulated instrument is: bytes in, bytes out; `drivers.simulated.process` serves it."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from functools import partial
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-from types import TracebackType
 from typing import Self
 
+from drivers.device import ClosesItself
 from drivers.errors import DriverError
 from drivers.simulated.faults import Fault, FaultSwitch, spoil
 from drivers.simulated.instrument import Instrument
@@ -26,7 +26,7 @@ _SLOW_S = 0.01
 _HANDSHAKE_S = 0.2
 
 
-class Simulator:
+class Simulator(ClosesItself):
     """A running simulator; leaving its `with` block ends it, and so does the death of this process.
 
     Attributes:
@@ -78,14 +78,6 @@ class Simulator:
         """End it, as pulling its cable would."""
         self._process.kill()
         self._process.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def exit_with_parent() -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from drivers.device import ClosesItself
 from drivers.errors import Refused
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
@@ -27,7 +27,7 @@ _VERSIONS = {"ur3": "3.15.4.106291", "ur3e": "5.11.1.108318"}
 _PORTS = ("serial", "tcp", "usbtmc", "port", "replay", "host", "baud", "record")
 
 
-class SimulatedRig:
+class SimulatedRig(ClosesItself):
     """Running simulators of a rig; leaving its `with` block ends them, and so does the death of this process.
 
     Attributes:
@@ -88,14 +88,6 @@ class SimulatedRig:
         """End all simulators."""
         for simulator in self.simulators.values():
             simulator.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _instrument(
         self, name: str, settings: Mapping[str, Any], fields: Mapping[str, FieldFunction], sources: list[str]

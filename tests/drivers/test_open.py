@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import textwrap
 from functools import partial
 
 import pytest
+import yaml
 
+import drivers.open
 from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.open import check_devices, open_devices
 from drivers.protocols import FlangePose
@@ -127,3 +130,21 @@ def test_a_key_that_nobody_knows_is_refused_and_the_device_closed(section):
     section["hall"]["colour"] = "red"
     with pytest.raises(Refused, match=r"devices.hall.colour is not a key that is known here"):
         open_devices(section)
+
+
+def test_the_section_in_the_docstring_is_understood():
+    """All of it but the ports, which are not there."""
+    text = textwrap.dedent(drivers.open.__doc__.partition("reads\n\n")[2])
+    section = yaml.safe_load(text)["devices"]
+    del section["arm1"]["joint_low_deg"]  # stands without the other in the text
+    for name, settings in section.items():
+        with pytest.raises(DeviceFault):
+            open_devices(
+                {
+                    name: {**settings, **({"tcp": "127.0.0.1", "port": 1} if name == "hall" else {})}
+                    | LOCAL[name]
+                }
+            )
+
+
+LOCAL = {"hall": {}, "coil1": {"serial": "/dev/no_such_port"}, "arm1": {"host": "127.0.0.1"}}
