@@ -20,3 +20,14 @@ class DeadlineExceeded(DriverError, TimeoutError):
 
 class DeviceFault(DriverError):
     """The device answered with a fault of its own, refused the command, or is no longer there."""
+
+
+class Refused(DriverError, ValueError):
+    """Beyond a limit of the rig, so nothing was sent: the device is as it was.
+
+    Examples:
+        >>> raise Refused("supply.current_A must be within -5 and 5; received 7")
+        Traceback (most recent call last):
+        ...
+        drivers.errors.Refused: supply.current_A must be within -5 and 5; received 7
+    """

@@ -1,8 +1,9 @@
 """What a coil rig asks of its instruments: a field sensor, a current source and a robot arm.
 
 Each call is given the time it may take, `timeout_s`, and raises `drivers.errors.DeadlineExceeded` when that
-is over or `DeviceFault` when the device says no; after either, the state of the device is unknown. A device
-has one owner: calls from several threads are not safe. Leaving its `with` block closes it.
+is over or `DeviceFault` when the device says no; after either, the state of the device is unknown. `Refused` says
+that nothing was sent. A device is the only user of its port, and does one call at a time: another thread waits.
+Leaving its `with` block closes it.
 """
 
 from __future__ import annotations
@@ -94,7 +95,17 @@ class FieldSensor(Device, Protocol):
     """A magnetometer with three axes."""
 
     def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
-        """Field along the sensor's own axes; waits for a measurement newer than the previous reading."""
+        """Field along the sensor's own axes, measured after the call began.
+
+        Measurements made before, and not read, are thrown away without `DROPPED`: nobody wanted them.
+        """
+        ...
+
+    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
+        """All measurements since the last reading, oldest first; waits until there is one.
+
+        Called often enough, it loses nothing; where it did, the next reading carries `DROPPED`.
+        """
         ...
 
 
@@ -102,8 +113,13 @@ class FieldSensor(Device, Protocol):
 class CurrentSource(Device, Protocol):
     """A power supply that drives one coil."""
 
+    @property
+    def slew_A_per_s(self) -> float:
+        """Rate of change that it does not exceed."""
+        ...
+
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
-        """Ask for a current and switch the output on; returns when the device has accepted the set-point.
+        """Ramp to a current, with the output on; returns when the device has accepted the last set-point.
 
         Args:
             current_A: Positive out of the positive terminal; a unipolar supply refuses what is negative.

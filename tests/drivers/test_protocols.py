@@ -50,6 +50,7 @@ class MemorySource(MemoryDevice):
     """Delivers what it is asked for, up to 5 A."""
 
     current_A = 0.0
+    slew_A_per_s = 100.0
 
     def set_current_A(self, current_A, *, timeout_s):
         if timeout_s <= 0:
@@ -80,6 +81,9 @@ class MemorySensor(MemoryDevice):
         field_z_T = FIELD_PER_CURRENT_T_PER_A * self.source.current_A
         flags = ReadingFlag.OVER_RANGE if abs(field_z_T) > 8e-3 else ReadingFlag.NONE
         return self.reading((0.0, 0.0, field_z_T), flags)
+
+    def read_new_T(self, *, timeout_s):
+        return [self.read_field_T(timeout_s=timeout_s)]
 
 
 class MemoryArm(MemoryDevice):

@@ -1,0 +1,189 @@
+"""Devices behind the limits of their rig: each command is checked before it is sent and its effect read back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeviceFault, Refused
+from drivers.interlock import Interlock
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Vector
+from drivers.safety import ArmLimits, CoilLoad, CurrentLimits, check_current, check_motion, check_temperature
+
+_OFF_S, _STOP_S = 10.0, 3.0
+_POLL_S = 0.05
+
+
+class GuardedSource(ClosesItself):
+    """A `CurrentSource` within limits; any fault of it, or of the rig, ramps it to zero and switches it off."""
+
+    def __init__(
+        self,
+        source: CurrentSource,
+        limits: CurrentLimits,
+        interlock: Interlock,
+        *,
+        name: str,
+        tolerance_A: float,
+        hold_s: float = 1.0,
+        read_temperature_K: Callable[[], float] | None = None,
+    ) -> None:
+        """Wrap a source.
+
+        Args:
+            source: Must not change its current faster than the limits allow.
+            limits: Of the coil.
+            interlock: Of the rig.
+            name: What the operator calls it.
+            tolerance_A: How far the measured current may be off the one asked for.
+            hold_s: Shortest time for which a current must be bearable to be allowed.
+            read_temperature_K: Thermometer of the coil; must be given where the limits state a temperature.
+        """
+        if source.slew_A_per_s > limits.slew_A_per_s:
+            raise Refused(
+                f"{name}.slew_A_per_s must be at most {limits.slew_A_per_s:g}; the source ramps with {source.slew_A_per_s:g}"
+            )
+        if limits.highest_temperature_K is not None and read_temperature_K is None:
+            raise Refused(
+                f"{name} must have a thermometer, since its limits state a temperature; it has none"
+            )
+        self.slew_A_per_s = source.slew_A_per_s
+        self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
+        self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
+        # A coil of unknown past is taken to be cold: rigs are switched on in the morning.
+        self._load = CoilLoad(time.monotonic(), 0.0)
+        self._flowing_A = 0.0
+        interlock.add(name, lambda: source.output_off(timeout_s=_OFF_S))
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return self._source.identify(timeout_s=timeout_s)
+
+    def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
+        """See `CurrentSource.set_current_A`; returns when the measured current has arrived.
+
+        Raises:
+            Refused: Beyond a limit, or the rig has tripped; nothing was sent.
+            DeviceFault: The current did not come; the rig is brought to rest.
+        """
+        deadline = Deadline.after(timeout_s)
+        self._interlock.require_no_trip()
+        self._update_load(self._flowing_A)
+        check_current(current_A, self._hold_s, self._load, self._limits)
+        with self._interlock.guard(self._name):
+            self._check_temperature()
+            # The greater of both flows at most until the ramp has ended.
+            self._flowing_A = max(abs(current_A), abs(self._flowing_A))
+            self._source.set_current_A(current_A, timeout_s=deadline.remaining_s)
+            self._wait_for(current_A, deadline)
+
+    def read_current_A(self, *, timeout_s: float) -> Reading[float]:
+        """See `CurrentSource.read_current_A`; trips where the coil is too hot, or by its currents must be."""
+        with self._interlock.guard(self._name):
+            return self._read(timeout_s)
+
+    def output_off(self, *, timeout_s: float) -> None:
+        """See `CurrentSource.output_off`; allowed at any time."""
+        self._source.output_off(timeout_s=timeout_s)
+        self._update_load(self._flowing_A)
+        self._flowing_A = 0.0
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._source.close()
+
+    def _read(self, timeout_s: float) -> Reading[float]:
+        self._check_temperature()
+        reading = self._source.read_current_A(timeout_s=timeout_s)
+        self._update_load(reading.value)
+        if (
+            self._load.mean_square_A2 > self._limits.continuous_A**2
+            and abs(reading.value) > self._limits.continuous_A
+        ):
+            raise DeviceFault(
+                f"{self._name} must cool: it has carried more than {self._limits.continuous_A:g} A for too long"
+            )
+        return reading
+
+    def _check_temperature(self) -> None:
+        if self._read_temperature_K is not None:
+            check_temperature(self._read_temperature_K(), self._limits)
+
+    def _wait_for(self, current_A: float, deadline: Deadline) -> None:
+        while True:
+            measured_A = self._read(max(deadline.remaining_s, _POLL_S)).value
+            if abs(measured_A - current_A) <= self._tolerance_A:
+                return
+            if deadline.is_over:
+                raise DeviceFault(
+                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {measured_A:.4g} A"
+                )
+            time.sleep(min(_POLL_S, deadline.remaining_s))
+
+    def _update_load(self, current_A: float) -> None:
+        self._load = self._load.after(current_A, time.monotonic(), self._limits)
+        self._flowing_A = current_A
+
+
+class GuardedArm(ClosesItself):
+    """A `RobotArm` within its workspace; any fault of it brings the rig to rest."""
+
+    def __init__(self, arm: RobotArm, limits: ArmLimits, interlock: Interlock, *, name: str) -> None:
+        self._arm, self._limits, self._interlock, self._name = arm, limits, interlock, name
+        interlock.add(name, lambda: arm.stop(timeout_s=_STOP_S))
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return self._arm.identify(timeout_s=timeout_s)
+
+    def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
+        """See `RobotArm.read_pose`."""
+        with self._interlock.guard(self._name):
+            return self._arm.read_pose(timeout_s=timeout_s)
+
+    def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
+        """See `RobotArm.move_to`.
+
+        Raises:
+            Refused: Beyond a limit, or the rig has tripped; nothing was sent.
+        """
+        deadline = Deadline.after(timeout_s)
+        with self._interlock.guard(self._name):
+            start = self._arm.read_pose(timeout_s=deadline.remaining_s).value
+            check_motion(start, base_from_flange, speed_m_per_s, self._limits)
+            self._arm.move_to(base_from_flange, speed_m_per_s=speed_m_per_s, timeout_s=deadline.remaining_s)
+
+    def stop(self, *, timeout_s: float) -> None:
+        """See `RobotArm.stop`; allowed at any time."""
+        self._arm.stop(timeout_s=timeout_s)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._arm.close()
+
+
+class GuardedSensor(ClosesItself):
+    """A `FieldSensor` whose faults bring the rig to rest: nobody heats a coil to measure nothing."""
+
+    def __init__(self, sensor: FieldSensor, interlock: Interlock, *, name: str) -> None:
+        self._sensor, self._interlock, self._name = sensor, interlock, name
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return self._sensor.identify(timeout_s=timeout_s)
+
+    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
+        """See `FieldSensor.read_field_T`."""
+        with self._interlock.guard(self._name):
+            return self._sensor.read_field_T(timeout_s=timeout_s)
+
+    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
+        """See `FieldSensor.read_new_T`."""
+        with self._interlock.guard(self._name):
+            return self._sensor.read_new_T(timeout_s=timeout_s)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._sensor.close()

@@ -1,0 +1,1 @@
+"""Hall magnetometers with three axes."""

@@ -1,0 +1,143 @@
+r"""Lake Shore 460 gaussmeter over RS-232, 9600 baud, 7 bits, odd parity; lines end with CR LF.
+
+Protocol: as used by the MPIMeasurements.jl driver (`LakeShore460GaussMeter.jl`), after part 3.4 and chapter 4 of the
+manual. Fields come without their prefix: `FIELDM?` says for the channel chosen with `CHNL` whether they are in u, m, k or
+plain tesla, and this changes with the range. So the range is fixed at the start and the prefixes are asked for then.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeviceFault, Refused
+from drivers.protocols import Reading, Vector
+from drivers.readings import ReadingCounter, ascii_text, number, over_range
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+from drivers.transport.serial_port import SerialSettings
+
+SERIAL = SerialSettings(9600, data_bits=7, parity="O")
+
+RANGES_T = (3.0, 0.3, 0.03, 0.003)
+"""Full scale of `RANGE 0` to `RANGE 3` with a high-sensitivity probe (manual, part 3.4, page 3-7)."""
+
+UPDATE_S = 0.25
+"""Between two readings of the instrument; its answers do not say whether they are new."""
+
+_PREFIXES = {"u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3}
+_COMMAND_GAP_S = 0.05
+"""Commands have no answer: the instrument needs this long for one."""
+
+
+def choose_range(highest_T: float) -> int:
+    """Number of the most sensitive range that holds a field.
+
+    Raises:
+        Refused: None does.
+
+    Examples:
+        >>> choose_range(0.02), choose_range(0.2)
+        (2, 1)
+    """
+    fitting = [index for index, full_scale_T in enumerate(RANGES_T) if highest_T <= full_scale_T]
+    if not fitting:
+        raise Refused(f"sensor.range_T must be at most {RANGES_T[0]}; received {highest_T}")
+    return fitting[-1]
+
+
+def decode_prefix(text: str) -> float:
+    """Tesla per unit of what the channel sends.
+
+    Examples:
+        >>> decode_prefix("m"), decode_prefix(" ")
+        (0.001, 1.0)
+    """
+    try:
+        return _PREFIXES[text.strip()]
+    except KeyError as error:
+        raise DeviceFault(f"460 must send a prefix u, m, k or none; received {text!r}") from error
+
+
+def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
+    """Field from the answer to `ALLF?`: x, y, z and a fourth number without a meaning here.
+
+    Args:
+        text: `OL` stands for a component beyond its range; it becomes NaN.
+        tesla_per_unit: From `FIELDM?` of each channel.
+
+    Examples:
+        >>> decode_fields("+12.50,-0.25, OL ,+00.00", (1e-3, 1e-3, 1e-3))
+        (0.0125, -0.00025, nan)
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 4:
+        raise DeviceFault(f"460 must send four fields; received {text!r}")
+    x_T, y_T, z_T = (
+        math.nan if part == "OL" else number(part, "a field of the 460") * scale
+        for part, scale in zip(parts, tesla_per_unit, strict=False)
+    )
+    return x_T, y_T, z_T
+
+
+class LakeShore460(ClosesItself):
+    """A `FieldSensor` in one fixed range."""
+
+    def __init__(self, port: Port, *, range_T: float, update_s: float = UPDATE_S) -> None:
+        self._channel = Channel(port)
+        self._range = choose_range(range_T)
+        self._update_s = update_s
+        self._tesla_per_unit: Vector = (math.nan, math.nan, math.nan)
+        self._set_up_at_fault = -1
+        self._counter = ReadingCounter()
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            return self._ask("*IDN?", deadline)
+
+    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
+        """See `FieldSensor.read_field_T`; takes two updates of the instrument, for the first may hold an old field."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            return self._read(2 * self._update_s, deadline)
+
+    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
+        """See `FieldSensor.read_new_T`; the instrument keeps nothing, so it is one reading, an update later."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            return [self._read(self._update_s, deadline)]
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._channel.close()
+
+    def _read(self, wait_s: float, deadline: Deadline) -> Reading[Vector]:
+        if self._set_up_at_fault != self._channel.n_faults:
+            self._tesla_per_unit = self._set_up(deadline)
+            self._set_up_at_fault = self._channel.n_faults
+        deadline.sleep(wait_s, "460 must have measured")
+        field_T = decode_fields(self._ask("ALLF?", deadline), self._tesla_per_unit)
+        return self._counter.reading(field_T, over_range(field_T))
+
+    def _set_up(self, deadline: Deadline) -> Vector:
+        self._tell("UNIT T", deadline)
+        x, y, z = (self._set_up_channel(name, deadline) for name in "XYZ")
+        return x, y, z
+
+    def _set_up_channel(self, name: str, deadline: Deadline) -> float:
+        for command in (f"CHNL {name}", "ACDC 0", "AUTO 0", f"RANGE {self._range}"):
+            self._tell(command, deadline)
+        chosen = self._ask("RANGE?", deadline)
+        if chosen.strip() != str(self._range):
+            raise DeviceFault(f"460 must be in range {self._range} on channel {name}; it says {chosen!r}")
+        return decode_prefix(self._ask("FIELDM?", deadline))
+
+    def _tell(self, command: str, deadline: Deadline) -> None:
+        self._channel.send(f"{command}\r\n".encode("ascii"), deadline)
+        deadline.sleep(_COMMAND_GAP_S, f"460 must take {command}")
+
+    def _ask(self, question: str, deadline: Deadline) -> str:
+        return ascii_text(self._channel.query(f"{question}\r\n".encode("ascii"), b"\r\n", deadline)).strip()

@@ -1,0 +1,162 @@
+r"""Metrolab THM1176 three-axis Hall magnetometer, the sensor of the paper, over USBTMC.
+
+Protocol: public Python drivers (pyTHM1176 of Hyperfine). The three axes are measured one after the other, each averaged over all its
+samples before the next begins: about 5 ms between them at 100 samples, so the field has to stand still meanwhile. `:CAL:INIT` and
+`:DIAG:UPGR` write to the probe's flash and `:MEAS` resets it: none of them is ever sent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeviceFault, Refused
+from drivers.protocols import Reading, ReadingFlag, Vector
+from drivers.readings import ReadingCounter, ascii_text, number
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+
+RANGES_T = (0.1, 0.3, 1.0, 3.0)
+
+MEASURE = ":INIT;:FETC:ARR:X? 1,5;:FETC:ARR:Y? 1,5;:FETC:ARR:Z? 1,5;:FETC:TIM?;*STB?"
+"""Begin and wait for one acquisition: five digits of each axis, its time stamp, and whether errors wait."""
+
+_OVER_RANGE, _OVERRUNS = 205, (204, 206)
+_MOST_ERRORS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Acquisition:
+    """The answer to `MEASURE`.
+
+    Attributes:
+        field_T: Along x, y, z.
+        device_time_s: When it ended, on the probe's clock.
+        has_errors: Whether the queue of errors is not empty.
+    """
+
+    field_T: Vector
+    device_time_s: float
+    has_errors: bool
+
+
+def choose_range_T(highest_T: float) -> float:
+    """The smallest range that holds a field.
+
+    Raises:
+        Refused: None does.
+
+    Examples:
+        >>> choose_range_T(0.05), choose_range_T(0.5)
+        (0.1, 1.0)
+    """
+    fitting = [range_T for range_T in RANGES_T if highest_T <= range_T]
+    if not fitting:
+        raise Refused(f"sensor.range_T must be at most {RANGES_T[-1]}; received {highest_T}")
+    return fitting[0]
+
+
+def encode_setup(range_T: float, n_averaged: int) -> str:
+    """Settings for single acquisitions at once.
+
+    Examples:
+        >>> encode_setup(0.1, 100)
+        ':ABOR;:SENS:FLUX:RANG:AUTO OFF;:SENS:FLUX:RANG 0.1T;:AVER:COUN 100;:TRIG:SOUR IMM;:TRIG:COUN 1;:INIT:CONT OFF;*STB?'
+    """
+    return (
+        f":ABOR;:SENS:FLUX:RANG:AUTO OFF;:SENS:FLUX:RANG {range_T:g}T;:AVER:COUN {n_averaged};"
+        ":TRIG:SOUR IMM;:TRIG:COUN 1;:INIT:CONT OFF;*STB?"
+    )
+
+
+def decode_acquisition(line: str) -> Acquisition:
+    """The answer to `MEASURE`.
+
+    Raises:
+        DeviceFault: It reads otherwise.
+
+    Examples:
+        >>> decode_acquisition("+0.00123 T;-0.00045 T;+0.01000 T;0x3B9ACA00;0")
+        Acquisition(field_T=(0.00123, -0.00045, 0.01), device_time_s=1.0, has_errors=False)
+    """
+    parts = line.split(";")
+    if len(parts) != 5 or not all(part.strip().endswith(" T") for part in parts[:3]):
+        raise DeviceFault(f"THM1176 must send x T;y T;z T;time;status; received {line!r}")
+    x_T, y_T, z_T = (number(part.strip().removesuffix(" T"), "a field of the THM1176") for part in parts[:3])
+    try:
+        nanoseconds = int(parts[3], 16)
+    except ValueError as error:
+        raise DeviceFault(f"THM1176 must send its time in hexadecimal; received {parts[3]!r}") from error
+    return Acquisition((x_T, y_T, z_T), nanoseconds * 1e-9, number(parts[4], "status of the THM1176") != 0)
+
+
+class MetrolabTHM1176(ClosesItself):
+    """A `FieldSensor` that measures when it is asked; it keeps nothing between."""
+
+    def __init__(self, port: Port, *, range_T: float, n_averaged: int = 100) -> None:
+        """Nothing is sent before the first call.
+
+        Args:
+            port: Connection to the probe.
+            range_T: Largest field to expect.
+            n_averaged: Samples of each axis in a reading; one alone scatters by 0.5 mT.
+        """
+        self._channel = Channel(port)
+        self._range_T, self._n_averaged = choose_range_T(range_T), n_averaged
+        self._set_up_at_fault = -1
+        self._counter = ReadingCounter()
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            return self._ask("*IDN?", deadline)
+
+    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
+        """See `FieldSensor.read_field_T`."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            self._set_up(deadline)
+            acquisition = decode_acquisition(self._ask(MEASURE, deadline))
+            flags = self._read_errors(deadline) if acquisition.has_errors else ReadingFlag.NONE
+            return self._counter.reading(acquisition.field_T, flags, device_time_s=acquisition.device_time_s)
+
+    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
+        """See `FieldSensor.read_new_T`; always one reading, begun with the call."""
+        return [self.read_field_T(timeout_s=timeout_s)]
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._channel.close()
+
+    def _set_up(self, deadline: Deadline) -> None:
+        if self._set_up_at_fault == self._channel.n_faults:
+            return
+        if (
+            number(
+                self._ask(encode_setup(self._range_T, self._n_averaged), deadline), "status of the THM1176"
+            )
+            != 0
+        ):
+            self._read_errors(deadline)
+        self._set_up_at_fault = self._channel.n_faults
+
+    def _read_errors(self, deadline: Deadline) -> ReadingFlag:
+        """Empty the queue of errors; those that belong to a reading become its flags."""
+        flags = ReadingFlag.NONE
+        for _ in range(_MOST_ERRORS):
+            answer = self._ask(":SYST:ERR?", deadline)
+            code = number(answer.split(",")[0], "an error of the THM1176")
+            if code == 0:
+                return flags
+            if code == _OVER_RANGE:
+                flags |= ReadingFlag.OVER_RANGE
+            elif code in _OVERRUNS:
+                flags |= ReadingFlag.DROPPED
+            else:
+                raise DeviceFault(f"THM1176 must accept its commands; it says {answer}")
+        raise DeviceFault(f"THM1176 must have an end of its errors; after {_MOST_ERRORS} there are more")
+
+    def _ask(self, commands: str, deadline: Deadline) -> str:
+        return ascii_text(self._channel.query(f"{commands}\n".encode("ascii"), b"\n", deadline)).strip()

@@ -1,0 +1,215 @@
+r"""Senis 3MH6 teslameter: a binary stream of up to 15000 packets a second over USB serial (3 Mbaud).
+
+Protocol: public Python drivers. `S` stops the stream, `C` asks for calibrated values, `K<code>` sets the rate (answer: `K`
+and the code as one byte), `mr1` to `mr4` the range, `B` starts packets of 25 bytes: 0x42, big-endian floats Bx, temperature,
+By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no serial number can be asked for.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeviceFault, Refused
+from drivers.protocols import Reading, ReadingFlag, Vector
+from drivers.readings import ReadingCounter, over_range
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+from drivers.transport.serial_port import SerialSettings
+
+SERIAL = SerialSettings(3_000_000)
+
+RATE_CODES = {
+    10: 0x23, 30: 0x53, 50: 0x63, 60: 0x72, 100: 0x82, 500: 0x92, 1000: 0xA1, 2000: 0xB0, 3750: 0xC0, 7500: 0xD0, 15000: 0xE0,
+}  # fmt: skip
+"""Packets per second and the code of `K`."""
+
+_PACKET = struct.Struct(">Bffff7sB")
+_START, _END = 0x42, 0x0D
+_QUIET_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet of the stream, in the units of the instrument."""
+
+    field: Vector
+    temperature: float
+
+
+def split_packets(stream: bytes) -> tuple[list[Packet], int, bytes]:
+    r"""Packets of a piece of the stream.
+
+    A byte 0x42 also occurs inside of packets: one begins where 0x0D stands at its end, and another 0x42 after that. While in
+    step, the last packet may do without.
+
+    Args:
+        stream: Bytes from anywhere in the stream.
+
+    Returns: Packets, number of bytes that belong to none, and the rest, which may be the start of another packet.
+
+    Examples:
+        >>> packet = encode_packet(Packet((1.0, 2.0, -3.0), 25.0))
+        >>> split_packets(b"?" + packet + packet[:3])
+        ([Packet(field=(1.0, 2.0, -3.0), temperature=25.0)], 1, b'B?\x80')
+    """
+    packets, n_skipped, place = [], 0, 0
+    while len(stream) - place >= _PACKET.size:
+        end = place + _PACKET.size
+        looks_whole = stream[place] == _START and stream[end - 1] == _END
+        if looks_whole and end == len(stream) and n_skipped:
+            break  # out of step a moment ago: the next byte will tell
+        if looks_whole and stream[end : end + 1] in {b"", b"\x42"}:
+            _, x, temperature, y, z, _, _ = _PACKET.unpack_from(stream, place)
+            packets.append(Packet((x, y, z), temperature))
+            place = end
+        else:
+            n_skipped += 1
+            place += 1
+    return packets, n_skipped, stream[place:]
+
+
+def encode_packet(packet: Packet, seven_more: bytes = bytes(7)) -> bytes:
+    """A packet as the instrument sends it; what its seven other bytes mean is not known."""
+    x, y, z = packet.field
+    return _PACKET.pack(_START, x, packet.temperature, y, z, seven_more, _END)
+
+
+def decode_rate_answer(answer: bytes, code: int) -> None:
+    """Check the answer to `K<code>`.
+
+    Raises:
+        DeviceFault: It names another rate.
+
+    Examples:
+        >>> decode_rate_answer(bytes([0x4B, 0x82]), 0x82)
+    """
+    if bytes([0x4B, code]) not in answer:
+        raise DeviceFault(f"3MH6 must confirm rate code {code:02X}; received {answer!r}")
+
+
+class Senis3MH6(ClosesItself):
+    """A `FieldSensor` that streams; a packet lost on the way shows as bytes that fit into no packet."""
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        rate_Hz: int,
+        range_number: int,
+        full_scale_T: float,
+        tesla_per_unit: float = 1e-3,
+    ) -> None:
+        """Nothing is sent before the first call.
+
+        Args:
+            port: Connection to the instrument.
+            rate_Hz: One of `RATE_CODES`.
+            range_number: 1 to 4, as in `mr1` to `mr4`.
+            full_scale_T: Field where that range ends; it depends on the probe, and beyond it a reading is flagged.
+            tesla_per_unit: Value of the unit of the packets; the drivers at hand do not state it, and millitesla is what
+                the display shows.
+        """
+        if rate_Hz not in RATE_CODES:
+            raise Refused(
+                f"sensor.rate_Hz must be one of {', '.join(map(str, RATE_CODES))}; received {rate_Hz}"
+            )
+        if range_number not in {1, 2, 3, 4}:
+            raise Refused(f"sensor.range_number must be 1, 2, 3 or 4; received {range_number}")
+        self._channel = Channel(port, quieten=b"S")
+        self._rate_Hz, self._range_number = rate_Hz, range_number
+        self._full_scale_T, self._tesla_per_unit = full_scale_T, tesla_per_unit
+        self._is_streaming = False
+        self._rest = b""
+        self._counter = ReadingCounter()
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`; the instrument can only say what it is set to."""
+        deadline = Deadline.after(timeout_s)
+        with self._exchange(deadline):
+            self._set_up(deadline)
+        return f"Senis, 3MH6, range {self._range_number}, {self._rate_Hz} Hz"
+
+    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
+        """See `FieldSensor.read_field_T`."""
+        deadline = Deadline.after(timeout_s)
+        with self._exchange(deadline):
+            self._start(deadline)
+            _, _, self._rest = split_packets(self._rest + self._channel.take_arrived(deadline))
+            n_passed = 0
+            while True:
+                for packet in self._receive(deadline):
+                    n_passed += 1
+                    if n_passed > 1:  # the first was begun before the call
+                        return self._reading(packet, self._channel.arrived_s)
+
+    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
+        """See `FieldSensor.read_new_T`."""
+        deadline = Deadline.after(timeout_s)
+        with self._exchange(deadline):
+            self._start(deadline)
+            readings: list[Reading[Vector]] = []
+            while not readings or (self._channel.has_arrived() and not deadline.is_over):
+                # Each piece of the stream with the time of its own arrival.
+                packets = self._receive(deadline)
+                readings += [self._reading(packet, self._channel.arrived_s) for packet in packets]
+            return readings
+
+    def close(self) -> None:
+        """See `Device.close`; ends the stream, for one that nobody reads fills the buffers of the port."""
+        deadline = Deadline.after(0.5)
+        try:
+            if self._is_streaming:
+                self._is_streaming = False
+                with self._channel.exchange(deadline):
+                    self._channel.send(b"S", deadline)
+        finally:
+            self._channel.close()
+
+    @contextmanager
+    def _exchange(self, deadline: Deadline) -> Iterator[None]:
+        try:
+            with self._channel.exchange(deadline):
+                yield
+        except BaseException:
+            # The channel ends the stream before it goes on.
+            if self._is_streaming:
+                self._counter.note_loss()
+            self._is_streaming, self._rest = False, b""
+            raise
+
+    def _start(self, deadline: Deadline) -> None:
+        if not self._is_streaming:
+            self._set_up(deadline)
+            self._channel.send(b"B", deadline)
+            self._is_streaming, self._rest = True, b""
+
+    def _set_up(self, deadline: Deadline) -> None:
+        """Range and rate of a silent instrument; ends a stream."""
+        if self._is_streaming:
+            self._is_streaming = False
+            self._counter.note_loss()
+        code = RATE_CODES[self._rate_Hz]
+        self._channel.send(b"S", deadline)
+        for command in (b"C", b"mr%d" % self._range_number):
+            self._channel.send(command, deadline)
+            self._channel.read_until_silent(_QUIET_S, deadline)
+        self._channel.send(b"K%02X" % code, deadline)
+        decode_rate_answer(self._channel.read_until_silent(_QUIET_S, deadline), code)
+
+    def _receive(self, deadline: Deadline) -> list[Packet]:
+        packets, n_skipped, self._rest = split_packets(self._rest + self._channel.read_some(deadline))
+        if n_skipped:
+            self._counter.note_loss()
+        return packets
+
+    def _reading(self, packet: Packet, arrived_s: float) -> Reading[Vector]:
+        x_T, y_T, z_T = (self._tesla_per_unit * value for value in packet.field)
+        field_T = (x_T, y_T, z_T)
+        is_beyond = any(abs(value_T) > self._full_scale_T for value_T in field_T)
+        flags = ReadingFlag.OVER_RANGE if is_beyond else over_range(field_T)
+        return self._counter.reading(field_T, flags, host_monotonic_s=arrived_s)

@@ -1,0 +1,105 @@
+"""Brings the whole rig to rest when anything in it fails: arms stopped, currents ramped to zero, outputs off."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+from drivers.errors import Refused
+
+_LOG = logging.getLogger(__name__)
+
+
+class Interlock:
+    """Joins the devices of a rig; once tripped it refuses every command until it is reset.
+
+    Attributes:
+        reason: Why it tripped, in one sentence; None while all is well.
+        not_at_rest: What could not be brought to rest, with the reason.
+    """
+
+    def __init__(self) -> None:
+        self.reason: str | None = None
+        self.not_at_rest: list[str] = []
+        self._actions: dict[str, Callable[[], None]] = {}
+        self._lock = threading.Lock()
+
+    def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
+        """Register what brings a device to rest; called from a thread of its own, and more than once if need be."""
+        self._actions[name] = bring_to_rest
+
+    def require_no_trip(self) -> None:
+        """Refuse a command after a fault.
+
+        Raises:
+            Refused: The rig has tripped.
+        """
+        if self.reason is not None:
+            raise Refused(
+                f"the rig must be reset before it goes on; it was brought to rest because {self.reason}"
+            )
+
+    def trip(self, reason: str) -> None:
+        """Bring all devices to rest, at the same time, and wait for it; only the first reason is kept."""
+        with self._lock:
+            if self.reason is not None:
+                return
+            self.reason = reason
+        _LOG.error("bringing the rig to rest because %s", reason)
+        threads = [threading.Thread(target=self._bring_to_rest, args=item) for item in self._actions.items()]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def reset(self) -> None:
+        """Allow commands again, after somebody has looked.
+
+        Raises:
+            Refused: A device still cannot be brought to rest.
+        """
+        self.not_at_rest.clear()
+        if self.reason is not None:
+            for item in self._actions.items():
+                self._bring_to_rest(*item)
+        if self.not_at_rest:
+            raise Refused(f"all devices must be at rest; {'; '.join(self.not_at_rest)}")
+        self.reason = None
+
+    @contextmanager
+    def guard(self, what: str) -> Iterator[None]:
+        """Trip where the block fails, even by Ctrl-C; a command that was refused sent nothing and trips nothing."""
+        self.require_no_trip()
+        try:
+            yield
+        except Refused:
+            raise
+        except BaseException as error:
+            self.trip(f"{what} failed: {str(error) or type(error).__name__}")
+            raise
+
+    def _bring_to_rest(self, name: str, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except Exception as error:
+            _LOG.critical("%s is not known to be at rest: %s", name, error)
+            self.not_at_rest.append(f"{name} is not known to be at rest: {error}")
+
+
+@contextmanager
+def sigterm_as_exception() -> Iterator[None]:
+    """Let SIGTERM end the program as Ctrl-C does, through all `with` blocks; only in the main thread."""
+
+    def end(number: int, _: FrameType | None) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,299 @@
+"""Opens the devices of a rig from the `devices` section of its file, each behind the limits that stand beside it.
+
+A supply runs in a process of its own, which switches it off when this one is gone. With `replay`, the transcript of a recorded
+conversation takes the place of the instrument; with `record`, one is written. As YAML, the section reads
+
+    devices:
+      hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
+      # sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30
+      # sensor: senis_3mh6, serial: /dev/ttyUSB0, rate_Hz: 1000, range_number: 1, full_scale_mT: 100
+      # sensor: metrolab_thm1176, usbtmc: /dev/usbtmc0, range_mT: 100, averaged_samples: 100
+      coil1:
+        supply: kepco_bop         # or korad_ka3005p, scpi
+        serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025
+        compliance_V: 20          # limit of its voltage
+        tolerance_mA: 5           # of set-points read back and of the measured current
+        lowest_A: -5              # 0 where not given; the limits of the coil from here on
+        highest_A: 5
+        slew_A_per_s: 10
+        continuous_A: 3           # more is allowed until the coil is as warm as by this
+        thermal_time_constant_min: 5
+      arm1:
+        arm: ur3e                 # or ur3
+        host: 192.168.0.10
+        workspace_low_mm: [0, -300, 0]    # for the flange, in the frame of the arm's base
+        workspace_high_mm: [500, 300, 500]
+        highest_speed_mm_per_s: 100
+        joint_low_deg: [-180, -180, -150, -180, -180, -360]    # with joint_high_deg; both may be left out
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from drivers.device import ClosesItself
+from drivers.errors import DriverError, Refused
+from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
+from drivers.hall import lakeshore_460, lakeshore_f71, metrolab_thm1176, senis_3mh6
+from drivers.interlock import Interlock
+from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm
+from drivers.safety import ArmLimits, CurrentLimits
+from drivers.settings import Settings
+from drivers.supplies import korad_ka3005p
+from drivers.supplies.commands import SupplyCommands
+from drivers.supplies.ramped import RampedSource
+from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
+from drivers.supplies.supervised import SupervisedSource
+from drivers.transport.port import Port
+from drivers.transport.pumped import PumpedPort
+from drivers.transport.serial_port import SerialPort, SerialSettings
+from drivers.transport.tcp import TcpPort
+from drivers.transport.transcript import RecordingPort, ReplayedPort
+from drivers.transport.usbtmc import UsbtmcPort
+
+SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
+SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
+ARMS: dict[str, Literal["UR3", "UR3e"]] = {"ur3": "UR3", "ur3e": "UR3e"}
+
+_CONNECT_S = 3.0
+_SCPI_SERIAL = SerialSettings(9600)
+
+
+@dataclass
+class DeviceSet(ClosesItself):
+    """The open devices of a rig by their names in its file; leaving its `with` block closes all, sources first.
+
+    Attributes:
+        sensors: Magnetometers.
+        sources: Supplies, one for each coil.
+        arms: Robot arms.
+        interlock: Joins them: a fault of one brings all to rest.
+    """
+
+    sensors: dict[str, FieldSensor] = field(default_factory=dict)
+    sources: dict[str, CurrentSource] = field(default_factory=dict)
+    arms: dict[str, RobotArm] = field(default_factory=dict)
+    interlock: Interlock = field(default_factory=Interlock)
+
+    @property
+    def devices(self) -> dict[str, Device]:
+        """All of them."""
+        return {**self.sources, **self.arms, **self.sensors}
+
+    def close(self) -> None:
+        """Close all, even where one fails.
+
+        Raises:
+            DriverError: One is not known to be at rest; the others are closed nevertheless.
+        """
+        with ExitStack() as stack:
+            for device in reversed(self.devices.values()):
+                stack.callback(device.close)
+
+
+def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSet:
+    """Open all devices of a section; where one cannot be opened, none stays open.
+
+    Args:
+        section: Name of each device and its settings, as above.
+        place: Of the section, for messages.
+
+    Raises:
+        Refused: The section asks for what there is not.
+        DriverError: A device is not there.
+    """
+    devices = DeviceSet()
+    try:
+        for name, mapping in section.items():
+            settings = Settings(mapping, f"{place}.{name}")
+            _open(name, settings, devices)
+            settings.finish()
+    except BaseException:
+        devices.close()
+        raise
+    return devices
+
+
+def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, str]:
+    """Identify each device and read one value; nothing moves and no current changes.
+
+    Returns: By device, what it says of itself and the value, or what went wrong.
+    """
+    report = {}
+    for name, device in devices.devices.items():
+        try:
+            text = device.identify(timeout_s=timeout_s)
+            report[name] = f"{text}: {_one_value(device, timeout_s)}"
+        except DriverError as error:
+            report[name] = f"FAULT: {error}"
+    return report
+
+
+def _one_value(device: Device, timeout_s: float) -> str:
+    if isinstance(device, FieldSensor):
+        field_reading = device.read_field_T(timeout_s=timeout_s)
+        return f"{', '.join(f'{1e3 * value_T:.4g}' for value_T in field_reading.value)} mT"
+    if isinstance(device, CurrentSource):
+        return f"{device.read_current_A(timeout_s=timeout_s).value:.4g} A"
+    if isinstance(device, RobotArm):
+        pose = device.read_pose(timeout_s=timeout_s).value
+        return f"{', '.join(f'{1e3 * value_m:.2f}' for value_m in pose.position_m)} mm"
+    raise Refused(f"a device must be a sensor, a source or an arm; received {device!r}")
+
+
+def _open(name: str, settings: Settings, devices: DeviceSet) -> None:
+    if "sensor" in settings:
+        devices.sensors[name] = GuardedSensor(_open_sensor(settings), devices.interlock, name=name)
+    elif "supply" in settings:
+        devices.sources[name] = _open_source(name, settings, devices.interlock)
+    elif "arm" in settings:
+        devices.arms[name] = _open_arm(name, settings, devices.interlock)
+    else:
+        raise Refused(f"{settings.place} must say what it is: sensor, supply or arm; received none of them")
+
+
+def _open_sensor(settings: Settings) -> FieldSensor:
+    kind = settings.choice("sensor", SENSORS)
+    if kind == "lakeshore_460":
+        range_T = settings.quantity("range", "field")
+        return lakeshore_460.LakeShore460(_port(settings, lakeshore_460.SERIAL)(), range_T=range_T)
+    if kind == "metrolab_thm1176":
+        range_T, n_averaged = (
+            settings.quantity("range", "field"),
+            settings.whole_number("averaged_samples", 100),
+        )
+        port = _port(settings, _SCPI_SERIAL)()
+        return metrolab_thm1176.MetrolabTHM1176(port, range_T=range_T, n_averaged=n_averaged)
+    if kind == "senis_3mh6":
+        rate_Hz = round(settings.quantity("rate", "frequency"))
+        range_number, full_scale_T = (
+            settings.whole_number("range_number"),
+            settings.quantity("full_scale", "field"),
+        )
+        port = _port(settings, senis_3mh6.SERIAL)()
+        port = port if "replay" in settings else PumpedPort(port)
+        try:
+            return senis_3mh6.Senis3MH6(
+                port, rate_Hz=rate_Hz, range_number=range_number, full_scale_T=full_scale_T
+            )
+        except Refused:
+            port.close()
+            raise
+    has_range = settings.has_quantity("range", "field")
+    fixed_range_T = settings.quantity("range", "field") if has_range else None
+    n_averaged = settings.whole_number("averaged_samples", 1)
+    port = _port(settings, lakeshore_f71.SERIAL, lakeshore_f71.TCP_PORT)()
+    return lakeshore_f71.LakeShoreF71(port, range_T=fixed_range_T, n_averaged=n_averaged)
+
+
+def _open_source(name: str, settings: Settings, interlock: Interlock) -> CurrentSource:
+    kind = settings.choice("supply", SUPPLIES)
+    limits = _current_limits(settings)
+    tolerance_A = settings.quantity("tolerance", "current")
+    compliance_V = settings.quantity("compliance", "voltage")
+    slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
+    is_replayed = "replay" in settings
+    serial = korad_ka3005p.SERIAL if kind == "korad_ka3005p" else _SCPI_SERIAL
+    open_port = _port(settings, serial)
+    make = partial(_make_source, kind, open_port, limits, compliance_V, slew_A_per_s, tolerance_A)
+    source: CurrentSource = (
+        make(threading.Event()) if is_replayed else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s)
+    )
+    try:
+        return GuardedSource(source, limits, interlock, name=name, tolerance_A=tolerance_A)
+    except DriverError:
+        source.close()
+        raise
+
+
+def _make_source(
+    kind: str,
+    open_port: Callable[[], Port],
+    limits: CurrentLimits,
+    compliance_V: float,
+    slew_A_per_s: float,
+    tolerance_A: float,
+    interrupt: threading.Event,
+) -> RampedSource:
+    """Runs in the process of the source, which owns the port."""
+    supply: SupplyCommands
+    if kind == "korad_ka3005p":
+        supply = korad_ka3005p.KoradKA3005P(
+            open_port(), compliance_V=compliance_V, highest_A=limits.highest_A
+        )
+    else:
+        supply = ScpiSupply(
+            open_port(),
+            dialect=KEPCO_BOP if kind == "kepco_bop" else GENERIC,
+            lowest_A=limits.lowest_A,
+            highest_A=limits.highest_A,
+            compliance_V=compliance_V,
+            resolution_A=tolerance_A,
+        )
+    return RampedSource(supply, slew_A_per_s=slew_A_per_s, interrupt=interrupt)
+
+
+def _current_limits(settings: Settings) -> CurrentLimits:
+    return CurrentLimits(
+        lowest_A=settings.quantity("lowest", "current", 0.0),
+        highest_A=settings.quantity("highest", "current"),
+        slew_A_per_s=settings.quantity("slew", "slew"),
+        continuous_A=settings.quantity("continuous", "current"),
+        thermal_time_constant_s=settings.quantity("thermal_time_constant", "time"),
+    )
+
+
+def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
+    # Here, since it needs the compiled ur_rtde only when a rig has an arm.
+    from drivers.robots.universal_robot import JOINT_LIMITS_RAD, UniversalRobot
+
+    model = ARMS[settings.choice("arm", tuple(ARMS))]
+    low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
+    high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
+    speed_m_per_s = settings.quantity("highest_speed", "speed")
+    limits = ArmLimits((low_x_m, low_y_m, low_z_m), (high_x_m, high_y_m, high_z_m), speed_m_per_s)
+    joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD
+    if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
+        low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
+        joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
+    arm = UniversalRobot(settings.text("host"), model, joint_limits_rad=joint_limits_rad)
+    return GuardedArm(arm, limits, interlock, name=name)
+
+
+def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:
+    """What opens the port of a device; importable, since a supply's process opens its own."""
+    ways = [way for way in ("serial", "tcp", "usbtmc", "replay") if way in settings]
+    if len(ways) != 1:
+        raise Refused(
+            f"{settings.place} must have one of serial, tcp, usbtmc and replay; received {' and '.join(ways) or 'none'}"
+        )
+    address = settings.text(ways[0])
+    baud = settings.whole_number("baud", serial.baud)
+    record = Path(settings.text("record")) if "record" in settings else None
+    port_number = tcp_port if tcp_port is not None and "port" not in settings else None
+    if ways[0] == "tcp" and port_number is None:
+        port_number = settings.whole_number("port")
+    line = SerialSettings(baud, serial.data_bits, serial.parity, serial.has_rts_cts)
+    return partial(_open_port, ways[0], address, line, port_number, record)
+
+
+def _open_port(
+    way: str, address: str, line: SerialSettings, port_number: int | None, record: Path | None
+) -> Port:
+    if way == "replay":
+        return ReplayedPort.from_file(Path(address))
+    port: Port
+    if way == "serial":
+        port = SerialPort(address, line)
+    elif way == "usbtmc":
+        port = UsbtmcPort(address)
+    else:
+        assert port_number is not None
+        port = TcpPort(address, port_number, timeout_s=_CONNECT_S)
+    return port if record is None else RecordingPort(port, record)

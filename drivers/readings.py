@@ -1,0 +1,85 @@
+"""Numbers the readings of one device and remembers that some were lost until the next one says so."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TypeVar
+
+from drivers.errors import DeviceFault
+from drivers.protocols import Reading, ReadingFlag, Vector
+
+Value = TypeVar("Value")
+
+_SCPI_NO_NUMBER = 9e37
+"""SCPI-99 section 7.2.1.5 writes infinity as 9.9e37 and not-a-number as 9.91e37."""
+
+
+class ReadingCounter:
+    """The count behind `Reading.sequence`.
+
+    Examples:
+        >>> counter = ReadingCounter()
+        >>> counter.note_loss()
+        >>> counter.reading(1.0).flags, counter.reading(2.0).flags, counter.reading(3.0).sequence
+        (<ReadingFlag.DROPPED: 4>, <ReadingFlag.NONE: 0>, 2)
+    """
+
+    def __init__(self) -> None:
+        self._n_readings = 0
+        self._has_lost = False
+
+    def note_loss(self) -> None:
+        """The next reading carries `DROPPED`."""
+        self._has_lost = True
+
+    def reading(
+        self,
+        value: Value,
+        flags: ReadingFlag = ReadingFlag.NONE,
+        *,
+        host_monotonic_s: float | None = None,
+        device_time_s: float | None = None,
+    ) -> Reading[Value]:
+        """The next reading; it arrived now where no other time is given."""
+        if self._has_lost:
+            flags |= ReadingFlag.DROPPED
+        arrived_s = time.monotonic() if host_monotonic_s is None else host_monotonic_s
+        reading = Reading(self._n_readings, arrived_s, device_time_s, value, flags)
+        self._n_readings += 1
+        self._has_lost = False
+        return reading
+
+
+def number(text: str, what: str) -> float:
+    """A number as instruments write it; what SCPI writes for "no number" is NaN.
+
+    Raises:
+        DeviceFault: It is none.
+
+    Examples:
+        >>> number("+1.5E-3", "a current"), number("9.91E37", "a field")
+        (0.0015, nan)
+    """
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise DeviceFault(f"{what} must be a number; received {text!r}") from error
+    return math.nan if abs(value) >= _SCPI_NO_NUMBER else value
+
+
+def ascii_text(data: bytes) -> str:
+    """An answer of an instrument that writes ASCII.
+
+    Raises:
+        DeviceFault: It holds other bytes.
+    """
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise DeviceFault(f"an answer must be ASCII; received {data[:80]!r}") from error
+
+
+def over_range(field_T: Vector) -> ReadingFlag:
+    """`OVER_RANGE` where a component is NaN."""
+    return ReadingFlag.OVER_RANGE if any(math.isnan(value) for value in field_T) else ReadingFlag.NONE

@@ -1,0 +1,1 @@
+"""Robot arms: reading poses and moving."""

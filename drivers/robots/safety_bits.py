@@ -1,0 +1,43 @@
+"""What the status bits of a Universal Robots controller say to an operator (RTDE guide, table of output fields)."""
+
+from __future__ import annotations
+
+from drivers.robots.rtde import Value
+
+_NORMAL = 1 << 0
+_PLAYING = 2
+
+_STOPS = (
+    (1 << 7, "its emergency stop is pressed: release the button and restart it at the pendant"),
+    (1 << 6, "its emergency stop is pressed: release the button and restart it at the pendant"),
+    (1 << 5, "an emergency stop of the system is pressed: release it and restart the arm at the pendant"),
+    (1 << 9, "its safety system has a fault: see the pendant"),
+    (1 << 8, "its safety system found a violation: see the pendant"),
+    (1 << 2, "it is in protective stop: look what it met, then unlock it at the pendant"),
+    (1 << 4, "a safeguard stop holds it: close the guard"),
+    (1 << 3, "it is in recovery mode: move it back by hand"),
+    (1 << 10, "its safety system has stopped it: see the pendant"),
+)
+
+
+def why_not_running(values: dict[str, Value]) -> str | None:
+    """One sentence for the operator; None where the arm obeys.
+
+    Args:
+        values: With `safety_status_bits` and `runtime_state`.
+
+    Examples:
+        >>> why_not_running({"safety_status_bits": 1, "runtime_state": 2}) is None
+        True
+        >>> why_not_running({"safety_status_bits": 4, "runtime_state": 1})
+        'it is in protective stop: look what it met, then unlock it at the pendant'
+    """
+    bits, runtime_state = values["safety_status_bits"], values["runtime_state"]
+    if not isinstance(bits, int) or not isinstance(runtime_state, int):
+        return "it does not tell its safety status"
+    for bit, sentence in _STOPS:
+        if bits & bit:
+            return sentence
+    if not bits & _NORMAL and not bits & 1 << 1:  # reduced mode is slow, but obeys
+        return "its safety system is in no normal mode: see the pendant"
+    return None if runtime_state == _PLAYING else "its program is not running"

@@ -1,0 +1,195 @@
+"""UR3 and UR3e as a `RobotArm`: poses from a lossless RTDE reader, motion in a supervised child process.
+
+Poses are those of the flange as long as the tool centre point set at the pendant is zero; the first motion checks that. A real
+arm must be in remote control (UR3e). 0.2 s after a child was killed its arm is stopped by the watchdog of the controller.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Literal
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
+from drivers.protocols import FlangePose, Reading, ReadingFlag
+from drivers.readings import ReadingCounter, ascii_text
+from drivers.robots import rtde
+from drivers.robots.rtde_reader import RtdeReader, Sample
+from drivers.robots.ur_motion import NAMES, UrMotion, is_still, pose_of
+from drivers.supervised import Supervised
+from drivers.transport.channel import Channel
+from drivers.transport.tcp import TcpPort
+
+_LOG = logging.getLogger(__name__)
+
+DASHBOARD_PORT = 29999
+FREQUENCY_HZ = {"UR3": 125.0, "UR3e": 500.0}
+JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
+"""Range of the joints of a UR3 (its last one turns without end); a rig with cables states narrower ones."""
+
+_START_S, _CLOSE_S = 20.0, 10.0
+_STILL_S = 2.0
+_CONNECT_S = 3.0
+
+
+class UniversalRobot(ClosesItself):
+    """One arm. Reading needs no child; it starts with the first motion."""
+
+    def __init__(
+        self,
+        host: str,
+        model: Literal["UR3", "UR3e"],
+        *,
+        joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD,
+    ) -> None:
+        """Connect to the RTDE port; nothing moves, no program is started.
+
+        Args:
+            host: Address of the controller.
+            model: Decides the rate of its control cycle.
+            joint_limits_rad: Lowest and highest angle of each of the six joints.
+
+        Raises:
+            DriverError: The controller is not there.
+        """
+        if len(joint_limits_rad) != 6:
+            raise Refused(f"arm.joint_limits_rad must be six pairs; received {len(joint_limits_rad)}")
+        self._host, self._frequency_Hz = host, FREQUENCY_HZ[model]
+        self._name = f"{model} at {host}"
+        self._make = partial(UrMotion, host, self._frequency_Hz, tuple(joint_limits_rad))
+        self._reader = self._connect()
+        self._motion: Supervised | None = None
+        self._counter = ReadingCounter()
+        self._last_device_time_s = -math.inf
+        self._is_closed = False
+
+    @property
+    def motion_pid(self) -> int | None:
+        """Number of the child process; None before the first motion."""
+        return self._motion.pid if self._motion else None
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`; from the dashboard."""
+        deadline = Deadline.after(timeout_s)
+        model, serial_number, version = self._dashboard(
+            ("get robot model", "get serial number", "PolyscopeVersion"), deadline
+        )
+        return f"Universal Robots, {model}, {serial_number}, {version}"
+
+    def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
+        """See `RobotArm.read_pose`; the first package that arrives after the call."""
+        sample = self._hearing_reader().read_after(time.monotonic(), timeout_s=timeout_s)
+        return self._reading(sample)
+
+    def read_new_poses(self, *, timeout_s: float) -> list[Reading[FlangePose]]:
+        """All packages since the last reading, oldest first; see `FieldSensor.read_new_T`."""
+        return [self._reading(sample) for sample in self._hearing_reader().read_new(timeout_s=timeout_s)]
+
+    def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
+        """See `RobotArm.move_to`; a fault says whether the arm is known to stand. Nothing is ever sent twice."""
+        deadline = Deadline.after(timeout_s)
+        try:
+            if self._motion is None or self._motion.has_ended:
+                self._motion = Supervised(self._make, f"motion of {self._name}", start_timeout_s=_START_S)
+            self._motion.call(
+                "move_to",
+                base_from_flange=base_from_flange,
+                speed_m_per_s=speed_m_per_s,
+                timeout_s=deadline.remaining_s,
+            )
+        except Refused:
+            raise
+        except DriverError as error:
+            raise type(error)(f"{error}; {self._standing()}") from error
+
+    def stop(self, *, timeout_s: float) -> None:
+        """See `RobotArm.stop`; where the child is gone or does not answer, the program is stopped through the dashboard."""
+        deadline = Deadline.after(timeout_s)
+        try:
+            if self._motion is not None and not self._motion.has_ended:
+                self._motion.call("stop", timeout_s=deadline.remaining_s / 2, is_urgent=True)
+        except DriverError as error:
+            _LOG.warning("stopping through the dashboard, since the child failed: %s", error)
+            self._motion = None
+        if self._motion is None or self._motion.has_ended:
+            self._dashboard(("stop",), deadline)
+        self._wait_until_still(deadline)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            if self._motion is not None and not self._motion.has_ended:
+                self._motion.close(timeout_s=_CLOSE_S)
+                self._wait_until_still(Deadline.after(_STILL_S))
+        finally:
+            self._reader.close()
+
+    def _connect(self) -> RtdeReader:
+        port = TcpPort(self._host, rtde.PORT, timeout_s=_CONNECT_S)
+        return RtdeReader(port, NAMES, self._frequency_Hz, timeout_s=_CONNECT_S)
+
+    def _hearing_reader(self) -> RtdeReader:
+        """The reader; a new one where the connection of the last was lost. That sends nothing to the arm."""
+        if self._reader.is_lost:
+            self._reader.close()
+            self._reader = self._connect()
+            self._counter.note_loss()
+        return self._reader
+
+    def _reading(self, sample: Sample) -> Reading[FlangePose]:
+        if sample.is_after_loss:
+            self._counter.note_loss()
+        is_new = sample.device_time_s > self._last_device_time_s
+        self._last_device_time_s = sample.device_time_s
+        return self._counter.reading(
+            pose_of(sample),
+            ReadingFlag.NONE if is_new else ReadingFlag.STALE,
+            host_monotonic_s=sample.host_monotonic_s,
+            device_time_s=sample.device_time_s,
+        )
+
+    def _standing(self) -> str:
+        """Whether the arm stands, for the end of a sentence."""
+        deadline = Deadline.after(_STILL_S)
+        try:
+            if self._motion is None or self._motion.has_ended:
+                self._dashboard(("stop",), deadline)
+            self._wait_until_still(deadline)
+        except DriverError:
+            return "whether the arm stands is unknown"
+        return "the arm stands still"
+
+    def _wait_until_still(self, deadline: Deadline) -> None:
+        reader = self._hearing_reader()
+        while True:
+            sample = reader.read_after(time.monotonic(), timeout_s=max(0.1, deadline.remaining_s))
+            if is_still(sample):
+                return
+            if deadline.is_over:
+                raise DeadlineExceeded(
+                    f"{self._name} must stand within {deadline.allowed_s:g} s; it still moves"
+                )
+
+    def _dashboard(self, lines: Sequence[str], deadline: Deadline) -> list[str]:
+        """Answers of the dashboard, each to one line."""
+        port = TcpPort(self._host, DASHBOARD_PORT, timeout_s=max(0.1, deadline.remaining_s))
+        channel = Channel(port)
+        try:
+            with channel.exchange(deadline):
+                channel.read_until(b"\n", deadline)  # its banner
+                return [
+                    ascii_text(channel.query(f"{line}\n".encode("ascii"), b"\n", deadline)).strip()
+                    for line in lines
+                ]
+        except DeviceFault as error:
+            raise DeviceFault(f"{self._name} must answer on its dashboard; {error}") from error
+        finally:
+            channel.close()

@@ -1,0 +1,228 @@
+"""Moves a Universal Robots arm through ur_rtde; lives in a child process (`drivers.supervised`) and nowhere else.
+
+What was measured of ur_rtde 1.6.5 shapes this file: its constructors hold the interpreter; one dropped connection crashes it
+while it reconnects, and it may send its last command again then; `False` says that something went wrong, not that the arm
+stands; and a stalled network goes unnoticed for 2.5 s. So there are only asynchronous moves, one loop kicks the controller's
+watchdog, watches an RTDE stream of its own and the way, and a connection once lost ends the process.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.protocols import FlangePose
+from drivers.robots import rtde
+from drivers.robots.rtde_reader import RtdeReader, Sample
+from drivers.robots.safety_bits import why_not_running
+from drivers.rotation import angle_between_rad
+from drivers.supervised import end_at_once
+from drivers.transport.tcp import TcpPort
+
+WATCHDOG_HZ = 5.0
+"""The controller stops the program when nothing came for 0.2 s; with this the arm went 3 mm on after its client was killed."""
+
+NAMES = ("actual_TCP_pose", "actual_TCP_speed", "actual_q", "safety_status_bits", "runtime_state")
+
+_OLDEST_S = 0.15
+_LOOP_S = 0.01
+_ACCELERATION_M_PER_S2 = 0.25
+_BRAKE_M_PER_S2 = 2.0
+_STILL_M_PER_S, _STILL_RAD_PER_S = 1e-3, 5e-3
+_ARRIVED_M, _ARRIVED_RAD = 5e-4, 2e-3
+_CONNECT_S = 3.0
+_TCP_OFFSET_M = 1e-6
+
+
+class UrMotion:
+    """Motion of one arm; the device of a supervised child (`KeptAlive`)."""
+
+    def __init__(
+        self,
+        host: str,
+        frequency_Hz: float,
+        joint_limits_rad: Sequence[tuple[float, float]],
+        interrupt: threading.Event,
+    ) -> None:
+        """Connect and upload the control script; nothing moves.
+
+        Args:
+            host: Address of the controller.
+            frequency_Hz: 125 for a UR3, 500 for a UR3e.
+            joint_limits_rad: Lowest and highest angle of each joint.
+            interrupt: Set when the motion that is going on should end.
+        """
+        import rtde_control  # type: ignore[import-not-found]  # compiled, without types
+
+        self.is_lost = False
+        self._interrupt, self._joint_limits_rad = interrupt, tuple(joint_limits_rad)
+        port = TcpPort(host, rtde.PORT, timeout_s=_CONNECT_S)
+        # ur_rtde would connect again by itself, upload its script without the watchdog and may repeat the last motion.
+        self._reader = RtdeReader(port, NAMES, frequency_Hz, timeout_s=_CONNECT_S, on_loss=end_at_once)
+        self._control: Any = rtde_control.RTDEControlInterface(host, frequency_Hz)
+        self._name = f"arm at {host}"
+        if not self._control.setWatchdog(WATCHDOG_HZ):
+            raise DeviceFault(f"{self._name} must accept a watchdog; it did not")
+        offset = self._control.getTCPOffset()
+        if math.dist(offset, (0.0,) * 6) > _TCP_OFFSET_M:
+            raise DeviceFault(
+                f"{self._name} must have its tool centre point at the flange, for poses are those of the flange; it is at {offset}: "
+                "set it to zero in the installation at the pendant"
+            )
+
+    def keep_alive(self) -> None:
+        """See `KeptAlive.keep_alive`; the next motion finds out whether the arm obeys."""
+        if self._control.isConnected():
+            self._control.kickWatchdog()
+
+    def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
+        """See `RobotArm.move_to`.
+
+        Raises:
+            Refused: The pose is beyond the safety limits of the controller or the joint limits given; nothing was sent.
+            DeviceFault: The arm does not obey, or was interrupted; the text says which, and whether it stands.
+        """
+        deadline = Deadline.after(timeout_s)
+        self._require_obedience()
+        pose = [*base_from_flange.position_m, *base_from_flange.rotation_vector_rad]
+        self._check_reach(pose)
+        before = self._control.getAsyncOperationProgressEx().operationId()
+        if not self._control.moveL(pose, speed_m_per_s, _ACCELERATION_M_PER_S2, True):
+            raise self._fault("refused the motion, so whether it moves is unknown")
+        while True:
+            self._watch(deadline)
+            status = self._control.getAsyncOperationProgressEx()
+            if status.operationId() != before and not status.isAsyncOperationRunning():
+                break
+        self._wait_until_still(deadline)
+        self._check_arrival(base_from_flange)
+
+    def stop(self, *, timeout_s: float) -> None:
+        """See `RobotArm.stop`."""
+        deadline = Deadline.after(timeout_s)
+        sample = self._reader.latest(at_most_s=_OLDEST_S)
+        if why_not_running(sample.values) is None:
+            self._control.stopL(_BRAKE_M_PER_S2)
+        self._wait_until_still(deadline)
+
+    def close(self) -> None:
+        """Stop, end the control script and release the controller."""
+        try:
+            if not self.is_lost:
+                self.stop(timeout_s=2.0)
+                if why_not_running(self._fresh_sample().values) is None:
+                    self._control.stopScript()
+        finally:
+            self._reader.close()
+            self._control.disconnect()
+
+    def _require_obedience(self) -> None:
+        reason = why_not_running(self._fresh_sample().values)
+        if reason == "its program is not running":
+            # A protective stop that was unlocked, or a pause of the host longer than the watchdog's.
+            if not self._control.reuploadScript() or not self._control.setWatchdog(WATCHDOG_HZ):
+                raise self._fault("does not start the control script again")
+            reason = why_not_running(self._next_sample().values)
+        if reason is not None:
+            raise DeviceFault(f"{self._name} must obey; {reason}")
+
+    def _check_reach(self, pose: list[float]) -> None:
+        if not self._control.isPoseWithinSafetyLimits(pose):
+            raise Refused(f"arm.pose must be within the safety limits of the controller; received {pose}")
+        joints_rad = self._control.getInverseKinematics(pose)
+        for index, (joint_rad, (low_rad, high_rad)) in enumerate(
+            zip(joints_rad, self._joint_limits_rad, strict=True)
+        ):
+            if not low_rad <= joint_rad <= high_rad:
+                raise Refused(
+                    f"arm.joint_{index + 1}_rad must be within {low_rad:g} and {high_rad:g}; {joint_rad:.3f} is needed for {pose}"
+                )
+
+    def _watch(self, deadline: Deadline) -> None:
+        """One turn of the loop of a motion; anything wrong ends the motion and is raised."""
+        self._kick()
+        reason = why_not_running(self._fresh_sample().values)
+        if reason is not None:
+            raise DeviceFault(f"{self._name} must finish its motion; {reason}")
+        if self._interrupt.is_set():
+            self._brake()
+            raise DeviceFault(f"{self._name} must finish its motion; it was interrupted and stands")
+        if deadline.is_over:
+            self._brake()
+            raise deadline.exceeded(f"{self._name} must arrive", "it was stopped on the way and stands")
+        time.sleep(_LOOP_S)
+
+    def _brake(self) -> None:
+        self._control.stopL(_BRAKE_M_PER_S2)
+        self._wait_until_still(Deadline.after(2.0))
+
+    def _wait_until_still(self, deadline: Deadline) -> None:
+        while not is_still(self._fresh_sample()):
+            if deadline.is_over:
+                raise deadline.exceeded(f"{self._name} must stand still", "it still moves")
+            self._kick()
+            time.sleep(_LOOP_S)
+
+    def _check_arrival(self, target: FlangePose) -> None:
+        sample = self._fresh_sample()
+        if reason := why_not_running(sample.values):
+            raise DeviceFault(f"{self._name} must finish its motion; {reason}")
+        pose = pose_of(sample)
+        off_m = math.dist(pose.position_m, target.position_m)
+        off_rad = angle_between_rad(pose.rotation_vector_rad, target.rotation_vector_rad)
+        if off_m > _ARRIVED_M or off_rad > _ARRIVED_RAD:
+            raise DeviceFault(
+                f"{self._name} must arrive within {1e3 * _ARRIVED_M:g} mm and {1e3 * _ARRIVED_RAD:g} mrad; "
+                f"it stands {1e3 * off_m:.2f} mm and {1e3 * off_rad:.1f} mrad off"
+            )
+
+    def _fresh_sample(self) -> Sample:
+        return self._sample(lambda: self._reader.latest(at_most_s=_OLDEST_S))
+
+    def _next_sample(self) -> Sample:
+        return self._sample(lambda: self._reader.read_after(time.monotonic(), timeout_s=_OLDEST_S))
+
+    def _sample(self, read: Callable[[], Sample]) -> Sample:
+        try:
+            return read()
+        except DriverError as error:
+            self.is_lost = True
+            raise DeviceFault(
+                f"{self._name} must be heard; {error}; its watchdog stops it within {1 / WATCHDOG_HZ:g} s, which is not confirmed"
+            ) from error
+
+    def _kick(self) -> None:
+        """Tell the controller's watchdog that somebody is here."""
+        if self._control.isConnected() and self._control.kickWatchdog():
+            return
+        # Refused where the program has ended, and the next package says why.
+        reason = why_not_running(self._next_sample().values)
+        if reason is None:
+            self.is_lost = True
+            raise self._fault(
+                "does not take the watchdog's kick, so its watchdog stops it, which is not confirmed"
+            )
+        raise DeviceFault(f"{self._name} must finish its motion; {reason}")
+
+    def _fault(self, what: str) -> DeviceFault:
+        return DeviceFault(f"{self._name} {what}")
+
+
+def pose_of(sample: Sample) -> FlangePose:
+    """Pose in a sample; the tool centre point is at the flange."""
+    numbers = sample.values["actual_TCP_pose"]
+    assert isinstance(numbers, tuple)
+    x_m, y_m, z_m, x_rad, y_rad, z_rad = numbers
+    return FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))
+
+
+def is_still(sample: Sample) -> bool:
+    """Whether the flange neither moves nor turns."""
+    speed = sample.values["actual_TCP_speed"]
+    assert isinstance(speed, tuple)
+    return math.hypot(*speed[:3]) <= _STILL_M_PER_S and math.hypot(*speed[3:]) <= _STILL_RAD_PER_S

@@ -1,0 +1,56 @@
+"""Rotation vectors, as Universal Robots reports orientations: axis times angle, with two names for every turn by half a circle."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+from drivers.protocols import Vector
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+
+def quaternion(rotation_vector_rad: Vector) -> Quaternion:
+    """Unit quaternion (w, x, y, z) of a rotation.
+
+    Examples:
+        >>> quaternion((0.0, 0.0, 3.141592653589793))
+        (0.0, 0.0, 0.0, 1.0)
+    """
+    angle_rad = math.hypot(*rotation_vector_rad)
+    scale = 0.5 if angle_rad < 1e-12 else math.sin(angle_rad / 2) / angle_rad
+    x, y, z = rotation_vector_rad
+    return math.cos(angle_rad / 2), scale * x, scale * y, scale * z
+
+
+def rotation_vector_rad(rotation: Quaternion) -> Vector:
+    """Rotation vector of a unit quaternion, with an angle of at most half a circle."""
+    w, x, y, z = rotation if rotation[0] >= 0 else tuple(-part for part in rotation)
+    sine = math.hypot(x, y, z)
+    scale = 2.0 if sine < 1e-12 else 2 * math.atan2(sine, w) / sine
+    return scale * x, scale * y, scale * z
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """The rotation `b`, then `a`."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+def inverse(a: Quaternion) -> Quaternion:
+    """The rotation back."""
+    return a[0], -a[1], -a[2], -a[3]
+
+
+def angle_between_rad(first_rad: Vector, second_rad: Vector) -> float:
+    """Angle of the turn from one orientation to another.
+
+    Examples:
+        >>> angle_between_rad((3.1415, 0.0, 0.0), (-3.1415, 0.0, 0.0))
+        0.000185
+    """
+    return math.hypot(*rotation_vector_rad(product(inverse(quaternion(first_rad)), quaternion(second_rad))))

@@ -1,0 +1,116 @@
+"""Reads the settings of a device from a mapping, as a rig file holds them; every quantity carries its unit in its key."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NoReturn
+
+from drivers.errors import Refused
+
+_UNITS: dict[str, dict[str, float]] = {
+    "field": {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "G": 1e-4},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "voltage": {"V": 1.0},
+    "slew": {"A_per_s": 1.0},
+    "length": {"m": 1.0, "mm": 1e-3},
+    "speed": {"m_per_s": 1.0, "mm_per_s": 1e-3},
+    "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "frequency": {"Hz": 1.0},
+}
+
+
+class Settings:
+    """One mapping; each key must be taken before `finish`.
+
+    Examples:
+        >>> settings = Settings({"range_mT": 350, "sensor": "lakeshore_f71"}, "devices.hall")
+        >>> settings.quantity("range", "field"), settings.choice("sensor", ("lakeshore_f71", "lakeshore_460"))
+        (0.35, 'lakeshore_f71')
+        >>> settings.finish()
+    """
+
+    def __init__(self, mapping: object, place: str) -> None:
+        if not isinstance(mapping, Mapping):
+            raise Refused(f"{place} must hold keys and values; received {mapping!r}")
+        self.place = place
+        self._mapping: Mapping[Any, Any] = mapping
+        self._untaken = list(mapping)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._mapping
+
+    def refuse(self, key: str, rule: str) -> NoReturn:
+        """Raise `Refused` that names place, rule and value."""
+        received = repr(self._mapping[key]) if key in self._mapping else "nothing"
+        raise Refused(f"{self.place}.{key} {rule}; received {received}")
+
+    def value(self, key: str) -> Any:
+        """What stands there, which must not be missing."""
+        if key not in self._mapping:
+            self.refuse(key, "must be given")
+        self._untaken = [left for left in self._untaken if left != key]
+        return self._mapping[key]
+
+    def text(self, key: str) -> str:
+        """A text."""
+        value = self.value(key)
+        if not isinstance(value, str) or not value:
+            self.refuse(key, "must be a text")
+        return value
+
+    def choice(self, key: str, choices: Sequence[str]) -> str:
+        """One word of a list."""
+        value = self.value(key)
+        if value not in choices:
+            self.refuse(key, f"must be one of {', '.join(choices)}")
+        return str(value)
+
+    def whole_number(self, key: str, default: int | None = None) -> int:
+        """A whole number; required where there is no default."""
+        if default is not None and key not in self._mapping:
+            return default
+        value = self.value(key)
+        if isinstance(value, bool) or not isinstance(value, int):
+            self.refuse(key, "must be a whole number")
+        return value
+
+    def has_quantity(self, quantity: str, dimension: str) -> bool:
+        """Whether it is there, in any unit."""
+        return any(f"{quantity}_{unit}" in self._mapping for unit in _UNITS[dimension])
+
+    def quantity(self, quantity: str, dimension: str, default: float | None = None) -> float:
+        """A quantity in SI; required where there is no default."""
+        if default is not None and not self.has_quantity(quantity, dimension):
+            return default
+        key, factor = self._key(quantity, dimension)
+        return factor * self._number(key, self.value(key))
+
+    def quantities(self, quantity: str, dimension: str, length: int) -> tuple[float, ...]:
+        """So many numbers with one unit, in SI."""
+        key, factor = self._key(quantity, dimension)
+        values = self.value(key)
+        if not isinstance(values, list | tuple) or len(values) != length:
+            self.refuse(key, f"must be a list of {length} numbers")
+        return tuple(factor * self._number(key, value) for value in values)
+
+    def finish(self) -> None:
+        """Refuse keys that nobody took."""
+        if self._untaken:
+            raise Refused(f"{self.place}.{self._untaken[0]} is not a key that is known here")
+
+    def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
+        found = [(f"{quantity}_{unit}", factor) for unit, factor in _UNITS[dimension].items()]
+        present = [item for item in found if item[0] in self._mapping]
+        if len(present) != 1:
+            self.refuse(
+                present[1][0] if present else found[0][0],
+                f"must be given once, as {' or '.join(key for key, _ in found)}",
+            )
+        return present[0]
+
+    def _number(self, key: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            self.refuse(key, "must hold finite numbers")
+        return float(value)

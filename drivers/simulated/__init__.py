@@ -1,0 +1,1 @@
+"""A rig without hardware: each instrument is a process of its own behind the real protocol, and all share one world."""

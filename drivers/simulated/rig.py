@@ -1,0 +1,110 @@
+"""Simulates all devices of a rig file, so that the rig can be measured without hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from drivers.device import ClosesItself
+from drivers.errors import Refused
+from drivers.protocols import FlangePose
+from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
+from drivers.simulated.instrument import Instrument
+from drivers.simulated.process import Simulator
+from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thm1176 import SimulatedTHM1176
+from drivers.simulated.ur_server import serve_ur
+from drivers.simulated.world import CoilCircuit, FieldFunction, World
+
+_SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
+    "lakeshore_f71": SimulatedF71,
+    "lakeshore_460": Simulated460,
+    "senis_3mh6": SimulatedSenis,
+    "metrolab_thm1176": SimulatedTHM1176,
+}
+_VERSIONS = {"ur3": "3.15.4.106291", "ur3e": "5.11.1.108318"}
+_PORTS = ("serial", "tcp", "usbtmc", "port", "replay", "host", "baud", "record")
+
+
+class SimulatedRig(ClosesItself):
+    """Running simulators of a rig; leaving its `with` block ends them, and so does the death of this process.
+
+    Attributes:
+        section: The `devices` section with the addresses of the simulators: what `open_devices` takes.
+        simulators: By the name of the device.
+        world: Its coils are the supplies and its flanges the arms, in the order of the section.
+    """
+
+    def __init__(
+        self,
+        section: Mapping[str, Mapping[str, Any]],
+        fields: Mapping[str, FieldFunction],
+        *,
+        circuits: Sequence[CoilCircuit],
+        homes: Sequence[FlangePose],
+        first_host: str = "127.20.0.1",
+    ) -> None:
+        """Start a simulator for each device.
+
+        Args:
+            section: The `devices` section of a rig file; its ports are replaced.
+            fields: Field at each sensor, by its name; importable, for each is worked out in the simulator's process.
+            circuits: One for each supply.
+            homes: Pose of each arm at the start.
+            first_host: Address of the first arm; the next ones follow.
+
+        Raises:
+            Refused: A device, a field, a circuit or a home is missing or too many.
+        """
+        self.world = World(circuits, homes or [FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+        self.simulators: dict[str, Simulator] = {}
+        self.section: dict[str, dict[str, Any]] = {}
+        sources = [name for name, settings in section.items() if "supply" in settings]
+        arms = [name for name, settings in section.items() if "arm" in settings]
+        if (len(circuits), len(homes)) != (len(sources), len(arms)):
+            raise Refused(
+                f"a simulated rig must have a circuit for each of {len(sources)} supplies and a home for each of {len(arms)} arms; "
+                f"received {len(circuits)} and {len(homes)}"
+            )
+        try:
+            for name, settings in section.items():
+                kept = {key: value for key, value in settings.items() if key not in _PORTS}
+                if "arm" in settings:
+                    network, _, number = first_host.rpartition(".")
+                    host = f"{network}.{int(number) + arms.index(name)}"
+                    run = partial(serve_ur, self.world, arms.index(name), _VERSIONS[settings["arm"]], host)
+                    self.simulators[name] = Simulator(run)
+                    self.section[name] = {**kept, "host": host}
+                    continue
+                make = self._instrument(name, settings, fields, sources)
+                self.simulators[name] = Simulator.on_serial_line(make)
+                self.section[name] = {**kept, "serial": self.simulators[name].address}
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End all simulators."""
+        for simulator in self.simulators.values():
+            simulator.close()
+
+    def _instrument(
+        self, name: str, settings: Mapping[str, Any], fields: Mapping[str, FieldFunction], sources: list[str]
+    ) -> Callable[[], Instrument]:
+        kind = settings.get("sensor") or settings.get("supply")
+        if kind in _SENSORS:
+            if name not in fields:
+                raise Refused(
+                    f"a simulated rig must know the field at {name}; received {', '.join(fields) or 'none'}"
+                )
+            return partial(_SENSORS[kind], self.world, fields[name])
+        coil = sources.index(name) if name in sources else -1
+        if kind == "korad_ka3005p":
+            return partial(SimulatedKorad, self.world, coil)
+        if kind in {"kepco_bop", "scpi"}:
+            highest_A = float(settings["highest_A"])
+            return partial(
+                simulated_kepco if kind == "kepco_bop" else simulated_scpi_supply, self.world, coil, highest_A
+            )
+        raise Refused(f"devices.{name} must be of a kind that can be simulated; received {kind!r}")

@@ -1,0 +1,146 @@
+"""The physical world of a simulated rig, in memory that the simulators' processes share.
+
+Nothing runs in it: it holds when each current and motion began and where it leads, and whoever looks works out what is now.
+`time.monotonic()` is one clock for all processes of a host.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.context import SpawnContext
+from typing import TypeAlias
+
+from drivers.protocols import FlangePose, Vector
+from drivers.simulated.motion import interpolate
+
+SPAWN: SpawnContext = multiprocessing.get_context("spawn")
+"""Simulators start as fresh processes: a forked one would share the threads and locks of its parent."""
+
+ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+_COIL_CELLS = 3
+_MOTION_CELLS = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The world at one moment: all that the field depends on.
+
+    Attributes:
+        time_s: Since the world began.
+        currents_A: In each coil.
+        base_from_flange: Pose of each arm's flange, in the frame of its own base.
+    """
+
+    time_s: float
+    currents_A: tuple[float, ...]
+    base_from_flange: tuple[FlangePose, ...]
+
+
+FieldFunction: TypeAlias = Callable[[Snapshot], Vector]
+"""Field at the sensor, in tesla along its axes. Must be importable, since it travels to another process."""
+
+
+@dataclass(frozen=True, slots=True)
+class CoilCircuit:
+    """What a supply feels of a coil.
+
+    Attributes:
+        resistance_ohm: With the leads.
+        inductance_H: Zero lets the current follow at once.
+    """
+
+    resistance_ohm: float
+    inductance_H: float
+
+    @property
+    def time_constant_s(self) -> float:
+        """L / R."""
+        return self.inductance_H / self.resistance_ohm
+
+
+class World:
+    """Currents of the coils and poses of the flanges.
+
+    Examples:
+        >>> world = World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
+        >>> world.drive(0, 1.5)
+        >>> world.snapshot().currents_A
+        (1.5,)
+    """
+
+    def __init__(self, circuits: Sequence[CoilCircuit], homes: Sequence[FlangePose] = (ORIGIN,)) -> None:
+        """All currents are zero, and each flange is at its home."""
+        self.circuits = tuple(circuits)
+        self._n_arms = len(homes)
+        self._start_s = time.monotonic()
+        self._first_motion = _COIL_CELLS * len(self.circuits)
+        self._cells = SPAWN.Array("d", self._first_motion + _MOTION_CELLS * self._n_arms)
+        for arm, home in enumerate(homes):
+            self._write_motion(arm, home, home, 0.0)
+
+    def snapshot(self) -> Snapshot:
+        """The world now."""
+        now_s = time.monotonic()
+        with self._cells:
+            currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
+            poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
+            return Snapshot(now_s - self._start_s, currents_A, poses)
+
+    def drive(self, coil: int, current_A: float) -> None:
+        """Let the current of a coil approach a value, with the time constant of its circuit."""
+        now_s = time.monotonic()
+        with self._cells:
+            present_A = self._current_A(coil, now_s)
+            self._cells[_COIL_CELLS * coil : _COIL_CELLS * (coil + 1)] = [present_A, current_A, now_s]
+
+    def move(self, arm: int, target: FlangePose, duration_s: float) -> None:
+        """Send a flange from where it is to another pose."""
+        with self._cells:
+            self._write_motion(arm, self._pose(arm, time.monotonic()), target, duration_s)
+
+    def halt(self, arm: int) -> None:
+        """Leave a flange where it is."""
+        with self._cells:
+            here = self._pose(arm, time.monotonic())
+            self._write_motion(arm, here, here, 0.0)
+
+    def is_moving(self, arm: int) -> bool:
+        """Whether a flange is on its way."""
+        with self._cells:
+            begin_s, duration_s = self._cells[self._motion(arm)][12:]
+        return bool(time.monotonic() < begin_s + duration_s)
+
+    def _current_A(self, coil: int, now_s: float) -> float:
+        first_A, target_A, begin_s = self._cells[_COIL_CELLS * coil : _COIL_CELLS * (coil + 1)]
+        time_constant_s = self.circuits[coil].time_constant_s
+        left = math.exp(-(now_s - begin_s) / time_constant_s) if time_constant_s > 0 else 0.0
+        return float(target_A + (first_A - target_A) * left)
+
+    def _pose(self, arm: int, now_s: float) -> FlangePose:
+        cells = self._cells[self._motion(arm)]
+        begin_s, duration_s = cells[12:]
+        share = min(1.0, (now_s - begin_s) / duration_s) if duration_s > 0 else 1.0
+        return interpolate(_pose(cells[:6]), _pose(cells[6:12]), share)
+
+    def _write_motion(self, arm: int, start: FlangePose, target: FlangePose, duration_s: float) -> None:
+        poses = (
+            *start.position_m,
+            *start.rotation_vector_rad,
+            *target.position_m,
+            *target.rotation_vector_rad,
+        )
+        self._cells[self._motion(arm)] = [*poses, time.monotonic(), duration_s]
+
+    def _motion(self, arm: int) -> slice:
+        first = self._first_motion + _MOTION_CELLS * arm
+        return slice(first, first + _MOTION_CELLS)
+
+
+def _pose(cells: Sequence[float]) -> FlangePose:
+    x_m, y_m, z_m, x_rad, y_rad, z_rad = cells
+    return FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))

@@ -1,0 +1,281 @@
+"""A device in a process of its own, which outlives the process that uses it for as long as it takes to bring the device to rest.
+
+Why: the end of the host's program, even by SIGKILL, closes the pipe between the two; the child sees that, ramps the current to
+zero or stops the arm, and ends. And a library that crashes (ur_rtde does when its connection drops) takes the child with it, not
+the measurement. What it cannot help against is the death of the whole computer: that takes the watchdogs of the instruments.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, Protocol, runtime_checkable
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault, DriverError
+
+_LOG = logging.getLogger(__name__)
+
+_SPAWN = multiprocessing.get_context("spawn")
+_KEEP_ALIVE_S = 0.05
+_GRACE_S = 0.5
+"""Time that the answer of a call may take beyond its deadline, which the child keeps by itself."""
+
+
+@runtime_checkable
+class KeptAlive(Protocol):
+    """A device that must be talked to, and whose connection may be beyond repair."""
+
+    is_lost: bool
+    """True lets the process end at once, without another word to the device."""
+
+    def keep_alive(self) -> None:
+        """Called every 50 ms while there is nothing else to do."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Call:
+    number: int
+    method: str
+    arguments: dict[str, Any]
+    deadline: Deadline
+    is_urgent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    number: int
+    value: Any
+    error: Exception | None
+
+
+_INTERRUPT = "interrupt"
+_LOST = 3
+"""Exit code of a child whose connection to its device broke."""
+
+
+def end_at_once() -> None:
+    """End this process without even destructors: a library that reconnects might send its last command again."""
+    os._exit(_LOST)
+
+
+class Supervised:
+    """The near end: calls methods of a device in a child process."""
+
+    def __init__(self, make: Callable[[threading.Event], Any], name: str, *, start_timeout_s: float) -> None:
+        """Start the child and wait until its device is made.
+
+        Args:
+            make: Makes the device in the child; importable. Its argument is set when the call that is going on should end.
+            name: What to call it in messages.
+            start_timeout_s: Time for both.
+
+        Raises:
+            DriverError: The child ended, or took too long.
+        """
+        self.name = name
+        self._connection, there = _SPAWN.Pipe()
+        # Not a daemon: those are killed when their parent ends, and this one still has to bring its device to rest.
+        self._process = _SPAWN.Process(target=_serve, args=(make, there), name=name, daemon=False)
+        self._process.start()
+        there.close()
+        self._lock, self._send_lock = threading.RLock(), threading.Lock()
+        self._number = 0
+        # At its end this process waits for its children, and the child for the end of the pipe: the pipe goes first.
+        atexit.register(self._connection.close)
+        try:
+            self._receive(0, Deadline.after(start_timeout_s))
+        except BaseException:
+            self._abandon()
+            raise
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the child."""
+        return self._process.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the child is gone."""
+        return self._process.exitcode is not None
+
+    def call(self, method: str, *, timeout_s: float, is_urgent: bool = False, **arguments: Any) -> Any:
+        """Call a method of the device and return what it returns or raise what it raises; never sent twice.
+
+        Args:
+            method: Its name; it gets `timeout_s`, too.
+            timeout_s: Time that it may take.
+            is_urgent: Ends the call that is going on, to be done instead.
+            arguments: By name.
+
+        Raises:
+            DeadlineExceeded: No answer; the device may still be doing it.
+            DeviceFault: The child has ended.
+        """
+        deadline = Deadline.after(timeout_s)
+        if is_urgent:
+            self._send(_INTERRUPT)
+        if not self._lock.acquire(timeout=deadline.remaining_s):
+            raise deadline.exceeded(f"{self.name} must be free", "a call of another thread goes on")
+        try:
+            self._number += 1
+            self._send(_Call(self._number, method, arguments, deadline, is_urgent))
+            return self._receive(self._number, deadline)
+        finally:
+            self._lock.release()
+
+    def close(self, *, timeout_s: float) -> None:
+        """Let the child bring its device to rest and end.
+
+        Raises:
+            DriverError: It is not known to be at rest.
+        """
+        if self._process.exitcode is not None and self._connection.closed:
+            return
+        try:
+            self.call("close", timeout_s=timeout_s, is_urgent=True)
+        finally:
+            self._connection.close()
+            self._process.join(_GRACE_S)
+            self._abandon()
+
+    def _send(self, message: _Call | str) -> None:
+        try:
+            with self._send_lock:
+                self._connection.send(message)
+        except OSError as error:
+            raise self._ended() from error
+
+    def _receive(self, number: int, deadline: Deadline) -> Any:
+        while True:
+            try:
+                if not self._connection.poll(deadline.remaining_s + _GRACE_S):
+                    raise deadline.exceeded(f"{self.name} must answer", "nothing received")
+                answer: _Answer = self._connection.recv()
+            except (EOFError, OSError) as error:
+                if isinstance(error, DriverError):
+                    raise
+                raise self._ended() from error
+            if answer.number != number:
+                continue  # of a call that was given up
+            if answer.error is not None:
+                raise answer.error
+            return answer.value
+
+    def _ended(self) -> DeviceFault:
+        self._process.join(_GRACE_S)
+        code = self._process.exitcode
+        reason = "its connection to the device broke" if code == _LOST else f"it ended with code {code}"
+        return DeviceFault(f"{self.name} must have its process; {reason}")
+
+    def _abandon(self) -> None:
+        atexit.unregister(self._connection.close)
+        self._connection.close()
+        if self._process.exitcode is None:
+            _LOG.warning("%s still brings its device to rest", self.name)
+
+
+def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> None:
+    """Body of the child."""
+    os.setsid()  # Ctrl-C in the terminal is for the host's program, which then closes the device in order
+    interrupt = threading.Event()
+    calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+
+    def end(*_: object) -> None:
+        interrupt.set()
+        calls.put(None)
+
+    def listen() -> None:
+        while True:
+            try:
+                message = connection.recv()
+            except (EOFError, OSError):
+                end()
+                return
+            if isinstance(message, _Call):
+                calls.put(message)
+            else:
+                interrupt.set()
+
+    signal.signal(signal.SIGTERM, end)
+    threading.Thread(target=listen, daemon=True).start()
+    try:
+        device = make(interrupt)
+    except Exception as error:
+        _answer(connection, _Answer(0, None, _portable(error)))
+        return
+    _answer(connection, _Answer(0, None, None))
+    _work(device, calls, interrupt, connection)
+
+
+def _work(
+    device: Any, calls: queue.SimpleQueue[_Call | None], interrupt: threading.Event, connection: Connection
+) -> None:
+    while True:
+        call = _next_call(device, calls)
+        if call is None or call.method == "close":
+            break
+        if call.is_urgent:
+            interrupt.clear()
+        _answer(connection, _carry_out(device, call))
+        if isinstance(device, KeptAlive) and device.is_lost:
+            end_at_once()
+    interrupt.clear()
+    error = None
+    try:
+        device.close()
+    except Exception as fault:
+        error = _portable(fault)
+    if call is not None:
+        _answer(connection, _Answer(call.number, None, error))
+    elif error is not None:
+        _LOG.error("the host is gone, and bringing the device to rest failed: %s", error)
+    # The device is closed; the destructors of ur_rtde would only take another second.
+    logging.shutdown()
+    os._exit(0)
+
+
+def _next_call(device: Any, calls: queue.SimpleQueue[_Call | None]) -> _Call | None:
+    if not isinstance(device, KeptAlive):
+        return calls.get()
+    while True:
+        try:
+            return calls.get(timeout=_KEEP_ALIVE_S)
+        except queue.Empty:
+            device.keep_alive()
+
+
+def _carry_out(device: Any, call: _Call) -> _Answer:
+    if call.deadline.is_over:
+        # Too late is as bad as wrong: the caller has gone on meanwhile.
+        error = call.deadline.exceeded(
+            f"{call.method} must begin", "the device was busy, so it was not begun"
+        )
+        return _Answer(call.number, None, error)
+    try:
+        value = getattr(device, call.method)(timeout_s=call.deadline.remaining_s, **call.arguments)
+    except Exception as error:
+        return _Answer(call.number, None, _portable(error))
+    return _Answer(call.number, value, None)
+
+
+def _portable(error: Exception) -> Exception:
+    """An error that travels through a pipe: those of libraries may not."""
+    return error if isinstance(error, DriverError) else DeviceFault(f"{type(error).__name__}: {error}")
+
+
+def _answer(connection: Connection, answer: _Answer) -> None:
+    try:
+        connection.send(answer)
+    except OSError:
+        _LOG.info("the host did not wait for answer %d at %.3f s", answer.number, time.monotonic())

@@ -1,0 +1,142 @@
+"""Korad KA3005P, unipolar, 30 V and 5 A; its serial port runs at 9600 8N1.
+
+Protocol: "Series remote control syntax V2.0", as in the public drivers. Nothing ends a command or an answer, so the length
+of an answer is known beforehand; there is no error queue, so every set-point is read back; commands that follow each other
+within 80 ms get lost. Answer to `ISET1?`: some firmware adds a sixth character, taken with the silence after it.
+"""
+
+from __future__ import annotations
+
+import time
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault
+from drivers.readings import ascii_text, number
+from drivers.supplies.commands import Measured
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+from drivers.transport.serial_port import SerialSettings
+
+SERIAL = SerialSettings(9600)
+
+HIGHEST_A = 5.0
+RESOLUTION_A = 1e-3
+
+_GAP_S = 0.1
+_NUMBER_BYTES = 5
+_CONSTANT_VOLTAGE_BIT, _OUTPUT_BIT = 1 << 0, 1 << 6
+
+
+def encode_current(current_A: float) -> bytes:
+    """Ask for a current.
+
+    Examples:
+        >>> encode_current(1.5)
+        b'ISET1:1.500'
+    """
+    return f"ISET1:{current_A:.3f}".encode("ascii")
+
+
+def encode_voltage(voltage_V: float) -> bytes:
+    """Set the voltage limit.
+
+    Examples:
+        >>> encode_voltage(12.0)
+        b'VSET1:12.00'
+    """
+    return f"VSET1:{voltage_V:05.2f}".encode("ascii")
+
+
+def decode_number(answer: bytes) -> float:
+    """Number of five characters, such as an answer to `IOUT1?`.
+
+    Examples:
+        >>> decode_number(b"1.499")
+        1.499
+    """
+    return number(ascii_text(answer), "an answer of the KA3005P")
+
+
+def decode_status(answer: bytes) -> tuple[bool, bool]:
+    """Whether the output is on, and whether the supply holds the current.
+
+    In the public drivers, bit 0 tells the regulation and bit 6 the output; bit 0 set means constant voltage.
+
+    Examples:
+        >>> decode_status(bytes([0b0100_0000]))
+        (True, True)
+    """
+    status = answer[0]
+    return bool(status & _OUTPUT_BIT), not status & _CONSTANT_VOLTAGE_BIT
+
+
+class KoradKA3005P:
+    """The commands of a KA3005P."""
+
+    lowest_A = 0.0
+    resolution_A = RESOLUTION_A
+
+    def __init__(self, port: Port, *, compliance_V: float, highest_A: float = HIGHEST_A) -> None:
+        self._channel = Channel(port)
+        self._compliance_V = compliance_V
+        self._next_s = 0.0
+        self.name = port.name
+        self.highest_A = min(highest_A, HIGHEST_A)
+
+    def identify(self, deadline: Deadline) -> str:
+        """See `SupplyCommands.identify`; its length is not known, so silence ends it."""
+        with self._channel.exchange(deadline):
+            self._send(b"*IDN?", deadline)
+            first = self._channel.read_exactly(1, deadline)
+            return ascii_text(first + self._channel.read_until_silent(_GAP_S, deadline)).strip("\0 \r\n")
+
+    def prepare(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.prepare`."""
+        with self._channel.exchange(deadline):
+            self._send(encode_voltage(self._compliance_V), deadline)
+            limit_V = decode_number(self._ask(b"VSET1?", _NUMBER_BYTES, deadline))
+            if abs(limit_V - self._compliance_V) > 0.011:
+                raise DeviceFault(f"supply must limit to {self._compliance_V:g} V; it says {limit_V:g} V")
+
+    def write_set_point(self, current_A: float, deadline: Deadline) -> None:
+        """See `SupplyCommands.write_set_point`."""
+        with self._channel.exchange(deadline):
+            self._send(encode_current(current_A), deadline)
+
+    def read_set_point_A(self, deadline: Deadline) -> float:
+        """See `SupplyCommands.read_set_point_A`."""
+        with self._channel.exchange(deadline):
+            return decode_number(self._ask(b"ISET1?", _NUMBER_BYTES, deadline))
+
+    def switch_output(self, is_on: bool, deadline: Deadline) -> None:
+        """See `SupplyCommands.switch_output`."""
+        with self._channel.exchange(deadline):
+            self._send(b"OUT1" if is_on else b"OUT0", deadline)
+
+    def is_output_on(self, deadline: Deadline) -> bool:
+        """See `SupplyCommands.is_output_on`."""
+        with self._channel.exchange(deadline):
+            return decode_status(self._ask(b"STATUS?", 1, deadline))[0]
+
+    def measure(self, deadline: Deadline) -> Measured:
+        """See `SupplyCommands.measure`."""
+        with self._channel.exchange(deadline):
+            current_A = decode_number(self._ask(b"IOUT1?", _NUMBER_BYTES, deadline))
+            is_on, is_regulating = decode_status(self._ask(b"STATUS?", 1, deadline))
+        return Measured(current_A, is_regulating or not is_on)
+
+    def close(self) -> None:
+        """See `SupplyCommands.close`."""
+        self._channel.close()
+
+    def _send(self, command: bytes, deadline: Deadline) -> None:
+        deadline.sleep(
+            max(0.0, self._next_s - time.monotonic()), "KA3005P must have taken the command before"
+        )
+        self._channel.take_arrived(deadline)  # the stray sixth character of an answer before
+        self._channel.send(command, deadline)
+        self._next_s = time.monotonic() + _GAP_S
+
+    def _ask(self, question: bytes, n_bytes: int, deadline: Deadline) -> bytes:
+        self._send(question, deadline)
+        return self._channel.read_exactly(n_bytes, deadline)

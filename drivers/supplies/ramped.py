@@ -1,0 +1,196 @@
+"""A current source out of the commands of a supply: it changes the current in small steps and reads each one back."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
+from drivers.protocols import Reading, ReadingFlag
+from drivers.readings import ReadingCounter
+from drivers.supplies.commands import SupplyCommands
+
+_LOG = logging.getLogger(__name__)
+
+STEP_S = 0.1
+"""Between two set-points of a ramp; the slowest supply here takes a command and its question in 0.2 s."""
+
+_CLOSE_S = 5.0
+_ONE_COMMAND_S = 1.0
+
+
+def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: float = STEP_S) -> list[float]:
+    """Set-points of a ramp, without the start and with the target.
+
+    Args:
+        start_A: Where it begins.
+        target_A: Where it ends.
+        slew_A_per_s: Highest rate of change.
+        step_s: Time between two set-points.
+
+    Examples:
+        >>> ramp_steps(0.0, 1.0, 4.0, 0.1)
+        [0.333, 0.667, 1.0]
+        >>> ramp_steps(1.0, 1.0, 4.0)
+        [1.0]
+    """
+    n_steps = max(1, math.ceil(abs(target_A - start_A) / (slew_A_per_s * step_s) - 1e-9))
+    return [start_A + (target_A - start_A) * step / n_steps for step in range(1, n_steps)] + [target_A]
+
+
+class RampedSource(ClosesItself):
+    """A `CurrentSource` that never changes its set-point faster than the coil may.
+
+    Where the present current is not known, as at the start and after a fault, the supply is asked for it.
+    """
+
+    def __init__(
+        self, supply: SupplyCommands, *, slew_A_per_s: float, interrupt: threading.Event | None = None
+    ) -> None:
+        """Nothing is sent before the first call.
+
+        Args:
+            supply: Commands of the model.
+            slew_A_per_s: Highest rate of change, from inductance and compliance of the coil: U / L.
+            interrupt: Set by another thread to end a ramp of `set_current_A` early, as `output_off` does by itself.
+        """
+        if not slew_A_per_s > 0:
+            raise Refused(f"source.slew_A_per_s must be > 0; received {slew_A_per_s}")
+        self.name = supply.name
+        self._supply, self.slew_A_per_s = supply, slew_A_per_s
+        self._interrupt = interrupt or threading.Event()
+        self._is_switching_off = threading.Event()
+        self._lock = threading.RLock()
+        self._set_point_A: float | None = None
+        self._is_closed = False
+        self._counter = ReadingCounter()
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return self._supply.identify(Deadline.after(timeout_s))
+
+    def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
+        """See `CurrentSource.set_current_A`.
+
+        Raises:
+            Refused: The supply cannot deliver it, or the ramp would take longer than `timeout_s`; nothing was sent.
+        """
+        deadline = Deadline.after(timeout_s)
+        supply = self._supply
+        if not supply.lowest_A <= current_A <= supply.highest_A:
+            raise Refused(
+                f"source.current_A must be within {supply.lowest_A:g} and {supply.highest_A:g}; received {current_A:g} ({self.name})"
+            )
+        if not self._lock.acquire(timeout=deadline.remaining_s):
+            raise deadline.exceeded(f"{self.name} must be free", "a ramp of another thread goes on")
+        try:
+            self._ramp(current_A, deadline)
+        finally:
+            self._lock.release()
+
+    def read_current_A(self, *, timeout_s: float) -> Reading[float]:
+        """See `CurrentSource.read_current_A`; `OVER_RANGE` where the voltage limit holds the current back."""
+        measured = self._supply.measure(Deadline.after(timeout_s))
+        return self._counter.reading(
+            measured.current_A, ReadingFlag.NONE if measured.is_regulating else ReadingFlag.OVER_RANGE
+        )
+
+    def output_off(self, *, timeout_s: float) -> None:
+        """See `CurrentSource.output_off`; where the ramp fails, the output is switched off at once.
+
+        Raises:
+            DriverError: The output is not known to be off.
+        """
+        deadline = Deadline.after(timeout_s)
+        self._is_switching_off.set()  # the ramp of another thread ends at its next step
+        is_mine = self._lock.acquire(timeout=deadline.remaining_s)
+        try:
+            self._switch_off(deadline)
+        finally:
+            self._is_switching_off.clear()
+            if is_mine:
+                self._lock.release()
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self.output_off(timeout_s=_CLOSE_S + self._supply.highest_A / self.slew_A_per_s)
+        finally:
+            self._supply.close()
+
+    def _ramp(self, current_A: float, deadline: Deadline) -> None:
+        start_A = self._prepared_set_point_A(deadline)
+        needed_s = abs(current_A - start_A) / self.slew_A_per_s
+        if needed_s > deadline.allowed_s:
+            raise Refused(
+                f"a ramp from {start_A:g} to {current_A:g} A must have {needed_s:.1f} s; received {deadline.allowed_s:g} s ({self.name})"
+            )
+        for step_A in ramp_steps(start_A, current_A, self.slew_A_per_s):
+            if self._interrupt.is_set() or self._is_switching_off.is_set():
+                raise DeviceFault(
+                    f"the ramp to {current_A:g} A must end; it was interrupted at {self._set_point_A} A ({self.name})"
+                )
+            if step_A != start_A:
+                self._write(step_A, deadline)
+
+    def _switch_off(self, deadline: Deadline) -> None:
+        self._set_point_A = None
+        is_on = True
+        try:
+            is_on = self._supply.is_output_on(deadline)
+            if is_on:
+                self._ramp_down(deadline)
+        except DriverError as error:
+            _LOG.error("ramp to zero failed, switching off at once: %s", error)
+            # Past its deadline or not, the last attempt gets the time of a few commands.
+            deadline = Deadline.after(max(deadline.remaining_s, 3 * _ONE_COMMAND_S))
+        if is_on:
+            self._supply.switch_output(False, deadline)
+            if self._supply.is_output_on(deadline):
+                raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
+
+    def _prepared_set_point_A(self, deadline: Deadline) -> float:
+        """The present set-point, with the output on; switching on happens at zero."""
+        supply = self._supply
+        if self._set_point_A is None:
+            supply.prepare(deadline)
+            if supply.is_output_on(deadline):
+                self._set_point_A = supply.read_set_point_A(deadline)
+            else:
+                self._write(0.0, deadline, pause_s=0.0)
+                supply.switch_output(True, deadline)
+                if not supply.is_output_on(deadline):
+                    self._set_point_A = None
+                    raise DeviceFault(f"source.output must be on; the supply says it is off ({self.name})")
+                self._set_point_A = 0.0
+        return self._set_point_A
+
+    def _ramp_down(self, deadline: Deadline) -> None:
+        self._supply.prepare(deadline)
+        start_A = self._supply.read_set_point_A(deadline)
+        for step_A in ramp_steps(start_A, 0.0, self.slew_A_per_s):
+            self._write(step_A, deadline)
+        self._set_point_A = None
+
+    def _write(self, current_A: float, deadline: Deadline, pause_s: float = STEP_S) -> None:
+        """One set-point, read back; the pause after it makes the slope."""
+        next_step = Deadline.after(pause_s)
+        self._set_point_A = None
+        self._supply.write_set_point(current_A, deadline)
+        read_back_A = self._supply.read_set_point_A(deadline)
+        if not abs(read_back_A - current_A) <= self._supply.resolution_A:
+            raise DeviceFault(
+                f"source.set_point_A must be {current_A:g}; the supply says {read_back_A:g} ({self.name})"
+            )
+        self._set_point_A = current_A
+        if deadline.at_s < next_step.at_s:
+            raise DeadlineExceeded(
+                f"the ramp must end within {deadline.allowed_s:g} s; it is at {current_A:g} A ({self.name})"
+            )
+        next_step.sleep_out()

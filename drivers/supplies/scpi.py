@@ -1,0 +1,151 @@
+r"""Power supplies that speak SCPI, and the Kepco BOP with its own habits.
+
+Protocol: SCPI-99, volume 2 (chapters on OUTPut, SOURce, MEASure, SYSTem). Every command is followed by `SYST:ERR?` in the
+same line, so that its error is its own and not found later. `*RST` is never sent: a Keysight E3633A sits at 20 A after it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault
+from drivers.readings import ascii_text, number
+from drivers.supplies.commands import Measured
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+
+_FLOW_CONTROL = "\x11\x13"
+"""XON and XOFF, which a Kepco leaves in its answers."""
+
+_COMPLIANCE_SHARE = 0.98
+"""At this share of the voltage limit the supply is taken to regulate the voltage."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScpiDialect:
+    """How a model departs from plain SCPI.
+
+    Attributes:
+        preparation: Commands for remote control and regulation of the current; `{compliance_V}` is filled in.
+        terminator: End of a line sent.
+        longest_line: Bytes that its input takes; 0 for no limit.
+    """
+
+    preparation: tuple[str, ...]
+    terminator: str = "\n"
+    longest_line: int = 0
+
+
+GENERIC = ScpiDialect(("VOLT {compliance_V:g}",))
+
+KEPCO_BOP = ScpiDialect(("SYST:REM 1", "FUNC:MODE CURR", "VOLT {compliance_V:g}"), longest_line=127)
+"""Kepco BOP with its RS-232 or IEEE 488 card. A current beyond its range gives error -222. Never send it `DIAG:TST?`, which
+swings the output from one maximum to the other."""
+
+
+def encode_line(command: str, dialect: ScpiDialect) -> bytes:
+    r"""A command or query and the question for its error.
+
+    Raises:
+        DeviceFault: The line is longer than the device can take.
+
+    Examples:
+        >>> encode_line("CURR 1.5", GENERIC)
+        b'CURR 1.5;:SYST:ERR?\n'
+    """
+    line = f"{command};:SYST:ERR?{dialect.terminator}"
+    if dialect.longest_line and len(line) > dialect.longest_line:
+        raise DeviceFault(
+            f"a line must have at most {dialect.longest_line} bytes; {command!r} makes it {len(line)}"
+        )
+    return line.encode("ascii")
+
+
+def decode_line(line: bytes, n_answers: int, command: str) -> list[str]:
+    r"""The answers in a line that ends with that of `SYST:ERR?`.
+
+    Raises:
+        DeviceFault: The device reports an error, or does not answer what was asked.
+
+    Examples:
+        >>> decode_line(b'\x13+1.499E+00;0,"No error"\x11', 1, "MEAS:CURR?")
+        ['+1.499E+00']
+        >>> decode_line(b'-222,"Data out of range"', 0, "CURR 99")
+        Traceback (most recent call last):
+        ...
+        drivers.errors.DeviceFault: supply must accept CURR 99; it says -222,"Data out of range"
+    """
+    text = ascii_text(line).translate({ord(character): None for character in _FLOW_CONTROL}).strip()
+    *answers, error = text.split(";", n_answers)
+    if len(answers) != n_answers or "," not in error:
+        raise DeviceFault(
+            f"supply must give {n_answers} answers and its error state to {command}; received {line!r}"
+        )
+    if number(error.split(",")[0], "an error of the supply") != 0:
+        raise DeviceFault(f"supply must accept {command}; it says {error}")
+    return [answer.strip() for answer in answers]
+
+
+class ScpiSupply:
+    """The commands of a supply that speaks SCPI."""
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        dialect: ScpiDialect = GENERIC,
+        lowest_A: float,
+        highest_A: float,
+        compliance_V: float,
+        resolution_A: float,
+    ) -> None:
+        self._channel = Channel(port)
+        self._dialect, self._compliance_V = dialect, compliance_V
+        self.name = port.name
+        self.lowest_A, self.highest_A, self.resolution_A = lowest_A, highest_A, resolution_A
+
+    def identify(self, deadline: Deadline) -> str:
+        """See `SupplyCommands.identify`; asked alone, since names may hold a semicolon."""
+        with self._channel.exchange(deadline):
+            line = self._channel.query(f"*IDN?{self._dialect.terminator}".encode("ascii"), b"\n", deadline)
+            return ascii_text(line).strip(_FLOW_CONTROL + " \r")
+
+    def prepare(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.prepare`."""
+        for command in self._dialect.preparation:
+            self._ask(command.format(compliance_V=self._compliance_V), 0, deadline)
+
+    def write_set_point(self, current_A: float, deadline: Deadline) -> None:
+        """See `SupplyCommands.write_set_point`."""
+        self._ask(f"CURR {current_A:.6g}", 0, deadline)
+
+    def read_set_point_A(self, deadline: Deadline) -> float:
+        """See `SupplyCommands.read_set_point_A`."""
+        return number(self._ask("CURR?", 1, deadline)[0], "a set-point")
+
+    def switch_output(self, is_on: bool, deadline: Deadline) -> None:
+        """See `SupplyCommands.switch_output`."""
+        self._ask("OUTP ON" if is_on else "OUTP OFF", 0, deadline)
+
+    def is_output_on(self, deadline: Deadline) -> bool:
+        """See `SupplyCommands.is_output_on`."""
+        answer = self._ask("OUTP?", 1, deadline)[0]
+        if answer.upper() not in {"0", "1", "ON", "OFF"}:
+            raise DeviceFault(f"supply must say whether its output is on; received {answer!r} ({self.name})")
+        return answer.upper() in {"1", "ON"}
+
+    def measure(self, deadline: Deadline) -> Measured:
+        """See `SupplyCommands.measure`."""
+        current, voltage = self._ask("MEAS:CURR?;:MEAS:VOLT?", 2, deadline)
+        is_limited = abs(number(voltage, "a voltage")) >= _COMPLIANCE_SHARE * self._compliance_V
+        return Measured(number(current, "a current"), not is_limited)
+
+    def close(self) -> None:
+        """See `SupplyCommands.close`."""
+        self._channel.close()
+
+    def _ask(self, command: str, n_answers: int, deadline: Deadline) -> list[str]:
+        with self._channel.exchange(deadline):
+            line = self._channel.query(encode_line(command, self._dialect), b"\n", deadline)
+            return decode_line(line, n_answers, command)

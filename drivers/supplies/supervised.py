@@ -1,0 +1,75 @@
+"""A current source in a process of its own: when the host's program is gone, it ramps the current to zero and switches off."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from drivers.device import ClosesItself
+from drivers.protocols import Reading
+from drivers.supervised import Supervised
+from drivers.supplies.ramped import RampedSource
+
+_LOG = logging.getLogger(__name__)
+
+_START_S = 10.0
+_CLOSE_S = 30.0
+
+
+class SupervisedSource(ClosesItself):
+    """A `CurrentSource`, with the supply's port owned by a child process."""
+
+    def __init__(
+        self, make: Callable[[threading.Event], RampedSource], name: str, *, slew_A_per_s: float
+    ) -> None:
+        """Start the child, which opens the port.
+
+        Args:
+            make: Makes the source in the child; the event ends a ramp.
+            name: What to call it in messages.
+            slew_A_per_s: Of the source that is made.
+        """
+        self.slew_A_per_s = slew_A_per_s
+        self._make, self._name = make, name
+        self._supervised = self._start()
+        self._is_closed = False
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the child process."""
+        return self._supervised.pid
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        return str(self._supervised.call("identify", timeout_s=timeout_s))
+
+    def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
+        """See `CurrentSource.set_current_A`."""
+        self._supervised.call("set_current_A", current_A=current_A, timeout_s=timeout_s)
+
+    def read_current_A(self, *, timeout_s: float) -> Reading[float]:
+        """See `CurrentSource.read_current_A`."""
+        reading: Reading[float] = self._supervised.call("read_current_A", timeout_s=timeout_s)
+        return reading
+
+    def output_off(self, *, timeout_s: float) -> None:
+        """See `CurrentSource.output_off`; ends a ramp of another thread. A dead child is replaced for this."""
+        self._require_child()
+        self._supervised.call("output_off", timeout_s=timeout_s, is_urgent=True)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._require_child()
+            self._supervised.close(timeout_s=_CLOSE_S)
+
+    def _start(self) -> Supervised:
+        return Supervised(self._make, self._name, start_timeout_s=_START_S)
+
+    def _require_child(self) -> None:
+        """A current that flows must be ramped down by somebody."""
+        if self._supervised.has_ended:
+            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
+            self._supervised = self._start()

@@ -1,0 +1,182 @@
+"""Questions and answers over a port: one at a time, each with a deadline, and back in step after a fault."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.deadline import Deadline
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError
+from drivers.transport.port import Port
+
+_QUIET_S = 0.1
+"""Silence after which a late answer is taken to be over: longer than any instrument here pauses inside one."""
+
+_LONGEST_ANSWER = 1_000_000
+
+
+class Channel:
+    """The only user of a port.
+
+    After an error the other side may still be talking about the last question. The next exchange then first
+    waits until it is silent and throws away what came, so that no answer is taken for that of another question.
+
+    Attributes:
+        name: Name of the port.
+        n_faults: Errors so far. After one, an instrument may have been switched off and on: what was set is set again.
+    """
+
+    def __init__(self, port: Port, quieten: bytes = b"") -> None:
+        """Own a port.
+
+        Args:
+            port: Used by nobody else from now on.
+            quieten: Command that ends a stream; sent before waiting for silence.
+        """
+        self.name = port.name
+        self._quieten = quieten
+        self.n_faults = 0
+        self._port = port
+        self._arrived = bytearray()
+        self._lock = threading.RLock()
+        self._is_in_step = True
+        self._is_closed = False
+
+    @property
+    def arrived_s(self) -> float:
+        """When the bytes read last arrived, as `time.monotonic()` counts."""
+        return self._port.arrived_s
+
+    @contextmanager
+    def exchange(self, deadline: Deadline) -> Iterator[None]:
+        """Have the port to oneself; errors inside get the port's name and put the channel out of step.
+
+        Raises:
+            DeadlineExceeded: Another thread kept the port, or the other side did not fall silent.
+            DeviceFault: The channel is closed.
+        """
+        if not self._lock.acquire(timeout=deadline.remaining_s):
+            raise deadline.exceeded(f"{self.name} must be free", "a call of another thread goes on")
+        try:
+            if self._is_closed:
+                raise DeviceFault("the connection must be open; it was closed")
+            if not self._is_in_step:
+                if self._quieten:
+                    self.send(self._quieten, deadline)
+                self.read_until_silent(_QUIET_S, deadline)
+                self._is_in_step = True
+            yield
+        except DriverError as error:
+            self._note_fault()
+            if self.name in str(error):
+                raise
+            raise type(error)(f"{error} ({self.name})") from error
+        except BaseException:
+            self._note_fault()
+            raise
+        finally:
+            self._lock.release()
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """Hand over all bytes; inside `exchange`."""
+        self._port.send(data, deadline)
+
+    def query(self, question: bytes, terminator: bytes, deadline: Deadline) -> bytes:
+        """Answer without its terminator; inside `exchange`. What came before the question is thrown away."""
+        self.take_arrived(deadline)
+        self.send(question, deadline)
+        return self.read_until(terminator, deadline)
+
+    def read_until(self, terminator: bytes, deadline: Deadline) -> bytes:
+        """Bytes up to the terminator, which is taken and not returned; inside `exchange`."""
+        searched = 0
+        while (end := self._arrived.find(terminator, searched)) < 0:
+            searched = max(0, len(self._arrived) - len(terminator) + 1)
+            if len(self._arrived) > _LONGEST_ANSWER:
+                raise DeviceFault(
+                    f"an answer must end with {terminator!r}; {len(self._arrived)} bytes came without it"
+                )
+            self._receive(f"an answer must end with {terminator!r}", deadline)
+        answer = bytes(self._arrived[:end])
+        del self._arrived[: end + len(terminator)]
+        return answer
+
+    def read_exactly(self, n_bytes: int, deadline: Deadline) -> bytes:
+        """So many bytes; inside `exchange`."""
+        while len(self._arrived) < n_bytes:
+            self._receive(f"an answer must have {n_bytes} bytes", deadline)
+        answer = bytes(self._arrived[:n_bytes])
+        del self._arrived[:n_bytes]
+        return answer
+
+    def read_some(self, deadline: Deadline) -> bytes:
+        """All that has arrived, at least one byte; inside `exchange`."""
+        if not self._arrived:
+            self._receive("the stream must go on", deadline)
+        return self._take()
+
+    def has_arrived(self) -> bool:
+        """Whether there is something to read without waiting; inside `exchange`."""
+        if not self._arrived:
+            try:
+                self._arrived += self._port.receive(Deadline.after(0.0))
+            except DeadlineExceeded:
+                return False
+        return True
+
+    def read_until_silent(self, quiet_s: float, deadline: Deadline) -> bytes:
+        """What comes until nothing does for `quiet_s`; inside `exchange`.
+
+        Raises:
+            DeadlineExceeded: It does not stop.
+        """
+        while True:
+            try:
+                self._arrived += self._port.receive(deadline.at_most(quiet_s))
+            except DeadlineExceeded:
+                return self._take()
+            if deadline.is_over:
+                raise self._still_talking(deadline)
+
+    def take_arrived(self, deadline: Deadline) -> bytes:
+        """What has arrived, without waiting for more; inside `exchange`.
+
+        Raises:
+            DeadlineExceeded: More and more comes.
+        """
+        now = Deadline.after(0.0)
+        while True:
+            try:
+                self._arrived += self._port.receive(now)
+            except DeadlineExceeded:
+                return self._take()
+            if deadline.is_over:
+                raise self._still_talking(deadline)
+
+    def close(self) -> None:
+        """Release the port; a second call does nothing. Does not wait for a call of another thread."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._port.close()
+
+    def _note_fault(self) -> None:
+        self._is_in_step = False
+        self.n_faults += 1
+
+    def _take(self) -> bytes:
+        taken = bytes(self._arrived)
+        self._arrived.clear()
+        return taken
+
+    def _still_talking(self, deadline: Deadline) -> DeadlineExceeded:
+        last = bytes(self._arrived[-20:])
+        self._arrived.clear()
+        return deadline.exceeded("the device must fall silent", f"the last bytes are {last!r}")
+
+    def _receive(self, rule: str, deadline: Deadline) -> None:
+        try:
+            self._arrived += self._port.receive(deadline)
+        except DeadlineExceeded as error:
+            received = f"received {bytes(self._arrived[-80:])!r}" if self._arrived else "nothing received"
+            raise deadline.exceeded(rule, received) from error

@@ -1,0 +1,78 @@
+"""A port that is emptied by a thread, for instruments that talk unasked: the buffer of a serial line holds milliseconds of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+
+from drivers.deadline import Deadline
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError
+from drivers.transport.port import Port
+
+_WAKE_S = 0.1
+_MOST_BYTES = 50_000_000
+"""Two minutes of the fastest stream here."""
+
+
+class PumpedPort:
+    """Keeps what arrives until it is received, with the time of its arrival."""
+
+    def __init__(self, port: Port) -> None:
+        self.name = port.name
+        self.arrived_s = time.monotonic()
+        self._port = port
+        self._chunks: deque[tuple[float, bytes]] = deque()
+        self._n_bytes = 0
+        self._error: DriverError | None = None
+        self._news = threading.Condition()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._pump, name=f"pump {port.name}", daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """See `Port.send`."""
+        self._port.send(data, deadline)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """See `Port.receive`; gives what arrived before an error first."""
+        with self._news:
+            self._news.wait_for(lambda: self._chunks or self._error, deadline.remaining_s)
+            if self._chunks:
+                self.arrived_s, data = self._chunks.popleft()
+                self._n_bytes -= len(data)
+                return data
+            if self._error is not None:
+                raise self._error
+        raise deadline.exceeded(f"{self.name} must receive", "nothing came")
+
+    def close(self) -> None:
+        """See `Port.close`."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._thread.join()
+            self._port.close()
+
+    def _pump(self) -> None:
+        while not self._is_closed:
+            try:
+                data = self._port.receive(Deadline.after(_WAKE_S))
+            except DeadlineExceeded:
+                continue
+            except DriverError as error:
+                self._end(error)
+                return
+            with self._news:
+                self._chunks.append((self._port.arrived_s, data))
+                self._n_bytes += len(data)
+                self._news.notify_all()
+            if self._n_bytes > _MOST_BYTES:
+                self._end(
+                    DeviceFault(f"{self.name} must be read; {self._n_bytes} bytes wait, so the rest is lost")
+                )
+                return
+
+    def _end(self, error: DriverError) -> None:
+        with self._news:
+            self._error = error
+            self._news.notify_all()

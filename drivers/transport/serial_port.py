@@ -1,0 +1,106 @@
+"""A serial port through pyserial, which also opens the pseudo-terminals of the simulators."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+import serial
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault
+
+_LOG = logging.getLogger(__name__)
+
+_WAKE_S = 0.01
+"""Longest wait inside pyserial. Its timeout is set once, for each change of it sets up the whole port anew."""
+
+_WRITE_S = 0.5
+"""Commands are a few dozen bytes: a port that holds them back this long is stopped by its handshake."""
+
+
+@dataclass(frozen=True, slots=True)
+class SerialSettings:
+    """Line settings of an instrument, as its manual prints them (`9600 7O1`).
+
+    Attributes:
+        baud: Bits per second.
+        data_bits: Bits in a byte.
+        parity: `N`one, `O`dd or `E`ven.
+        has_rts_cts: Whether the two lines of hardware handshake are wired and obeyed.
+    """
+
+    baud: int
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["N", "O", "E"] = "N"
+    has_rts_cts: bool = False
+
+
+class SerialPort:
+    """Bytes over a serial line, owned by this process alone (`exclusive`)."""
+
+    def __init__(self, device: str, settings: SerialSettings) -> None:
+        """Open the port.
+
+        Raises:
+            DeviceFault: It is not there, not permitted, or another process owns it.
+        """
+        self.name = device
+        self.arrived_s = time.monotonic()
+        try:
+            # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to have them set.
+            self._serial = serial.Serial(
+                device,
+                settings.baud,
+                bytesize=settings.data_bits,
+                parity=settings.parity,
+                rtscts=settings.has_rts_cts,
+                timeout=_WAKE_S,
+                write_timeout=_WRITE_S,
+                exclusive=True,
+            )
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{device} must open as a serial port; {error}") from error
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """See `Port.send`."""
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException as error:
+            raise deadline.exceeded(
+                f"{self.name} must take what is sent", "its handshake says stop"
+            ) from error
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """See `Port.receive`."""
+        while True:
+            is_last = deadline.is_over
+            try:
+                waiting = int(self._serial.in_waiting)
+                data = b"" if is_last and not waiting else bytes(self._serial.read(max(1, waiting)))
+                if data and not waiting:  # the first byte of several
+                    data += bytes(self._serial.read(self._serial.in_waiting))
+            except (
+                OSError,
+                TypeError,
+            ) as error:  # pyserial meets a file number of None when the port goes meanwhile
+                raise self._lost(error) from error
+            if data:
+                self.arrived_s = time.monotonic()
+                return data
+            if is_last:
+                raise deadline.exceeded(f"{self.name} must receive", "nothing came")
+
+    def close(self) -> None:
+        """See `Port.close`."""
+        try:
+            self._serial.close()
+        except OSError as error:
+            _LOG.warning("%s did not close cleanly: %s", self.name, error)
+
+    def _lost(self, error: Exception) -> DeviceFault:
+        return DeviceFault(f"{self.name} must stay connected; {error}")

@@ -1,0 +1,161 @@
+r"""A recorded conversation with an instrument: a text file with one line for each chunk of bytes.
+
+A line reads `seconds > b'sent'` or `seconds < b'received'`, bytes as Python writes them; `#` begins a comment.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from drivers.deadline import Deadline
+from drivers.errors import DeviceFault
+from drivers.transport.port import Port
+
+_LINE = re.compile(r"(?P<time_s>\d+\.\d+) (?P<direction>[<>]) (?P<data>b['\"].*)")
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes that went one way.
+
+    Attributes:
+        time_s: Since the recording began.
+        direction: `>` to the instrument, `<` from it.
+        data: The bytes.
+    """
+
+    time_s: float
+    direction: Literal["<", ">"]
+    data: bytes
+
+
+def encode(chunk: Chunk) -> str:
+    r"""One line of a transcript.
+
+    Examples:
+        >>> encode(Chunk(0.25, ">", b"*IDN?\n"))
+        "0.250000 > b'*IDN?\\n'"
+    """
+    return f"{chunk.time_s:.6f} {chunk.direction} {chunk.data!r}"
+
+
+def decode(text: str, place: str) -> list[Chunk]:
+    r"""The chunks of a transcript.
+
+    Args:
+        text: The whole transcript.
+        place: What to call it in messages.
+
+    Raises:
+        DeviceFault: A line is none of a transcript.
+
+    Examples:
+        >>> decode("# F71\n0.250000 > b'*IDN?\\n'", "f71.txt")
+        [Chunk(time_s=0.25, direction='>', data=b'*IDN?\n')]
+    """
+    chunks = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        match = _LINE.fullmatch(line.strip())
+        try:
+            data = ast.literal_eval(match["data"]) if match else None
+        except (SyntaxError, ValueError):
+            data = None
+        if match is None or not isinstance(data, bytes):
+            raise DeviceFault(
+                f"a transcript must hold lines such as 0.250000 > b'*IDN?\\n'; received {line!r} ({place}, line {number})"
+            )
+        chunks.append(Chunk(float(match["time_s"]), "<" if match["direction"] == "<" else ">", data))
+    return chunks
+
+
+class ReplayedPort:
+    """Plays the instrument's part of a transcript; the driver must say what it said when it was recorded.
+
+    Nothing is waited for: what the instrument sent next is there at once.
+    """
+
+    def __init__(self, chunks: list[Chunk], name: str) -> None:
+        self.name = name
+        self.arrived_s = time.monotonic()
+        self._left = deque(chunks)
+        self._arrived: deque[bytes] = deque()
+
+    @classmethod
+    def from_file(cls, path: Path) -> ReplayedPort:
+        """A transcript on disk.
+
+        Raises:
+            DeviceFault: It cannot be read.
+        """
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise DeviceFault(f"{path} must be readable as a transcript; {error}") from error
+        return cls(decode(text, str(path)), str(path))
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the driver has said everything that was recorded."""
+        return not any(chunk.direction == ">" for chunk in self._left)
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """See `Port.send`; raises DeviceFault where the recorded driver said something else."""
+        self._take_arrived()
+        expected = self._left.popleft().data if self._left else b"nothing more"
+        if data != expected:
+            raise DeviceFault(f"{self.name} must be sent {expected!r} next; received {data!r}")
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """See `Port.receive`."""
+        self._take_arrived()
+        if not self._arrived:
+            raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+        self.arrived_s = time.monotonic()
+        return self._arrived.popleft()
+
+    def close(self) -> None:
+        """See `Port.close`."""
+
+    def _take_arrived(self) -> None:
+        while self._left and self._left[0].direction == "<":
+            self._arrived.append(self._left.popleft().data)
+
+
+class RecordingPort:
+    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last."""
+
+    def __init__(self, port: Port, path: Path) -> None:
+        """Record to a file; what it held is kept."""
+        self.name = port.name
+        self.arrived_s = port.arrived_s
+        self._port, self._file = port, path.open("a", encoding="utf-8")
+        self._start_s = time.monotonic()
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """See `Port.send`."""
+        self._write(">", data)
+        self._port.send(data, deadline)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """See `Port.receive`."""
+        data = self._port.receive(deadline)
+        self.arrived_s = self._port.arrived_s
+        self._write("<", data)
+        return data
+
+    def close(self) -> None:
+        """See `Port.close`."""
+        self._port.close()
+        self._file.close()
+
+    def _write(self, direction: Literal["<", ">"], data: bytes) -> None:
+        self._file.write(encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n")
+        self._file.flush()

@@ -1,0 +1,129 @@
+"""Simulated instruments behind real ports; each test gets processes of its own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from functools import partial
+
+import pytest
+
+from drivers.hall.lakeshore_460 import SERIAL as SERIAL_460
+from drivers.hall.lakeshore_460 import LakeShore460
+from drivers.hall.lakeshore_f71 import SERIAL as SERIAL_F71
+from drivers.hall.lakeshore_f71 import LakeShoreF71
+from drivers.hall.metrolab_thm1176 import MetrolabTHM1176
+from drivers.hall.senis_3mh6 import SERIAL as SERIAL_SENIS
+from drivers.hall.senis_3mh6 import Senis3MH6
+from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
+from drivers.simulated.process import Simulator
+from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thm1176 import SimulatedTHM1176
+from drivers.simulated.world import CoilCircuit, World
+from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
+from drivers.supplies.korad_ka3005p import KoradKA3005P
+from drivers.supplies.ramped import RampedSource
+from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
+from drivers.transport.pumped import PumpedPort
+from drivers.transport.serial_port import SerialPort, SerialSettings
+from drivers.transport.tcp import TcpPort
+from tests.drivers.fields import along_z
+
+KEPCO_SERIAL = SerialSettings(9600)
+SLEW_A_PER_S = 20.0
+UPDATE_460_S = 0.05
+"""A fifth of the real one, so that the tests wait less."""
+
+
+def tcp(address):
+    host, _, port = address.rpartition(":")
+    return TcpPort(host, int(port), timeout_s=2.0)
+
+
+def source(port, dialect, lowest_A, slew_A_per_s):
+    supply = ScpiSupply(
+        port, dialect=dialect, lowest_A=lowest_A, highest_A=5.0, compliance_V=20.0, resolution_A=1e-3
+    )
+    return RampedSource(supply, slew_A_per_s=slew_A_per_s)
+
+
+SENSORS = {
+    "f71_serial": (
+        "serial",
+        lambda world: partial(SimulatedF71, world, along_z),
+        lambda address: LakeShoreF71(SerialPort(address, SERIAL_F71)),
+    ),
+    "f71_tcp": (
+        "tcp",
+        lambda world: partial(SimulatedF71, world, along_z),
+        lambda address: LakeShoreF71(tcp(address)),
+    ),
+    "460": (
+        "serial",
+        lambda world: partial(Simulated460, world, along_z, UPDATE_460_S),
+        lambda address: LakeShore460(SerialPort(address, SERIAL_460), range_T=0.03, update_s=UPDATE_460_S),
+    ),
+    "3mh6": (
+        "serial",
+        lambda world: partial(SimulatedSenis, world, along_z),
+        lambda address: Senis3MH6(
+            PumpedPort(SerialPort(address, SERIAL_SENIS)), rate_Hz=1000, range_number=1, full_scale_T=0.1
+        ),
+    ),
+}
+SENSORS["thm1176"] = (
+    "serial",
+    lambda world: partial(SimulatedTHM1176, world, along_z),
+    lambda address: MetrolabTHM1176(SerialPort(address, SERIAL_SENIS), range_T=0.1),
+)
+SOURCES = {
+    "kepco": (
+        "serial",
+        lambda world: partial(simulated_kepco, world, 0, 5.0),
+        lambda address: source(SerialPort(address, KEPCO_SERIAL), KEPCO_BOP, -5.0, SLEW_A_PER_S),
+    ),
+    "scpi_tcp": (
+        "tcp",
+        lambda world: partial(simulated_scpi_supply, world, 0, 5.0),
+        lambda address: source(tcp(address), GENERIC, 0.0, SLEW_A_PER_S),
+    ),
+    "korad": (
+        "serial",
+        lambda world: partial(SimulatedKorad, world, 0),
+        lambda address: RampedSource(
+            KoradKA3005P(SerialPort(address, SERIAL_KORAD), compliance_V=20.0), slew_A_per_s=SLEW_A_PER_S
+        ),
+    ),
+}
+
+
+_addresses = itertools.count(1)
+
+
+def free_host():
+    """An address that no other test listens on: the ports of a controller are fixed, and pytest-xdist runs several."""
+    return f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
+
+
+@pytest.fixture
+def world():
+    """One coil of 2 ohm whose current follows at once."""
+    return World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
+
+
+@pytest.fixture
+def started(world):
+    """Starts a simulator and connects its driver: `started(SENSORS["460"])` gives both."""
+    opened = []
+
+    def start(kind):
+        line, instrument, driver = kind
+        make = Simulator.on_serial_line if line == "serial" else Simulator.on_tcp
+        simulator = make(instrument(world))
+        opened.append(simulator)
+        device = driver(simulator.address)
+        return simulator, device
+
+    yield start
+    for simulator in opened:
+        simulator.close()

@@ -1,0 +1,203 @@
+"""A UR arm through the real ur_rtde client, against a simulated controller on an address of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from functools import partial
+
+import pytest
+
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
+from drivers.protocols import FlangePose, ReadingFlag, RobotArm
+from drivers.robots.universal_robot import UniversalRobot
+from drivers.simulated.faults import Fault
+from drivers.simulated.process import Simulator
+from drivers.simulated.ur_server import serve_ur
+from drivers.simulated.world import CoilCircuit, World
+from tests.drivers.rig import free_host
+
+HOME = FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))
+NEAR = FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0))
+FAR = FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0))
+
+
+@pytest.fixture
+def world():
+    return World([CoilCircuit(2.0, 0.0)], [HOME])
+
+
+@pytest.fixture(params=[("UR3e", "5.11.1.108318")])
+def rig(request, world):
+    """Simulator and arm."""
+    model, version = request.param
+    host = free_host()
+    with Simulator(partial(serve_ur, world, 0, version, host)) as simulator:
+        arm = UniversalRobot(host, model)
+        yield simulator, arm
+        simulator.faults.fault = Fault.NONE
+        with contextlib.suppress(DriverError):
+            arm.close()
+
+
+both_models = pytest.mark.parametrize(
+    "rig", [("UR3e", "5.11.1.108318"), ("UR3", "3.15.4.106291")], indirect=True
+)
+
+
+def later(delay_s, action):
+    thread = threading.Timer(delay_s, action)
+    thread.start()
+    return thread
+
+
+def travelled_m(world, start):
+    return abs(world.snapshot().base_from_flange[0].position_m[1] - start)
+
+
+@both_models
+def test_the_arm_moves_to_a_pose_and_reads_it(rig, world):
+    _, arm = rig
+    assert isinstance(arm, RobotArm)
+    assert "20195300001" in arm.identify(timeout_s=2.0)
+    assert arm.read_pose(timeout_s=1.0).value == HOME
+    arm.move_to(NEAR, speed_m_per_s=0.1, timeout_s=5.0)
+    assert arm.read_pose(timeout_s=1.0).value.position_m == pytest.approx(NEAR.position_m, abs=1e-6)
+    assert not world.is_moving(0)
+    arm.move_to(HOME, speed_m_per_s=0.1, timeout_s=5.0)
+
+
+@both_models
+def test_no_package_is_lost_and_their_clock_ticks_evenly(rig):
+    _, arm = rig
+    arm.read_pose(timeout_s=1.0)
+    time.sleep(0.5)
+    readings = arm.read_new_poses(timeout_s=1.0)
+    assert [reading.sequence for reading in readings] == list(range(1, len(readings) + 1))
+    assert all(reading.flags == ReadingFlag.NONE for reading in readings)
+    steps_s = {round(b.device_time_s - a.device_time_s, 6) for a, b in itertools.pairwise(readings)}
+    assert steps_s in ({0.002}, {0.008})
+
+
+def test_the_arm_turns_in_place(rig):
+    _, arm = rig
+    turned = FlangePose(HOME.position_m, (0.0, 3.1, 0.2))
+    arm.move_to(turned, speed_m_per_s=0.1, timeout_s=5.0)
+    assert arm.read_pose(timeout_s=1.0).value.rotation_vector_rad == pytest.approx(
+        turned.rotation_vector_rad, abs=2e-3
+    )
+
+
+def test_a_pose_out_of_reach_is_refused_and_nothing_moves(rig, world):
+    _, arm = rig
+    with pytest.raises(Refused, match="safety limits of the controller"):
+        arm.move_to(FlangePose((0.9, 0.0, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0)
+    assert world.snapshot().base_from_flange == (HOME,)
+
+
+def test_stop_from_another_thread_ends_a_motion(rig, world):
+    _, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
+    timer = later(0.3, lambda: arm.stop(timeout_s=2.0))
+    with pytest.raises(DeviceFault, match="interrupted and stands"):
+        arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=10.0)
+    timer.join()
+    assert not world.is_moving(0)
+    assert 0.001 < travelled_m(world, 0.02) < 0.05
+    arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)
+
+
+def test_a_motion_that_takes_too_long_is_stopped(rig, world):
+    _, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
+    with pytest.raises(DeadlineExceeded, match="stopped on the way and stands"):
+        arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=0.5)
+    assert not world.is_moving(0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (Fault.PROTECTIVE_STOP, "protective stop: look what it met"),
+        (Fault.EMERGENCY_STOP, "emergency stop is pressed"),
+    ],
+)
+def test_a_safety_stop_ends_the_motion_with_one_clear_sentence(rig, world, fault, sentence):
+    simulator, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
+    timer = later(0.3, lambda: setattr(simulator.faults, "fault", fault))
+    with pytest.raises(DeviceFault, match=f"{sentence}.*the arm stands still"):
+        arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=10.0)
+    timer.join()
+    with pytest.raises(DeviceFault, match=sentence):
+        arm.move_to(HOME, speed_m_per_s=0.05, timeout_s=10.0)
+    assert not world.is_moving(0)
+
+
+@pytest.mark.parametrize("fault", [Fault.DROP, Fault.STALL, Fault.MUTE])
+def test_a_lost_network_stops_the_arm_by_its_watchdog(rig, world, fault):
+    simulator, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
+    timer = later(0.3, lambda: setattr(simulator.faults, "fault", fault))
+    begin_s = time.monotonic()
+    with pytest.raises(DriverError):
+        arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=10.0)
+    assert time.monotonic() - begin_s < 6.0
+    timer.join()
+    time.sleep(0.3)
+    assert not world.is_moving(0)
+    assert travelled_m(world, 0.02) < 0.05
+    simulator.faults.fault = Fault.NONE
+    assert arm.read_pose(timeout_s=2.0).value.position_m[0] == pytest.approx(0.3)
+    arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)  # a fresh child, asked for by this call
+
+
+def test_an_arm_whose_child_is_killed_is_stopped_by_its_watchdog(rig, world):
+    _, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=5.0)
+    killed_at = []
+
+    def kill():
+        killed_at.append(world.snapshot().base_from_flange[0].position_m[1])
+        os.kill(arm.motion_pid, signal.SIGKILL)
+
+    timer = later(0.5, kill)
+    with pytest.raises(DeviceFault, match="its process.* ended with code -9.*the arm stands still"):
+        arm.move_to(FAR, speed_m_per_s=0.02, timeout_s=10.0)
+    timer.join()
+    assert travelled_m(world, killed_at[0]) < 0.02 * 0.5
+    arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)
+
+
+def test_an_arm_stops_when_the_host_program_is_killed(rig, world):
+    simulator, _ = rig
+    program = f"""
+    from drivers.protocols import FlangePose
+    from drivers.robots.universal_robot import UniversalRobot
+    if __name__ == "__main__":
+        arm = UniversalRobot({simulator.address!r}, "UR3e")
+        arm.move_to(FlangePose((0.3, 0.001, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0)
+        print("ready", flush=True)
+        arm.move_to(FlangePose((0.3, 0.2, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.02, timeout_s=20.0)
+    """
+    client = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    while client.stdout.readline() != b"ready\n":  # ur_rtde prints as well
+        assert client.poll() is None
+    time.sleep(0.5)
+    assert world.is_moving(0)
+    killed_at_m = world.snapshot().base_from_flange[0].position_m[1]
+    client.kill()
+    client.wait()
+    client.stdout.close()
+    time.sleep(0.5)
+    assert not world.is_moving(0)
+    assert travelled_m(world, killed_at_m) < 0.02 * 0.3

@@ -1,0 +1,89 @@
+"""A whole rig out of its file, simulated and opened as if it were real."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.errors import DriverError, Refused
+from drivers.open import check_devices, open_devices
+from drivers.protocols import FlangePose
+from drivers.simulated.faults import Fault
+from drivers.simulated.rig import SimulatedRig
+from drivers.simulated.world import CoilCircuit
+from tests.drivers.fields import along_z
+from tests.drivers.rig import free_host
+from tests.drivers.test_open import ARM, SENSOR, SUPPLY
+
+HOMES = [FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0)), FlangePose((0.2, 0.1, 0.3), (0.0, 3.0, 0.0))]
+SECTION = {
+    "hall": {**SENSOR, "tcp": "192.0.2.7"},
+    "fast": {
+        "sensor": "senis_3mh6",
+        "rate_Hz": 100,
+        "range_number": 1,
+        "full_scale_mT": 100,
+        "serial": "/dev/none",
+    },
+    "coil1": {**SUPPLY, "serial": "/dev/none"},
+    "coil2": {**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0, "serial": "/dev/none"},
+    "arm1": {**ARM, "host": "192.0.2.8"},
+    "arm2": {**ARM, "arm": "ur3", "host": "192.0.2.9"},
+}
+CIRCUITS = [CoilCircuit(2.0, 0.01), CoilCircuit(2.0, 0.01)]
+FIELDS = {"hall": along_z, "fast": along_z}
+
+
+@pytest.fixture
+def rig():
+    host = free_host()
+    free_host()  # the second arm listens on the address after it
+    with SimulatedRig(SECTION, FIELDS, circuits=CIRCUITS, homes=HOMES, first_host=host) as running:
+        yield running
+
+
+def test_all_its_devices_open_share_one_world_and_come_to_rest(rig):
+    with open_devices(rig.section) as devices:
+        report = check_devices(devices)
+        assert sorted(report) == sorted(SECTION)
+        assert not any(text.startswith("FAULT") for text in report.values())
+        devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
+        devices.sources["coil2"].set_current_A(2.0, timeout_s=3.0)
+        devices.arms["arm2"].move_to(
+            FlangePose((0.2, 0.12, 0.3), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0
+        )
+        expected_T = pytest.approx(along_z(rig.world.snapshot()), abs=2e-5)
+        assert devices.sensors["hall"].read_field_T(timeout_s=2.0).value == expected_T
+        assert devices.sensors["fast"].read_field_T(timeout_s=2.0).value == expected_T
+        assert devices.arms["arm1"].read_pose(timeout_s=2.0).value == HOMES[0]
+        assert devices.arms["arm2"].read_pose(timeout_s=2.0).value.position_m[1] == pytest.approx(0.12)
+    assert rig.world.snapshot().currents_A == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("device", "fault"), [("hall", Fault.DROP), ("coil1", Fault.DROP), ("arm1", Fault.MUTE)]
+)
+def test_a_fault_of_one_device_switches_off_all_currents(rig, device, fault):
+    devices = open_devices(rig.section)
+    devices.sources["coil2"].set_current_A(2.0, timeout_s=3.0)
+    rig.simulators[device].faults.fault = fault
+    with pytest.raises(DriverError):  # noqa: PT012
+        for _ in range(20):
+            devices.sensors["hall"].read_new_T(timeout_s=2.0)
+            devices.sources["coil1"].read_current_A(timeout_s=2.0)
+            devices.arms["arm1"].read_pose(timeout_s=2.0)
+    assert devices.interlock.reason is not None
+    assert rig.world.snapshot().currents_A[1] == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(Refused, match="must be reset"):
+        devices.sources["coil2"].set_current_A(1.0, timeout_s=3.0)
+    if device == "coil1":
+        with pytest.raises(DriverError):
+            devices.close()
+    else:
+        devices.close()
+
+
+def test_what_is_missing_is_named():
+    with pytest.raises(Refused, match="a circuit for each of 2 supplies"):
+        SimulatedRig(SECTION, FIELDS, circuits=[], homes=HOMES)
+    with pytest.raises(Refused, match="must know the field at hall; received none"):
+        SimulatedRig(SECTION, {}, circuits=CIRCUITS, homes=HOMES)

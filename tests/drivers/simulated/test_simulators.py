@@ -1,0 +1,107 @@
+"""Simulators end with their parent, share one world, and talk to clients that know nothing of this package."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from functools import partial
+
+import pytest
+
+from drivers.protocols import FlangePose
+from drivers.simulated.hall import SimulatedF71
+from drivers.simulated.motion import interpolate
+from drivers.simulated.process import Simulator
+from drivers.simulated.scpi import short_form
+from drivers.simulated.world import CoilCircuit, World
+from tests.drivers.fields import along_z
+
+
+def test_a_simulator_ends_when_its_parent_is_killed():
+    program = """
+    from functools import partial
+    from drivers.simulated.hall import SimulatedF71
+    from drivers.simulated.process import Simulator
+    from drivers.simulated.world import CoilCircuit, World
+    from tests.drivers.fields import along_z
+    import time
+    if __name__ == "__main__":
+        simulator = Simulator.on_tcp(partial(SimulatedF71, World([CoilCircuit(2.0, 0.0)]), along_z))
+        print(simulator.pid, flush=True)
+        time.sleep(60)
+    """
+    parent = subprocess.Popen([sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE)
+    pid = int(parent.stdout.readline())
+    os.kill(pid, 0)
+    parent.send_signal(signal.SIGKILL)
+    parent.stdout.close()
+    parent.wait()
+    end_s = time.monotonic() + 5.0
+    with pytest.raises(ProcessLookupError):  # noqa: PT012
+        while time.monotonic() < end_s:
+            os.kill(pid, 0)
+            time.sleep(0.02)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("lakeshore") is None, reason="Lake Shore's own package is not installed"
+)
+def test_lake_shores_own_driver_reads_the_simulated_f71(world):
+    world.drive(0, 3.0)
+    client = """
+    import sys
+    from lakeshore import Teslameter
+    host, _, port = sys.argv[1].rpartition(":")
+    meter = Teslameter(ip_address=host, tcp_port=int(port))
+    meter.configure_field_measurement_setup(mode="DC", autorange=False, expected_field=0.1, averaging_samples=2)
+    points = meter.get_buffered_data_points(0.2, 20)
+    print(meter.model_number, meter.get_field_units(), len(points), points[-1].z, meter.get_dc_field_xyz()[3])
+    """
+    with Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as simulator:
+        arguments = [sys.executable, "-c", textwrap.dedent(client), simulator.address]
+        output = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
+    assert output.split() == ["F71", "TESLA", "10", "0.00596", "0.00596"]
+
+
+def test_the_current_of_a_coil_follows_its_time_constant():
+    world = World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.2)])
+    world.drive(0, 1.0)
+    begin_s = time.monotonic()
+    time.sleep(0.1)
+    current_A = world.snapshot().currents_A[0]
+    elapsed_s = time.monotonic() - begin_s
+    assert current_A == pytest.approx(1 - 2.718281828 ** (-elapsed_s / 0.1), abs=0.02)
+
+
+def test_a_motion_takes_its_time_and_can_be_halted():
+    home = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    world = World([CoilCircuit(2.0, 0.0)], [home])
+    world.move(0, FlangePose((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    time.sleep(0.2)
+    assert world.is_moving(0)
+    world.halt(0)
+    assert not world.is_moving(0)
+    stopped_m = world.snapshot().base_from_flange[0].position_m[0]
+    assert 0.15 < stopped_m < 0.5
+    time.sleep(0.05)
+    assert world.snapshot().base_from_flange[0].position_m[0] == stopped_m
+
+
+def test_a_rotation_is_interpolated_about_one_axis():
+    quarter = FlangePose((0.0, 0.0, 0.0), (1.5707963, 0.0, 0.0))
+    turned = FlangePose((0.0, 0.0, 0.0), (1.2091996, 1.2091996, 1.2091996))  # 120 degrees about (1, 1, 1)
+    assert interpolate(quarter, turned, 0.0).rotation_vector_rad == pytest.approx(quarter.rotation_vector_rad)
+    assert interpolate(quarter, turned, 1.0).rotation_vector_rad == pytest.approx(turned.rotation_vector_rad)
+
+
+@pytest.mark.parametrize(
+    ("long", "short"),
+    [("SYSTem:ERRor:ALL?", "SYST:ERR:ALL?"), ("sens:aver:coun", "SENS:AVER:COUN"), ("MODE", "MODE")],
+)
+def test_long_and_short_forms_are_the_same_command(long, short):
+    assert short_form(long) == short_form(short) == short

@@ -1,0 +1,210 @@
+"""A ramp is even, ends on its target, is read back at each step, and leads to zero whatever fails."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
+from drivers.supplies.commands import Measured
+from drivers.supplies.ramped import STEP_S, RampedSource, ramp_steps
+
+currents = st.floats(-20, 20)
+
+
+@given(currents, currents, st.floats(0.1, 100))
+def test_no_step_of_a_ramp_is_beyond_its_slew_rate_and_it_ends_on_the_target(start_A, target_A, slew_A_per_s):
+    steps_A = [start_A, *ramp_steps(start_A, target_A, slew_A_per_s)]
+    assert steps_A[-1] == target_A
+    largest_A = max(abs(b - a) for a, b in itertools.pairwise(steps_A))
+    assert largest_A <= slew_A_per_s * STEP_S * (1 + 1e-6) + 1e-12
+
+
+class MemorySupply:
+    """A supply in memory; `fail_at` names the command that fails."""
+
+    name = "supply"
+    lowest_A, highest_A, resolution_A = -5.0, 5.0, 1e-3
+
+    def __init__(self):
+        self.history = []
+        self.set_point_A, self.is_on = 4.0, False
+        self.fail_at = None
+        self.is_closed = False
+
+    def note(self, name, *arguments):
+        self.history.append((name, *arguments))
+        if self.fail_at == name:
+            raise DeviceFault(f"{name} must work")
+
+    def identify(self, deadline):
+        return "memory"
+
+    def prepare(self, deadline):
+        self.note("prepare")
+
+    def write_set_point(self, current_A, deadline):
+        self.note("write", current_A)
+        self.set_point_A = current_A
+
+    def read_set_point_A(self, deadline):
+        self.note("read")
+        return self.set_point_A
+
+    def switch_output(self, is_on, deadline):
+        self.note("switch", is_on)
+        self.is_on = is_on
+
+    def is_output_on(self, deadline):
+        self.note("is_on")
+        return self.is_on
+
+    def measure(self, deadline):
+        return Measured(self.set_point_A if self.is_on else 0.0, True)
+
+    def close(self):
+        self.is_closed = True
+
+    @property
+    def written_A(self):
+        return [arguments[0] for name, *arguments in self.history if name == "write"]
+
+
+@pytest.fixture
+def supply():
+    return MemorySupply()
+
+
+@pytest.fixture
+def source(supply):
+    return RampedSource(supply, slew_A_per_s=20.0)
+
+
+def test_the_output_is_switched_on_at_zero_only(supply, source):
+    source.set_current_A(5.0, timeout_s=2.0)
+    commands = [entry for entry in supply.history if entry[0] in {"write", "switch"}]
+    assert commands[:2] == [("write", 0.0), ("switch", True)]
+    assert supply.written_A[1:] == pytest.approx([5 / 3, 10 / 3, 5.0])
+
+
+def test_a_supply_found_on_is_ramped_from_where_it_is(supply, source):
+    supply.is_on = True
+    source.set_current_A(0.0, timeout_s=2.0)
+    assert supply.written_A == pytest.approx([2.0, 0.0])
+
+
+def test_the_same_current_again_sends_nothing(supply, source):
+    source.set_current_A(1.0, timeout_s=2.0)
+    n_commands = len(supply.history)
+    source.set_current_A(1.0, timeout_s=2.0)
+    assert len(supply.history) == n_commands
+
+
+def test_a_set_point_that_was_not_taken_is_a_fault(supply, source):
+    supply.read_set_point_A = lambda deadline: 0.5
+    with pytest.raises(DeviceFault, match=r"set_point_A must be 0; the supply says 0.5 \(supply\)"):
+        source.set_current_A(2.0, timeout_s=2.0)
+
+
+def test_a_ramp_that_takes_longer_than_allowed_is_refused_before_it_begins(supply, source):
+    source.set_current_A(0.0, timeout_s=1.0)
+    with pytest.raises(Refused, match=r"a ramp from 0 to 5 A must have 0.2 s; received 0.1 s"):
+        source.set_current_A(5.0, timeout_s=0.1)
+    assert supply.written_A == [0.0]
+
+
+def test_a_ramp_that_runs_out_of_time_says_where_it_is(supply):
+    source = RampedSource(supply, slew_A_per_s=10.0)
+    source.set_current_A(0.0, timeout_s=1.0)
+    supply.prepare = supply.identify
+    slow = supply.write_set_point
+    supply.write_set_point = lambda current_A, deadline: (time.sleep(0.2), slow(current_A, deadline))
+    with pytest.raises(DeadlineExceeded, match=r"the ramp must end within 0.55 s; it is at"):
+        source.set_current_A(5.0, timeout_s=0.55)
+
+
+def test_switching_off_ramps_down_first(supply, source):
+    source.set_current_A(4.0, timeout_s=2.0)
+    supply.history.clear()
+    source.output_off(timeout_s=2.0)
+    assert supply.written_A == pytest.approx([2.0, 0.0])
+    assert not supply.is_on
+    assert supply.history[-2:] == [("switch", False), ("is_on",)]
+
+
+@pytest.mark.parametrize("failing", ["write", "read", "prepare"])
+def test_an_output_that_cannot_be_ramped_is_switched_off_at_once(supply, source, failing):
+    source.set_current_A(4.0, timeout_s=2.0)
+    supply.fail_at = failing
+    source.output_off(timeout_s=2.0)
+    assert not supply.is_on
+
+
+def test_an_output_that_stays_on_is_a_fault(supply, source):
+    source.set_current_A(1.0, timeout_s=2.0)
+    supply.switch_output = lambda is_on, deadline: None
+    with pytest.raises(DeviceFault, match="must be off; the supply says it is on"):
+        source.output_off(timeout_s=2.0)
+
+
+def test_an_output_that_does_not_come_on_is_a_fault(supply, source):
+    supply.switch_output = lambda is_on, deadline: None
+    with pytest.raises(DeviceFault, match="must be on; the supply says it is off"):
+        source.set_current_A(1.0, timeout_s=2.0)
+
+
+def test_after_a_fault_the_supply_is_asked_where_it_is(supply, source):
+    source.set_current_A(4.0, timeout_s=2.0)
+    supply.fail_at = "read"
+    with pytest.raises(DriverError):
+        source.set_current_A(0.0, timeout_s=2.0)
+    supply.fail_at = None
+    supply.history.clear()
+    source.set_current_A(0.0, timeout_s=2.0)
+    assert supply.history[:3] == [("prepare",), ("is_on",), ("read",)]
+    assert supply.written_A == [0.0]
+
+
+def test_closing_switches_off_even_where_that_fails_and_only_once(supply, source):
+    source.set_current_A(1.0, timeout_s=2.0)
+    supply.fail_at = "switch"
+    with pytest.raises(DeviceFault):
+        source.close()
+    assert supply.is_closed
+    n_commands = len(supply.history)
+    source.close()
+    assert len(supply.history) == n_commands
+
+
+def test_switching_off_from_another_thread_ends_a_ramp_between_two_steps(supply):
+    source = RampedSource(supply, slew_A_per_s=5.0)
+    source.set_current_A(0.0, timeout_s=1.0)
+    errors = []
+
+    def ramp():
+        try:
+            source.set_current_A(5.0, timeout_s=5.0)
+        except DeviceFault as error:
+            errors.append(str(error))
+
+    thread = threading.Thread(target=ramp)
+    thread.start()
+    while supply.set_point_A < 1.0:
+        time.sleep(0.01)
+    source.output_off(timeout_s=5.0)
+    thread.join()
+    assert "interrupted" in errors[0]
+    written_A = supply.written_A
+    peak = written_A.index(max(written_A))
+    assert written_A[peak:] == sorted(written_A[peak:], reverse=True)
+    assert not supply.is_on
+
+
+def test_a_slew_rate_must_be_positive(supply):
+    with pytest.raises(Refused, match="slew_A_per_s must be > 0; received 0"):
+        RampedSource(supply, slew_A_per_s=0.0)

@@ -1,0 +1,163 @@
+"""Any fault of any device brings the whole rig to rest, and nothing goes on until somebody has reset it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from drivers.errors import DeviceFault, Refused
+from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
+from drivers.interlock import Interlock, sigterm_as_exception
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, RobotArm
+from drivers.safety import ArmLimits, CurrentLimits
+from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
+
+LIMITS = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=10.0)
+BOX = ArmLimits((0.0, -0.5, 0.0), (0.5, 0.5, 0.5), highest_speed_m_per_s=0.1)
+TARGET = FlangePose((0.3, 0.1, 0.4), (0.0, 0.0, 0.0))
+
+
+class Rig:
+    def __init__(self, limits=LIMITS, thermometer=None):
+        self.interlock = Interlock()
+        self.memory_source, self.memory_arm, self.memory_sensor = MemorySource(), MemoryArm(), MemorySensor()
+        self.source = GuardedSource(
+            self.memory_source,
+            limits,
+            self.interlock,
+            name="coil1",
+            tolerance_A=0.01,
+            read_temperature_K=thermometer,
+        )
+        self.arm = GuardedArm(self.memory_arm, BOX, self.interlock, name="arm")
+        self.sensor = GuardedSensor(self.memory_sensor, self.interlock, name="hall")
+
+    def use(self):
+        self.source.set_current_A(2.0, timeout_s=0.2)
+        self.arm.move_to(TARGET, speed_m_per_s=0.05, timeout_s=1.0)
+        self.sensor.read_field_T(timeout_s=1.0)
+
+    @property
+    def is_at_rest(self):
+        return self.memory_source.told[-1] == ("off",) and self.memory_arm.told[-1] == ("stop",)
+
+
+def test_guarded_devices_are_devices():
+    rig = Rig()
+    assert isinstance(rig.source, CurrentSource)
+    assert isinstance(rig.arm, RobotArm)
+    assert isinstance(rig.sensor, FieldSensor)
+    rig.use()
+    assert rig.interlock.reason is None
+
+
+@pytest.mark.parametrize("faulty", ["memory_source", "memory_arm", "memory_sensor"])
+def test_a_fault_of_any_device_brings_all_to_rest(faulty):
+    rig = Rig()
+    rig.use()
+    getattr(rig, faulty).fault = "the cable is out"
+    with pytest.raises(DeviceFault, match="the cable is out"):
+        rig.use()
+    assert rig.is_at_rest
+    assert "the cable is out" in rig.interlock.reason
+    getattr(rig, faulty).fault = None
+    for use in (
+        lambda: rig.source.set_current_A(0.0, timeout_s=1.0),
+        lambda: rig.arm.move_to(HOME, speed_m_per_s=0.05, timeout_s=1.0),
+        lambda: rig.sensor.read_field_T(timeout_s=1.0),
+    ):
+        with pytest.raises(Refused, match="must be reset.*the cable is out"):
+            use()
+    rig.interlock.reset()
+    rig.use()
+
+
+def test_what_is_refused_sends_nothing_and_trips_nothing():
+    rig = Rig()
+    with pytest.raises(Refused):
+        rig.source.set_current_A(6.0, timeout_s=1.0)
+    with pytest.raises(Refused):
+        rig.arm.move_to(FlangePose((0.6, 0.0, 0.4), (0.0, 0.0, 0.0)), speed_m_per_s=0.05, timeout_s=1.0)
+    assert rig.memory_source.told == []
+    assert rig.memory_arm.told == []
+    assert rig.interlock.reason is None
+
+
+def test_a_current_that_does_not_come_trips():
+    rig = Rig()
+    rig.memory_source.share = 0.9
+    with pytest.raises(DeviceFault, match=r"coil1 must carry 2 A within 0.2 s; it measures 1.8 A"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+    assert rig.is_at_rest
+
+
+def test_a_coil_that_gets_too_hot_trips_while_it_is_read():
+    temperature_K = [300.0]
+    limits = CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=350.0)
+    rig = Rig(limits, lambda: temperature_K[0])
+    rig.use()
+    temperature_K[0] = 351.0
+    with pytest.raises(DeviceFault, match="at most 350; it is 351"):
+        rig.source.read_current_A(timeout_s=1.0)
+    assert rig.is_at_rest
+
+
+def test_a_coil_that_carries_too_much_for_too_long_trips():
+    rig = Rig(CurrentLimits(-5.0, 5.0, 10.0, continuous_A=1.0, thermal_time_constant_s=1.5))
+    rig.source.set_current_A(1.2, timeout_s=0.2)
+    with pytest.raises(DeviceFault, match="must cool"):  # noqa: PT012
+        for _ in range(100):
+            rig.source.read_current_A(timeout_s=1.0)
+            time.sleep(0.05)
+    assert rig.is_at_rest
+
+
+def test_a_source_that_ramps_too_fast_or_lacks_its_thermometer_is_refused():
+    with pytest.raises(Refused, match="slew_A_per_s must be at most 1"):
+        Rig(CurrentLimits(-5.0, 5.0, 1.0, 3.0, 100.0))
+    with pytest.raises(Refused, match="thermometer"):
+        Rig(CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=350.0))
+
+
+def test_ctrl_c_brings_the_rig_to_rest():
+    rig = Rig()
+    rig.use()
+    rig.memory_sensor.read_field_T = lambda **_: signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        rig.sensor.read_field_T(timeout_s=1.0)
+    assert rig.is_at_rest
+
+
+def test_sigterm_unwinds_all_blocks():
+    with pytest.raises(SystemExit) as caught, sigterm_as_exception(), MemorySource() as source:  # noqa: PT012
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.0)
+    assert caught.value.code == 128 + signal.SIGTERM
+    assert source.is_closed
+
+
+def test_one_device_that_cannot_be_brought_to_rest_does_not_keep_the_others_from_it():
+    rig = Rig()
+
+    def fail():
+        raise DeviceFault("supply must answer")
+
+    rig.interlock.add("coil2", fail)
+    rig.interlock.trip("of a test")
+    assert rig.is_at_rest
+    assert rig.interlock.not_at_rest == ["coil2 is not known to be at rest: supply must answer"]
+    with pytest.raises(Refused, match="coil2 is not known to be at rest"):
+        rig.interlock.reset()
+
+
+def test_devices_are_brought_to_rest_at_the_same_time():
+    interlock = Interlock()
+    meeting = threading.Barrier(3, timeout=5.0)
+    for name in "abc":
+        interlock.add(name, meeting.wait)
+    interlock.trip("of a test")
+    assert interlock.not_at_rest == []

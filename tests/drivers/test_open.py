@@ -1,0 +1,150 @@
+"""A rig file opens its devices behind their limits, and refuses what it does not understand."""
+
+from __future__ import annotations
+
+import copy
+import textwrap
+from functools import partial
+
+import pytest
+import yaml
+
+import drivers.open
+from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.open import check_devices, open_devices
+from drivers.protocols import FlangePose
+from drivers.simulated.hall import SimulatedF71
+from drivers.simulated.process import Simulator
+from drivers.simulated.supplies import simulated_kepco
+from drivers.simulated.ur_server import serve_ur
+from drivers.simulated.world import CoilCircuit, World
+from tests.drivers.fields import along_z
+from tests.drivers.rig import free_host
+
+SUPPLY = {
+    "supply": "kepco_bop",
+    "highest_A": 5,
+    "lowest_A": -5,
+    "slew_A_per_s": 20,
+    "continuous_A": 3,
+    "thermal_time_constant_min": 5,
+    "compliance_V": 20,
+    "tolerance_mA": 1,
+}
+SENSOR = {"sensor": "lakeshore_f71", "range_mT": 350}
+ARM = {
+    "arm": "ur3e",
+    "workspace_low_mm": [0, -300, 0],
+    "workspace_high_mm": [500, 300, 500],
+    "highest_speed_mm_per_s": 200,
+}
+
+
+@pytest.fixture
+def world():
+    return World([CoilCircuit(2.0, 0.0)], [FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))])
+
+
+@pytest.fixture
+def section(world):
+    """Devices of a simulated rig."""
+    host = free_host()
+    with (
+        Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as f71,
+        Simulator.on_serial_line(partial(simulated_kepco, world, 0, 5.0)) as kepco,
+        Simulator(partial(serve_ur, world, 0, "5.11.1.108318", host)) as _,
+    ):
+        tcp_host, _, port = f71.address.rpartition(":")
+        yield {
+            "hall": {**SENSOR, "tcp": tcp_host, "port": int(port)},
+            "coil1": {**SUPPLY, "serial": kepco.address},
+            "arm1": {**ARM, "host": host},
+        }
+
+
+def test_a_rig_is_opened_checked_and_measures(section, world):
+    with open_devices(section) as devices:
+        report = check_devices(devices)
+        assert report["hall"].startswith("LSCI,F71")
+        assert report["hall"].endswith("mT")
+        assert report["coil1"] == "KEPCO,BOP 50-20M,A12345,2.1: 0 A"
+        assert report["arm1"].endswith("300.00, 0.00, 200.00 mm")
+        assert world.snapshot().currents_A == (0.0,)
+        devices.arms["arm1"].move_to(
+            FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0
+        )
+        devices.sources["coil1"].set_current_A(2.0, timeout_s=3.0)
+        field_T = devices.sensors["hall"].read_field_T(timeout_s=2.0).value
+        assert field_T == pytest.approx(along_z(world.snapshot()), abs=1e-9)
+        with pytest.raises(Refused, match="arm.target.y_m"):
+            devices.arms["arm1"].move_to(
+                FlangePose((0.3, 0.4, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0
+            )
+    assert world.snapshot().currents_A == (0.0,)
+
+
+def test_a_device_that_is_not_there_leaves_none_open(section):
+    section["coil2"] = {**SUPPLY, "serial": "/dev/no_such_port"}
+    with pytest.raises(DeviceFault, match="no_such_port"):
+        open_devices(section)
+    del section["coil2"]
+    open_devices(section).close()  # all ports are free again
+
+
+def test_what_is_recorded_opens_as_a_device_that_replays_it(section, tmp_path):
+    path = str(tmp_path / "f71.txt")
+    recorded = {"hall": {**section["hall"], "record": path}}
+    with open_devices(recorded) as devices:
+        text = devices.sensors["hall"].identify(timeout_s=2.0)
+        readings = devices.sensors["hall"].read_new_T(timeout_s=2.0)
+    with open_devices({"hall": {**SENSOR, "replay": path}}) as devices:
+        assert devices.sensors["hall"].identify(timeout_s=2.0) == text
+        replayed = devices.sensors["hall"].read_new_T(timeout_s=2.0)
+    assert [reading.value for reading in replayed] == [reading.value for reading in readings]
+    assert [reading.device_time_s for reading in replayed] == [reading.device_time_s for reading in readings]
+
+
+BAD = {
+    "of no kind": ({"serial": "x"}, "must say what it is"),
+    "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
+    "without port": (SENSOR, "must have one of serial, tcp, usbtmc and replay; received none"),
+    "with two ports": ({**SENSOR, "serial": "x", "tcp": "y"}, "received serial and tcp"),
+    "without unit": ({"sensor": "lakeshore_460", "range": 30, "serial": "x"}, "range_T must be given once, as range_T or range_mT"),
+    "with two units": ({"sensor": "lakeshore_460", "range_T": 1, "range_mT": 30, "serial": "x"}, "must be given once"),
+    "with text": ({"sensor": "lakeshore_460", "range_mT": "30", "serial": "x"}, "range_mT must hold finite numbers"),
+    "without limit": ({key: value for key, value in SUPPLY.items() if key != "continuous_A"} | {"serial": "x"}, "continuous_A"),
+    "without workspace": ({"arm": "ur3", "host": "x", "highest_speed_m_per_s": 1}, "workspace_low_m must be given"),
+    "not there": ({**SUPPLY, "serial": "/dev/no_such_port"}, "no_such_port must open"),
+    "no mapping": ("f71", "must hold keys and values"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_device_that_is_badly_described_is_refused_by_name(case):
+    mapping, message = BAD[case]
+    with pytest.raises(DriverError, match=message):
+        open_devices({"bad": copy.deepcopy(mapping)})
+
+
+def test_a_key_that_nobody_knows_is_refused_and_the_device_closed(section):
+    section["hall"]["colour"] = "red"
+    with pytest.raises(Refused, match=r"devices.hall.colour is not a key that is known here"):
+        open_devices(section)
+
+
+def test_the_section_in_the_docstring_is_understood():
+    """All of it but the ports, which are not there."""
+    text = textwrap.dedent(drivers.open.__doc__.partition("reads\n\n")[2])
+    section = yaml.safe_load(text)["devices"]
+    del section["arm1"]["joint_low_deg"]  # stands without the other in the text
+    for name, settings in section.items():
+        with pytest.raises(DeviceFault):
+            open_devices(
+                {
+                    name: {**settings, **({"tcp": "127.0.0.1", "port": 1} if name == "hall" else {})}
+                    | LOCAL[name]
+                }
+            )
+
+
+LOCAL = {"hall": {}, "coil1": {"serial": "/dev/no_such_port"}, "arm1": {"host": "127.0.0.1"}}
