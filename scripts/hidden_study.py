@@ -72,9 +72,9 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
         rig = load_rig(Path(folder) / "rig.yaml")
         session = read_readings_csv(Path(folder) / "readings.csv", rig)
     begin = time.perf_counter()
-    found = diagnose(session, seed=seed).record()
+    diagnosis = diagnose(session, seed=seed)
     seconds = time.perf_counter() - begin
-    truth = hidden.truth()
+    found, truth = diagnosis.record(), hidden.truth()
     noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
     return {
         "kind": kind,
@@ -91,7 +91,17 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
             for step in found["steps"]
         ],
         "gain": found.get("gain"),
-        "moved_sd": found.get("moved_sd"),
+        "coil": {
+            name: {
+                "truth": value,
+                "before": float(diagnosis.plain.values[name]),
+                "after": float(diagnosis.fit.values[name]),
+                "sd_before": diagnosis.plain.value_sd(name),
+            }
+            for name, value in truth["values"].items()
+            if name in diagnosis.plain.posterior.coordinates.names and not name.endswith("noise_T")
+        },
+        "n_unseen": None if diagnosis.gain is None else len(diagnosis.gain.after.log_density),
         "seconds": seconds,
     }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ PROTOCOLS = ("paper", "recommended")
 SIGMA = 8.0
 DISCRETE = ("axes_swapped", "unit_error", "left_handed", "displacement_frame", "current_sign")
 MOST_TRIES = 40
+Translation = Callable[[dict[str, float]], dict[str, float]]
 
 
 def draw_case(kind: str, seed: int) -> HiddenSession:
@@ -54,3 +57,48 @@ def credible_sets(row: dict[str, Any]) -> list[list[str]]:
             )
         )
     return sets
+
+
+def true_quantities(cause: dict[str, Any]) -> dict[str, float]:
+    """What a diagnosis should find for the numbers of a true cause, by the keys of `diagnosis.json`; those without a counterpart left out."""
+    known = {name: one["value"] for name, one in cause["parameters"].items()}
+    translate = TRANSLATED.get(cause["name"])
+    return translate(known) if translate else {}
+
+
+def _with(prefix: str) -> Translation:
+    """Those that begin so: `offset_x_T` -> `x_T`."""
+    return lambda known: {n.removeprefix(prefix): v for n, v in known.items() if n.startswith(prefix)}
+
+
+def _per_hour(known: dict[str, float]) -> dict[str, float]:
+    return {f"{name[5]}_T_per_h": 3600.0 * value for name, value in known.items()}
+
+
+TRANSLATED: dict[str, Translation] = {
+    "background_field": _with("background_"),
+    "sensor_offset": _with("offset_"),
+    "background_drift": _per_hour,
+    "offset_drift": _per_hour,
+    "sensor_bumped": _with("shift_"),
+    "robot_scale": _with("scale_"),
+    "robot_shear": _with("shear_"),
+    "backlash": _with("play_"),
+    "position_lag": lambda known: known,
+    "mount_tilt": lambda known: {"x_rad": known["tilt_x_rad"], "y_rad": known["tilt_y_rad"]},
+    "axis_gain": lambda known: {name[-1]: value - 1.0 for name, value in known.items()},
+    "cross_axis": _with("cross_"),
+    "cubic_response": lambda known: {f"{axis}_per_T2": known["cubic_per_T2"] for axis in "xyz"},
+    "planar_hall": lambda known: {f"{axis}_per_T": known["planar_per_T"] for axis in "xyz"},
+    "range_clipping": lambda known: {"limit_T": known["range_T"]},
+    "temperature_drift": lambda known: {"gain_per_K": known["gain_per_K"]},
+    "current_offset": lambda known: {"offset_A": known["offset_A"]},
+    "neighbour_coil": lambda known: {"share": known["share"]},
+    "spherical_sum": lambda known: {"weight": known["share"]},
+    "turns_gradient": lambda known: {"gradient": known["gradient"]},
+    "iron_body": _with("position_"),
+    "coil_ovality": lambda known: {
+        "cos2": known["ovality"] * math.cos(2.0 * known["angle_rad"]),
+        "sin2": known["ovality"] * math.sin(2.0 * known["angle_rad"]),
+    },
+}
