@@ -106,6 +106,7 @@ def diagnose(
         judged,
         extended_text(rig, after),
         seed,
+        _widening(found) if verdict is Verdict.UNEXPLAINED else {},
     )
     folder = None if out is None else Path(out)
     if has_posterior and result.fit.rig.effects:
@@ -118,6 +119,14 @@ def diagnose(
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
     return result
+
+
+def _widening(found: Search) -> dict[str, float]:
+    """How much less sure each parameter is if the strongest discrepancy that is left may be in the readings as well."""
+    fit, left = found.final, found.steps[-1].left
+    beside = fit.covariance_beside(left.columns)
+    names = [parameter.name for parameter in fit.rig.free]
+    return {name: max(fit.value_sd(name, beside) / fit.value_sd(name), 1.0) for name in names}
 
 
 def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:
