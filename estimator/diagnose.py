@@ -53,7 +53,8 @@ def diagnose(
         validation: Another session of the same rig to judge the gain by.
         out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
         seed: Of the split, the thinning, the starts and the sampling.
-        has_posterior: Sample the extended rig where a cause was found, with all readings but those for validation.
+        has_posterior: Sample the extended rig where a cause was found and a coil carried current, with all readings but those for
+            validation.
         on_stage: Told what is going on.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
@@ -64,7 +65,7 @@ def diagnose(
     session.check_rig(rig)
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    check_readings(rig, session.observations, session.source)
+    check_readings(rig, session.observations, session.source, needs_current=False)
     seen, unseen = _split(session, validation, seed)
     few = _thinned(seen, MOST_SEARCHED, seed)
 
@@ -109,7 +110,8 @@ def diagnose(
         _widening(found) if verdict is Verdict.UNEXPLAINED else {},
     )
     folder = None if out is None else Path(out)
-    if has_posterior and result.fit.rig.effects:
+    has_current = bool((seen.current_A != 0.0).any())
+    if has_posterior and result.fit.rig.effects and has_current:
         tell("posterior of the extended rig")
         extended = rig_from_text(result.extended_rig_text)
         kept = None if folder is None else folder / POSTERIOR
