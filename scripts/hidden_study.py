@@ -179,17 +179,21 @@ def show_sizes(rows: list[Row]) -> None:
         if row["gain"]:
             noise_T = math.sqrt(3.0 * sum(v**2 for v in row["noise_T"].values()) / len(row["noise_T"]))
             ratio.append((row["gain"]["after"]["vector_T"] / noise_T) ** 2)
-        for number in row["coil"].values():
-            if abs(number["after"] - number["before"]) > number["sd_before"]:
-                biased += 1
-                better += abs(number["after"] - number["truth"]) < abs(number["before"] - number["truth"])
+        off = [
+            ((n["before"] - n["truth"]) / n["sd_before"], (n["after"] - n["truth"]) / n["sd_before"])
+            for n in row.get("coil", {}).values()
+        ]
+        if off and max(abs(after - before) for before, after in off) > 1.0:
+            before, after = (math.hypot(*numbers) for numbers in zip(*off, strict=True))
+            biased += 1
+            better += after < before
     if inside:
         print(f"  true sizes inside their 90 % intervals: {share(sum(inside), len(inside))}")
         print(
             f"  error on unseen readings over the noise, rms over sessions: {math.sqrt(sum(ratio) / len(ratio)):.3f}"
         )
         print(
-            f"  numbers of the coil that the cause had moved by over one sd and that came closer to the truth: {share(better, biased)}"
+            f"  coil closer to the truth, of those that the cause had moved by more than one sd: {share(better, biased)}"
         )
 
 

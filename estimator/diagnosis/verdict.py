@@ -17,6 +17,7 @@ from estimator.diagnosis.search import (
     LOG_PRIOR_UNEXPLAINED,
     Rival,
     Search,
+    leaves_structure,
     linear_evidence,
     shares_of,
 )
@@ -25,7 +26,6 @@ from estimator.rig import Cause
 LEAST_LOG_ODDS = math.log(20.0)
 # Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
 SAME_THING = {"iron_plate", "iron_body"}
-LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 
 
 class Verdict(StrEnum):
@@ -58,7 +58,7 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
     prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
-    if left.log_bayes_factor + prior > LEAST_LOG_ODDS_LEFT:
+    if leaves_structure(left):
         return Verdict.UNEXPLAINED
     if len(named) > 1 and whole.log_bayes_factor + prior > max(LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED
