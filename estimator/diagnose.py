@@ -12,16 +12,23 @@ from estimator.calibrate import calibrate
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.design import Proposal, actions, proposals
-from estimator.diagnosis.discrepancy import families
+from estimator.diagnosis.discrepancy import Discrepancy
 from estimator.diagnosis.extension import extended_text
-from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.record import without_faults
 from estimator.diagnosis.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.search import Search, search
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.symptoms import Symptoms
-from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
+from estimator.diagnosis.verdict import (
+    NamedCause,
+    Verdict,
+    beside_discrepancy,
+    extended_fit,
+    named_causes,
+    verdict_of,
+)
 from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
 from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
@@ -79,14 +86,15 @@ def diagnose(
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(found, named, families(found.final))
+        named = beside_discrepancy(found, named)
+    extended = extended_fit(found, named)
     if verdict is Verdict.NOTHING_FOUND and faults:
         verdict = Verdict.INDISTINGUISHABLE if any(fault.twins for fault in faults) else Verdict.NAMED
     tell("gain on readings not used for fitting")
-    before, after = plain, found.final
+    before, after = plain, extended
     if len(seen) > len(few):
         many = _thinned(seen, MOST_FITTED, seed)
-        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, found.final))
+        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, extended))
     judged = gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
@@ -101,21 +109,22 @@ def diagnose(
         tuple(indistinguishable(base, found.pool)),
         tuple(_next_measurements(found, named, rig)),
         plain,
+        extended,
         after,
         Symptoms.of(plain, seed),
-        Symptoms.of(found.final, seed),
+        Symptoms.of(extended, seed),
         judged,
         extended_text(rig, after),
         seed,
-        _widening(found) if verdict is Verdict.UNEXPLAINED else {},
+        _widening(extended, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else {},
     )
     folder = None if out is None else Path(out)
     has_current = bool((seen.current_A != 0.0).any())
     if has_posterior and result.fit.rig.effects and has_current:
         tell("posterior of the extended rig")
-        extended = rig_from_text(result.extended_rig_text)
+        sampled_rig = rig_from_text(result.extended_rig_text)
         kept = None if folder is None else folder / POSTERIOR
-        sampled = calibrate(session, extended, out=kept, overwrite=True, seed=seed)
+        sampled = calibrate(session, sampled_rig, out=kept, overwrite=True, seed=seed)
         result = replace(result, posterior=sampled)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,9 +132,8 @@ def diagnose(
     return result
 
 
-def _widening(found: Search) -> dict[str, float]:
+def _widening(fit: Fit, left: Discrepancy) -> dict[str, float]:
     """How much less sure each parameter is if the strongest discrepancy that is left may be in the readings as well."""
-    fit, left = found.final, found.steps[-1].left
     beside = fit.covariance_beside(left.columns)
     names = [parameter.name for parameter in fit.rig.free]
     return {name: max(fit.value_sd(name, beside) / fit.value_sd(name), 1.0) for name in names}

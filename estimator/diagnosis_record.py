@@ -51,7 +51,8 @@ class Diagnosis:
         twins: Groups of causes that this session could not tell apart.
         next_measurements: What would tell the alternatives apart, best first.
         plain: The rig as it was described, fitted.
-        fit: The extended rig, fitted to many readings.
+        extended: The rig with the causes that were named, fitted to the readings of the search.
+        fit: The same, fitted to many readings.
         before, after: What their residuals show.
         gain: On readings that were not used for fitting; None where there are none.
         widening: Factor by which the intervals of each parameter grow for what remains unexplained; empty where nothing does.
@@ -68,6 +69,7 @@ class Diagnosis:
     twins: tuple[tuple[Cause, ...], ...]
     next_measurements: tuple[Proposal, ...]
     plain: Fit
+    extended: Fit
     fit: Fit
     before: Symptoms
     after: Symptoms

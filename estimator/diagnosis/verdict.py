@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import torch
+from torch import Tensor
 
 from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.discrepancy import Family
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.search import (
@@ -83,16 +83,16 @@ def named_causes(search: Search) -> list[NamedCause]:
     return found
 
 
-def beside_discrepancy(search: Search, named: list[NamedCause], families: list[Family]) -> list[NamedCause]:
-    """Of the causes, those that would be named even if a flexible discrepancy were there: the others may imitate what is unknown."""
+def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
+    """Of the causes, those that would be named even if the strongest curves, at first and at last, were there: others may imitate them."""
     final = search.final
-    observations = final.observations
+    columns = torch.cat((search.whole.columns, search.steps[-1].left.columns), dim=1)
     kept = []
     for one in named:
         without = fit_rig(
-            final.rig.without_cause(one.cause), observations, final.values, final.posterior.chain.rules
+            final.rig.without_cause(one.cause), final.observations, final.values, final.posterior.chain.rules
         )
-        smooth = _with_columns(without, families)
+        smooth = _with_columns(without, columns)
         evidence = max(
             (linear_evidence(smooth, c) for c in candidates(without, [one.cause])), default=-math.inf
         )
@@ -101,9 +101,20 @@ def beside_discrepancy(search: Search, named: list[NamedCause], families: list[F
     return kept
 
 
-def _with_columns(fit: Fit, families: list[Family]) -> Fit:
-    """The fit as if smooth families of some strength had been fitted too."""
-    columns = torch.cat([2.0 * family.columns for family in families], dim=1)
+def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
+    """The last fit of a search with only those of its causes that were named."""
+    final = search.final
+    kept = {one.cause for one in named} | set(search.base.rig.effects)
+    rig = final.rig
+    for cause in final.rig.effects:
+        rig = rig if cause in kept else rig.without_cause(cause)
+    if rig is final.rig:
+        return final
+    return fit_rig(rig, final.observations, final.values, final.posterior.chain.rules)
+
+
+def _with_columns(fit: Fit, columns: Tensor) -> Fit:
+    """The fit as if curves with standard normal coefficients had been fitted too."""
     jacobian = torch.cat((fit.jacobian, columns), dim=1)
     prior = torch.block_diag(
         (fit.polished.precision - fit.polished.information)[0],
