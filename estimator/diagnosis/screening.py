@@ -15,6 +15,8 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig import Cause
 
+SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
+
 
 def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
     """Log evidence of every cause in the linear model, with its best start."""
@@ -63,10 +65,13 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
     full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules)
     gain = full.log_evidence - fit.log_evidence
+    if not math.isfinite(gain):
+        return screened, full
     if any(
         q.is_shape and not q.is_fixed
         for q in EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
     ):
-        return max(gain, screened) if math.isfinite(gain) else screened, full
+        # Laplace misses the width of shapes, and a linear model does not know their bounds.
+        return min(max(gain, screened), gain + SHAPES_WIDTH), full
     linear = _of_subset(fit, start, start.subsets[-1])
     return screened + gain - linear, full

@@ -31,7 +31,7 @@ LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 CREDIBLE = 0.95
 MOST_LEADERS = 4
-LEADERS_WITHIN = 10.0  # of the best in log evidence of the screening
+LEADERS_WITHIN = 10.0  # in log evidence, of the best that was fitted
 Blocks = Int[np.ndarray, " reading"]
 
 
@@ -89,14 +89,15 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     present = set(fit.rig.effects)
     left = discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in present])
-    best = max((value for value, _ in screened.values()), default=-math.inf)
     ranked = sorted(screened, key=lambda cause: -screened[cause][0])
     rivals = [Rival(None, "nothing", 0.0), Rival(None, "unexplained", left.log_bayes_factor)]
+    best = 0.0
     for i, cause in enumerate(ranked):
         value, start = screened[cause]
         fitted = None
         if i < MOST_LEADERS and value > max(best - LEADERS_WITHIN, 0.0):
             value, fitted = in_full(fit, value, start)
+            best = max(best, value)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
     least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(max(len(ranked), 1)) + LOG_PRIOR_NOTHING
     beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
