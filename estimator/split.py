@@ -13,7 +13,8 @@ from torch import Tensor
 from estimator.errors import InvalidInput
 from estimator.records import Observations
 
-BLOCKS = 20
+FEWEST_BLOCKS, MOST_BLOCKS = 20, 200
+PLACES_OF_BLOCK = 50  # where there are enough of them for more than the fewest blocks
 
 
 def block_split(observations: Observations, share: float, seed: int) -> Bool[Tensor, " reading"]:
@@ -44,15 +45,16 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
 
 
 def blocks_of_places(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
-    """Number of the block of every reading: places (sensor and pose together) in about 20 groups by k-means."""
+    """Number of the block of every reading: places (sensor and pose together) in 20 groups by k-means, up to 200 where there are many."""
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
     places = torch.cat(features, dim=1).numpy()
     spread = places.std(axis=0)
     distinct, place = np.unique(
         (places - places.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
     )
+    n_blocks = min(max(len(distinct) // PLACES_OF_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block less
-        _, block_of_place = kmeans2(distinct, min(BLOCKS, len(distinct)), minit="++", rng=rng)
+        _, block_of_place = kmeans2(distinct, n_blocks, minit="++", rng=rng)
     found: Int[np.ndarray, " reading"] = block_of_place[place]
     return found
