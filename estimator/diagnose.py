@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 from estimator.calibrate import calibrate
 from estimator.chain import Chain
 from estimator.config import rig_from_text
@@ -35,7 +33,7 @@ from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
 from estimator.records import Observations
 from estimator.rig import Rig
-from estimator.split import block_split
+from estimator.split import block_split, thinned
 from estimator.store.session import Session
 
 MORE_STARTS = 3
@@ -75,7 +73,7 @@ def diagnose(
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     check_readings(rig, session.observations, session.source, needs_current=False)
     seen, unseen = _split(session, validation, seed)
-    few = _thinned(seen, MOST_SEARCHED, seed)
+    few = thinned(seen, MOST_SEARCHED, seed)
 
     tell("fit of the rig as it is described")
     chain = Chain.build(rig, few)
@@ -98,9 +96,9 @@ def diagnose(
     tell("gain on readings not used for fitting")
     before, after = plain, extended
     if len(seen) > len(few):
-        many = _thinned(seen, MOST_FITTED, seed)
+        many = thinned(seen, MOST_FITTED, seed)
         before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, extended))
-    judged = gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
+    judged = gain(before, after, thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
     result = Diagnosis(
@@ -157,14 +155,6 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
     if not bool(observations.is_validation.any()):
         observations = observations.with_validation(block_split(observations, VALIDATION_SHARE, seed))
     return observations.calibration, observations.validation
-
-
-def _thinned(observations: Observations, most: int, seed: int) -> Observations:
-    """At most so many of the readings, drawn at random."""
-    if len(observations) <= most:
-        return observations
-    generator = torch.Generator().manual_seed(seed)
-    return observations.rows(torch.randperm(len(observations), generator=generator)[:most].sort().values)
 
 
 def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list[Proposal]:

@@ -58,3 +58,11 @@ def blocks_of_places(observations: Observations, rng: np.random.Generator) -> In
         _, block_of_place = kmeans2(distinct, n_blocks, minit="++", rng=rng)
     found: Int[np.ndarray, " reading"] = block_of_place[place]
     return found
+
+
+def thinned(observations: Observations, most: int, seed: int) -> Observations:
+    """At most so many of the readings, drawn at random."""
+    if len(observations) <= most:
+        return observations
+    generator = torch.Generator().manual_seed(seed)
+    return observations.rows(torch.randperm(len(observations), generator=generator)[:most].sort().values)

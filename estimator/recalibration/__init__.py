@@ -1,0 +1,1 @@
+"""How the periodic job judges a new session: agreement with the current version, widened priors, and the conclusion."""

@@ -1,0 +1,273 @@
+"""What one new session says of the current calibration, and the calibration that would take its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+import torch
+
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
+from estimator.chain import Chain
+from estimator.config import rig_from_text
+from estimator.diagnose import diagnose
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.gain import Gain, gain
+from estimator.diagnosis.verdict import Verdict
+from estimator.diagnosis_record import Diagnosis
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.preflight import check_readings, check_units
+from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
+from estimator.recalibration.widening import widened_rig
+from estimator.rig import Rig
+from estimator.split import block_split, thinned
+from estimator.store.session import Session
+from estimator.summary import finite
+
+MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared
+HELD_OUT_SHARE = 0.2
+
+
+class Conclusion(StrEnum):
+    """Outcome of one session; the words are stable."""
+
+    UNCHANGED = "unchanged"
+    UPDATED = "updated"
+    DRIFTED = "drifted"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a session amounts to.
+
+    Attributes:
+        conclusion: One of four.
+        reason: In one sentence, with the numbers.
+        calibration: To take the current one's place; None where that stays.
+        agrees: With the current version; None where that could not be asked.
+        causes: That were named, as `diagnosis.json` holds them.
+        checks: The numbers behind the conclusion.
+        estimate: Value and standard deviation of every parameter from this session within the widened prior.
+    """
+
+    conclusion: Conclusion
+    reason: str
+    calibration: Calibration | None = None
+    agrees: bool | None = None
+    causes: tuple[Mapping[str, Any], ...] = ()
+    checks: Mapping[str, Any] = field(default_factory=dict)
+    estimate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def judge(
+    session: Session,
+    rig: Rig,
+    current: Calibration | None,
+    *,
+    seed: int = 0,
+    settings: SamplerSettings | None = None,
+) -> Judgement:
+    """Conclude on one session.
+
+    Args:
+        session: The new readings. Those marked as validation judge a successor; where none is marked, a fifth is kept out in blocks.
+        rig: As the user describes it.
+        current: The calibration that is in use; None where there is none yet.
+        seed: Of everything random.
+        settings: When to stop sampling a successor.
+    """
+    try:
+        session.check_rig(rig)
+        check_readings(rig, session.observations, session.source)
+        check_units(rig, session.observations.calibration, session.source)
+        session = _with_held_out(session, seed)
+        if current is None:
+            return _first(session, rig, seed, settings)
+        return _Comparison.of(session, rig, current, seed).judgement(settings)
+    except (InvalidInput, torch.linalg.LinAlgError) as error:
+        return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
+
+
+def _with_held_out(session: Session, seed: int) -> Session:
+    observations = session.observations
+    if bool(observations.is_validation.any()):
+        return session
+    split = block_split(observations, HELD_OUT_SHARE, seed)
+    return replace(session, observations=observations.with_validation(split))
+
+
+def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
+    found = diagnose(session, rig, seed=seed)
+    if found.faults:
+        return Judgement(Conclusion.REJECTED, _mistake(found), causes=_causes(found))
+    calibration = _sampled(session, found, seed, settings)
+    named = f", with {_names(found)} in the rig" if found.causes else ""
+    left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
+    return Judgement(
+        Conclusion.UPDATED,
+        f"first calibration{named}{left}",
+        calibration,
+        causes=_causes(found),
+        checks={"verdict": str(found.verdict)},
+        estimate=_estimate(found.fit),
+    )
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """A session beside the current calibration."""
+
+    session: Session
+    current: Calibration
+    widened: Rig
+    refit: Fit
+    agreement: Agreement
+    seed: int
+
+    @classmethod
+    def of(cls, session: Session, rig: Rig, current: Calibration, seed: int) -> _Comparison:
+        widened = widened_rig(current, rig)
+        tested = thinned(session.observations, MOST_TESTED, seed)
+        chain = Chain.build(widened, tested)
+        refit = fit_rig(widened, tested, widened.nominal_values(), chain.rules)
+        return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
+
+    def judgement(self, settings: SamplerSettings | None) -> Judgement:
+        if self.agreement.holds:
+            return self._judgement(
+                Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
+            )
+        found = diagnose(self.session, self.widened, seed=self.seed)
+        if found.faults:
+            return self._judgement(Conclusion.REJECTED, _mistake(found), found)
+        if _is_unexplained(found) or not (found.causes or self.agreement.is_refit_enough):
+            return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
+        better = self._gain(found)
+        successor = _sampled(self.session, found, self.seed, settings) if better.is_there else None
+        if found.causes:
+            reason = f"{_sizes(found)}; {_verdict_of(better)}"
+            return self._judgement(Conclusion.DRIFTED, reason, found, better, successor)
+        if successor is None:
+            reason = f"disagrees with the current version ({self._p_value()}), but {_verdict_of(better)}"
+            return self._judgement(Conclusion.UNCHANGED, reason, found, better)
+        reason = f"{self._moved(better)}; {_verdict_of(better)}"
+        return self._judgement(Conclusion.UPDATED, reason, found, better, successor)
+
+    def _judgement(
+        self,
+        conclusion: Conclusion,
+        reason: str,
+        found: Diagnosis | None = None,
+        better: Gain | None = None,
+        successor: Calibration | None = None,
+    ) -> Judgement:
+        checks: dict[str, Any] = {
+            "p_value": self.agreement.p_value,
+            "p_values": self.agreement.by_test,
+            "p_value_after_refit": self.agreement.left_p_value,
+            "rms_sigma": self.agreement.rms_sigma,
+            "striking_cause": self.agreement.striking_cause,
+        }
+        if found is not None:
+            checks |= {"verdict": str(found.verdict), "lack_of_fit_p": found.before.lack_of_fit.p_value}
+        if better is not None:
+            checks |= {
+                "elpd_difference": finite(better.elpd_difference),
+                "elpd_se": finite(better.elpd_se),
+                "moved_sd": {name: finite(value) for name, value in better.moved_sd.items()},
+            }
+        return Judgement(
+            conclusion,
+            reason,
+            successor,
+            self.agreement.holds,
+            () if found is None else _causes(found),
+            checks,
+            _estimate(self.refit),
+        )
+
+    def _gain(self, found: Diagnosis) -> Gain:
+        """Of what the diagnosis ended with over the current version, on readings that neither has seen."""
+        made_from = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
+        rules = Chain.build(self.current.rig, made_from).rules
+        before = fit_rig(self.current.rig, made_from, self.current.best, rules)
+        return gain(before, found.fit, thinned(self.session.observations.validation, MOST_FITTED, self.seed))
+
+    def _p_value(self) -> str:
+        return f"p = {self.agreement.p_value:.2g}"
+
+    def _unexplained(self) -> str:
+        like = (
+            f"most like {self.agreement.striking_cause}"
+            if self.agreement.striking_cause
+            else "like nothing known"
+        )
+        return (
+            f"disagrees with the current version ({self._p_value()}): residuals are {self.agreement.rms_sigma:.3g} times the noise; "
+            f"neither a refit nor a cause that can be named explains them ({like})"
+        )
+
+    def _moved(self, better: Gain) -> str:
+        name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
+        return (
+            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {name} moved by "
+            f"{distance:+.1f} standard deviations"
+        )
+
+
+def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSettings | None) -> Calibration:
+    """The rig that a diagnosis ended with, sampled."""
+    return calibrate(session, rig_from_text(found.extended_rig_text), seed=seed, settings=settings)
+
+
+def _is_unexplained(found: Diagnosis) -> bool:
+    if found.verdict is Verdict.UNEXPLAINED:
+        return True
+    return found.after.lack_of_fit.p_value < FALSE_ALARMS
+
+
+def _estimate(fit: Fit) -> dict[str, tuple[float, float]]:
+    return {
+        parameter.name: (float(fit.values[parameter.name]), fit.value_sd(parameter.name))
+        for parameter in fit.rig.free
+    }
+
+
+def _causes(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    return tuple(found.record()["causes"])
+
+
+def _names(found: Diagnosis) -> str:
+    return " and ".join(cause["name"] for cause in _causes(found))
+
+
+def _mistake(found: Diagnosis) -> str:
+    return f"a mistake of the record: {_sizes(found)}"
+
+
+def _sizes(found: Diagnosis) -> str:
+    """Causes with the sizes of their quantities."""
+    return " and ".join(_size(cause) for cause in _causes(found))
+
+
+def _size(cause: Mapping[str, Any]) -> str:
+    sizes = ", ".join(
+        f"{key} {p['median']:.3g}"
+        + (f" ± {p['sd']:.1g}" if p["sd"] else "")
+        + (f" {p['unit']}" if p["unit"] != "1" else "")
+        for key, p in cause["parameters"].items()
+    )
+    others = "".join(f" or {other['name']}" for other in cause["alternatives"])
+    return f"{cause['name']}{others} ({sizes})"
+
+
+def _verdict_of(better: Gain) -> str:
+    words = (
+        "predicts unseen readings better" if better.is_there else "does not predict unseen readings better"
+    )
+    return f"the new fit {words} than the current version (log density {better.elpd_difference:+.1f} ± {better.elpd_se:.1f})"
