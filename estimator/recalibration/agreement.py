@@ -2,8 +2,8 @@
 
 What the calibration predicts for the new readings is normal: its own uncertainty, J Sigma J^T from draws of the posterior, and noise known
 as well as the posterior knows it. Whitened by the noise, the chi-square of the residuals falls into a part that the free parameters could
-follow and a part that they could not; and in that part each known cause is asked for by its own column, which sees effects far too small
-for chi-squares over hundreds of components. The smallest of the three p-values is judged by its own distribution over simulated sessions,
+follow and a part that they could not; and each known cause is asked for by its own column, which sees effects far too small for
+chi-squares over hundreds of components. The smallest of the three p-values is judged by its own distribution over simulated sessions,
 so that the false-alarm rate is the one stated, however the three depend on each other.
 
 References: Westfall and Young, Resampling-Based Multiple Testing (1993), section 2.3 (min-p); Gelman et al., Bayesian Data Analysis
@@ -24,6 +24,7 @@ from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.candidates import candidates, causes_of
 from estimator.diagnosis.fitting import Fit
+from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
 from estimator.records import Observations
 
@@ -41,9 +42,9 @@ class Agreement:
     Attributes:
         p_value: Of the most striking of the tests, all of them considered; at least 5e-5.
         by_test: p-value of each by itself: what the parameters could follow, what they could not, what known causes look like.
-        left_p_value: Of what known causes look like, in what a refit of all parameters leaves at the noise of the calibration.
+        left_p_value: Of what known causes look like, in what the prior of the refit does not allow for.
         rms_sigma: Of the residual, in standard deviations of the noise.
-        striking_cause: Whose column stands out most in what the refit leaves.
+        striking_cause: Whose column stands out most in that.
     """
 
     p_value: float
@@ -73,7 +74,7 @@ def agreement(calibration: Calibration, observations: Observations, refit: Fit, 
         seed: Of the simulated sessions.
     """
     before = _Predictive.of(calibration, observations)
-    after = before.refitted(refit)
+    after = before.widened(refit)
     names, columns = _cause_columns(refit, before.sigma_T)
     simulated, own, _ = _tested(before, columns, seed)
     n = len(simulated)
@@ -132,12 +133,22 @@ class _Predictive:
         residual = (posterior.measured_T - mean_T) / sigma_T
         return cls(sigma_T, residual, directions[:n].T, spread[:n], noise_sd, posterior.sensor)
 
-    def refitted(self, refit: Fit) -> _Predictive:
-        """The same noise about the predictions of a fit to these readings, whose directions are used up."""
+    def widened(self, refit: Fit) -> _Predictive:
+        """The same noise about what the prior of a fit allows, to first order about that fit to these readings."""
         to_noise = 1.0 / (refit.whitening_per_T * self.sigma_T)
-        directions, _ = torch.linalg.qr(refit.jacobian * to_noise[:, None])
-        spread = torch.zeros(directions.shape[1], dtype=torch.float64)
-        return replace(self, residual=refit.residual * to_noise, directions=directions, spread=spread)
+        slope = refit.jacobian * to_noise[:, None]
+        prior_covariance = covariance(refit.polished.precision - refit.polished.information)[0]
+        moved = slope @ (refit.vector - refit.posterior.coordinates.start())
+        directions, spread, _ = torch.linalg.svd(
+            slope @ torch.linalg.cholesky(prior_covariance), full_matrices=False
+        )
+        residual = refit.residual * to_noise + moved
+        return replace(self, residual=residual, directions=directions, spread=spread)
+
+    def weighted(self, vectors: Float[Tensor, "component column"]) -> Float[Tensor, "component column"]:
+        """Inverse of the predictive covariance times vectors."""
+        share = self.spread**2 / (1.0 + self.spread**2)
+        return vectors - self.directions @ (share[:, None] * (self.directions.T @ vectors))
 
     def simulated(self, generator: torch.Generator) -> Iterator[Float[Tensor, "session component"]]:
         """Whitened residuals of sessions that agree, some at a time."""
@@ -155,16 +166,16 @@ def _tested(
     predictive: _Predictive, columns: Float[Tensor, "component column"], seed: int
 ) -> tuple[Float[Tensor, "session test"], Float[Tensor, " test"], Float[Tensor, " column"]]:
     """The three statistics of simulated sessions and of the readings, and how much each cause's column stands out in these."""
-    q = predictive.directions
-    free = columns - q @ (q.T @ columns)
-    size = free.norm(dim=0)
-    free = torch.where(size > SMALLEST_SHARE * columns.norm(dim=0), free / size, torch.zeros_like(free))
+    weighted = predictive.weighted(columns)
+    size = (columns * weighted).sum(0).clamp(min=0.0).sqrt()
+    can_be_seen = size > SMALLEST_SHARE * columns.norm(dim=0)
+    scores = torch.where(can_be_seen, weighted / size, torch.zeros_like(weighted))
 
     def statistics(residual: Float[Tensor, "session component"]) -> tuple[Tensor, Tensor]:
-        along = residual @ q
+        along = residual @ predictive.directions
         parameters = (along**2 / (1.0 + predictive.spread**2)).sum(1)
         remainder = residual.square().sum(1) - along.square().sum(1)
-        score = (residual @ free).square()
+        score = (residual @ scores).square()
         return torch.stack((parameters, remainder, score.max(1).values), dim=1), score
 
     generator = torch.Generator().manual_seed(seed)

@@ -28,7 +28,7 @@ NOTE = "# Priors: the last calibration's posterior, widened by coilcal recalibra
 def widened_rig(calibration: Calibration, described: Rig) -> Rig:
     """The rig of a calibration with its posterior, widened, for a prior.
 
-    Each prior is centred at the posterior's median, with sd = sqrt((3 sd of the posterior)^2 + (share of the first prior's sd)^2).
+    Each prior is centred at the posterior's median, with sd = sqrt((2 sd of the posterior)^2 + (share of the first prior's sd)^2).
 
     Args:
         calibration: The version that is current.
