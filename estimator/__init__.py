@@ -18,7 +18,9 @@ from estimator.diagnosis_record import Diagnosis
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.plan import Plan, load_plan
+from estimator.recalibrate import recalibrate, roll_back
 from estimator.records import Observations
+from estimator.registry import Entry, Registry
 from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
@@ -30,9 +32,11 @@ __all__ = [
     "CorruptStore",
     "Design",
     "Diagnosis",
+    "Entry",
     "InvalidInput",
     "Observations",
     "Plan",
+    "Registry",
     "Rig",
     "SamplerSettings",
     "Session",
@@ -45,5 +49,7 @@ __all__ = [
     "load_plan",
     "load_rig",
     "load_session",
+    "recalibrate",
+    "roll_back",
     "simulate",
 ]

@@ -57,10 +57,7 @@ def _warnings(entries: Sequence[Entry]) -> list[str]:
 
 def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture:
     sessions = [entry for entry in entries if entry.hash]
-    visits = [
-        Visit(_time(e.taken), e.conclusion, " and ".join(c["name"] for c in e.causes), e.estimate)
-        for e in sessions
-    ]
+    visits = [_visit(entry) for entry in sessions]
     title = f"{name}, {_date(sessions[0].taken)} to {_date(sessions[-1].taken)}"
     caption = (
         "Points are what each session says by itself, coloured by its conclusion; the blue band is the version in use. A point off its "
@@ -68,6 +65,13 @@ def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture
     )
     figure = history(visits, _in_use(registry, entries), title)
     return Picture("Parameters over time", caption, figure)
+
+
+def _visit(entry: Entry) -> Visit:
+    """Readings that were rejected say nothing of the parameters."""
+    estimate = {} if entry.conclusion == "rejected" else entry.estimate
+    label = " and ".join(cause["name"].replace("_", " ") for cause in entry.causes)
+    return Visit(_time(entry.taken), entry.conclusion, label, estimate)
 
 
 def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[InUse]:

@@ -12,6 +12,7 @@ from estimator.cli.design import design_command
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.predict import predict_command
+from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
 from estimator.cli.simulate import simulate_command
 
@@ -28,7 +29,8 @@ from estimator.cli.simulate import simulate_command
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
-    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge.
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge; recalibrate: 10 a drift was found, 11 a
+    session was rejected.
     """
     torch.set_num_threads(threads)
     os.environ.setdefault("OMP_NUM_THREADS", str(threads))
@@ -42,5 +44,6 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    recalibrate_command,
 ):
     main.add_command(command)

@@ -18,6 +18,7 @@ from estimator.calibrate import Stage
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED = 2, 3, 4
+EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from dataclasses import dataclass, replace
+from datetime import datetime
 
 import matplotlib.dates as mdates
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -27,6 +26,7 @@ from estimator.plots.style import (
     shown,
     styled,
 )
+from estimator.units import split_unit
 
 CONCLUSIONS = {
     "unchanged": (GREEN, "o"),
@@ -79,8 +79,8 @@ def history(visits: Sequence[Visit], in_use: Sequence[InUse], title: str = "") -
         len(names) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.1, *[1.0] * len(names)]
     ).flat
     _conclusions(strip, visits, in_use)
-    for ax, (name, show) in zip(panels, shown(names).items(), strict=True):
-        _parameter(ax, name, show, visits, in_use)
+    for ax, name in zip(panels, names, strict=True):
+        _parameter(ax, name, _shown(name, names), visits, in_use)
     bottom = panels[-1] if panels else strip
     locator = mdates.AutoDateLocator(minticks=3, maxticks=9)
     bottom.xaxis.set_major_locator(locator)
@@ -116,7 +116,8 @@ def _conclusions(ax: Axes, visits: Sequence[Visit], in_use: Sequence[InUse]) -> 
             color=POSTERIOR,
         )
     ax.set_ylim(-1.2, 1.2)
-    ax.set_yticks([])
+    ax.set_yticks([0.0], ["sessions"])
+    ax.tick_params(axis="y", length=0, labelsize=8)
     ax.spines["left"].set_visible(False)
     found = [c for c in CONCLUSIONS if any(visit.conclusion == c for visit in visits)]
     handles = [
@@ -153,6 +154,16 @@ def _parameter(ax: Axes, name: str, show: Shown, visits: Sequence[Visit], in_use
         )
     ax.set_ylabel(show.label, fontsize=8, rotation=0, ha="right", va="center")
     ax.tick_params(labelsize=8)
+
+
+def _shown(name: str, names: Sequence[str]) -> Shown:
+    """As in other pictures, but a quantity of a cause goes with its cause."""
+    show = shown(names)[name]
+    cause, _, key = name.rpartition(".")
+    if "[" not in cause:
+        return show
+    words = f"{cause.partition('[')[0]} {split_unit(key)[0]}".replace("_", " ")
+    return replace(show, words=words)
 
 
 def _number(time: datetime) -> float:

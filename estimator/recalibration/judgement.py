@@ -20,6 +20,7 @@ from estimator.diagnosis.verdict import Verdict
 from estimator.diagnosis_record import Diagnosis
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
+from estimator.plots.style import shown, with_sd
 from estimator.preflight import check_readings, check_units
 from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
 from estimator.recalibration.widening import widened_rig
@@ -27,9 +28,11 @@ from estimator.rig import Rig
 from estimator.split import block_split, thinned
 from estimator.store.session import Session
 from estimator.summary import finite
+from estimator.units import split_unit
 
 MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared
 HELD_OUT_SHARE = 0.2
+SMALLEST_SHOWN = 1e-4  # p-value: fewer simulated sessions than that tell no difference
 
 
 class Conclusion(StrEnum):
@@ -89,7 +92,7 @@ def judge(
         if current is None:
             return _first(session, rig, seed, settings)
         return _Comparison.of(session, rig, current, seed).judgement(settings)
-    except (InvalidInput, torch.linalg.LinAlgError) as error:
+    except (InvalidInput, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
         return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
 
 
@@ -155,7 +158,7 @@ class _Comparison:
         if successor is None:
             reason = f"disagrees with the current version ({self._p_value()}), but {_verdict_of(better)}"
             return self._judgement(Conclusion.UNCHANGED, reason, found, better)
-        reason = f"{self._moved(better)}; {_verdict_of(better)}"
+        reason = f"{self._moved(found, better)}; {_verdict_of(better)}"
         return self._judgement(Conclusion.UPDATED, reason, found, better, successor)
 
     def _judgement(
@@ -199,7 +202,8 @@ class _Comparison:
         return gain(before, found.fit, thinned(self.session.observations.validation, MOST_FITTED, self.seed))
 
     def _p_value(self) -> str:
-        return f"p = {self.agreement.p_value:.2g}"
+        p = self.agreement.p_value
+        return f"p = {p:.2g}" if p >= SMALLEST_SHOWN else f"p < {SMALLEST_SHOWN:g}"
 
     def _unexplained(self) -> str:
         like = (
@@ -212,11 +216,17 @@ class _Comparison:
             f"neither a refit nor a cause that can be named explains them ({like})"
         )
 
-    def _moved(self, better: Gain) -> str:
+    def _moved(self, found: Diagnosis, better: Gain) -> str:
+        """The value that moved most."""
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
+        show, old, sd = shown([name])[name], self.current.record["parameters"][name], found.fit.value_sd(name)
+        before, after = (
+            with_sd(value * show.factor, width * show.factor)
+            for value, width in ((old["median"], old["sd"]), (float(found.fit.values[name]), sd))
+        )
         return (
-            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {name} moved by "
-            f"{distance:+.1f} standard deviations"
+            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
+            f"{distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
         )
 
 
@@ -256,14 +266,15 @@ def _sizes(found: Diagnosis) -> str:
 
 
 def _size(cause: Mapping[str, Any]) -> str:
-    sizes = ", ".join(
-        f"{key} {p['median']:.3g}"
-        + (f" ± {p['sd']:.1g}" if p["sd"] else "")
-        + (f" {p['unit']}" if p["unit"] != "1" else "")
-        for key, p in cause["parameters"].items()
-    )
+    sizes = [_quantity(f"{cause['name']}.{key}", own) for key, own in cause["parameters"].items()]
     others = "".join(f" or {other['name']}" for other in cause["alternatives"])
-    return f"{cause['name']}{others} ({sizes})"
+    return f"{cause['name']}{others} ({', '.join(sizes)})"
+
+
+def _quantity(name: str, own: Mapping[str, Any]) -> str:
+    show = shown([name])[name]
+    value, sd = own["median"] * show.factor, own["sd"] * show.factor
+    return f"{show.words} {with_sd(value, sd) if sd else f'{value:.4g}'} {show.unit}".rstrip()
 
 
 def _verdict_of(better: Gain) -> str:

@@ -1,0 +1,127 @@
+"""`coilcal recalibrate`: new sessions against the current calibration, once or again and again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from estimator.alerts import senders
+from estimator.cli.output import EXIT_DRIFTED, EXIT_REJECTED, explain_errors, json_option, seed_option, show
+from estimator.cli.schedule import interval_s, keep_running
+from estimator.config import load_rig
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.recalibrate import HISTORY, recalibrate, roll_back
+from estimator.registry import Entry, Registry
+
+EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
+
+
+@click.command("recalibrate")
+@click.option(
+    "--rig", "rig_path", type=click.Path(path_type=Path), help="Rig file, with the priors of the beginning."
+)
+@click.option(
+    "--inbox", type=click.Path(path_type=Path), help="Folder where sessions arrive (*.zarr); never changed."
+)
+@click.option(
+    "--registry",
+    type=click.Path(path_type=Path),
+    required=True,
+    help=f"Folder for versions, current, log.jsonl and {HISTORY}; made where it is missing.",
+)
+@click.option(
+    "--every", metavar="TIME", help="Keep running and look into the inbox every 30s, 15m, 6h or 1d."
+)
+@click.option(
+    "--rollback", type=click.IntRange(min=1), metavar="VERSION", help="Make an earlier version current again."
+)
+@click.option(
+    "--alert-command",
+    metavar="COMMAND",
+    help="Run for each drift and rejection, with JSON on its standard input.",
+)
+@click.option("--alert-webhook", metavar="URL", help="Post the same JSON there.")
+@click.option(
+    "--ess",
+    type=click.FloatRange(min=10),
+    default=2000.0,
+    show_default=True,
+    help="Effective samples of every parameter of a new version.",
+)
+@seed_option
+@json_option
+@explain_errors
+def recalibrate_command(
+    rig_path: Path | None,
+    inbox: Path | None,
+    registry: Path,
+    every: str | None,
+    rollback: int | None,
+    alert_command: str | None,
+    alert_webhook: str | None,
+    ess: float,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Judge every new session of INBOX against the current calibration of REGISTRY.
+
+    Each is concluded to be unchanged (it agrees), updated (the same model explains it with other values, and predicts readings kept out
+    better), drifted (a cause is named) or rejected (bad data, or nothing explains it). Sessions in the log are skipped, so the command
+    can be repeated at any time, also after it was killed. For cron, systemd (configs/systemd) or Kubernetes (configs/kubernetes).
+
+    Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted.
+    """
+    if rollback is not None:
+        if rig_path or inbox or every:
+            raise InvalidInput(
+                "--rollback must stand alone beside --registry; received --rig, --inbox or --every too"
+            )
+        entry = roll_back(registry, rollback)
+        show(asdict(entry), entry.reason, as_json)
+        return
+    if rig_path is None or inbox is None:
+        raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")
+    rig, send = load_rig(rig_path), senders(alert_command, alert_webhook)
+    settings = SamplerSettings(target_ess=ess)
+
+    def tell(entry: Entry) -> None:
+        if not as_json:
+            click.echo(f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}")
+        if entry.conclusion in EXIT_CODES:
+            _alert({"registry": str(registry), **asdict(entry)}, send)
+
+    def once() -> list[Entry]:
+        return recalibrate(rig, inbox, registry, seed=seed, settings=settings, on_entry=tell)
+
+    if every is not None:
+        keep_running(lambda: _reported(once, registry, as_json), interval_s(every))
+        return
+    added = _reported(once, registry, as_json)
+    found = [EXIT_CODES[entry.conclusion] for entry in added if entry.conclusion in EXIT_CODES]
+    sys.exit(min(found, default=0))
+
+
+def _reported(once: Callable[[], list[Entry]], registry: Path, as_json: bool) -> list[Entry]:
+    added = once()
+    current = Registry(registry).current
+    text = f"{len(added)} new sessions; version {current} is current; {registry / HISTORY}"
+    if current is None:
+        text = f"{len(added)} new sessions; there is no calibration yet"
+    # One line, so that a program can read what --every prints.
+    line = {"added": [asdict(entry) for entry in added], "current": current}
+    click.echo(json.dumps(line, allow_nan=False) if as_json else text)
+    return added
+
+
+def _alert(message: Mapping[str, Any], send: list[Callable[[Mapping[str, Any]], str | None]]) -> None:
+    for one in send:
+        problem = one(message)
+        if problem is not None:
+            click.echo(f"coilcal: {problem}", err=True)
