@@ -76,7 +76,8 @@ def _visit(entry: Entry) -> Visit:
 
 def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[InUse]:
     """Which version was current when, by the time of the readings after which it was."""
-    table = registry.history().sel(parameter=registry.free_parameters())
+    table = registry.history()
+    table = table.sel(parameter=~table.is_derived)
     begins: list[tuple[datetime, int]] = []
     latest = _time(entries[0].taken)
     for entry in entries:

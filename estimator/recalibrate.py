@@ -48,8 +48,12 @@ def recalibrate(
     inbox, kept = Path(inbox), Registry(registry)
     if not inbox.is_dir():
         raise InvalidInput(f"inbox must be a folder of sessions; received {inbox}")
+    if not rig.free:
+        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     added = []
     with kept.writing():
+        if kept.current is not None:
+            _check_same(rig, kept.calibration().rig, kept.folder)
         done = {entry.hash for entry in kept.entries()}
         for arrival in _arrivals(inbox):
             if arrival.hash in done:
@@ -105,6 +109,15 @@ def _arrivals(inbox: Path) -> list[_Arrival]:
     return sorted(found, key=lambda arrival: arrival.taken)
 
 
+def _check_same(rig: Rig, current: Rig, folder: Path) -> None:
+    """Refuse the rig file of another rig, for which every session would be bad data."""
+    described, kept = ([body.name for body in (*r.coils, *r.sensors, *r.movers)] for r in (rig, current))
+    if described != kept:
+        raise InvalidInput(
+            f"rig must name the coils, sensors and movers of the registry ({', '.join(kept)}); received {', '.join(described)} ({folder})"
+        )
+
+
 def _utc(time: datetime) -> str:
     """In one time zone, so that the text sorts; a time without a zone is that of the room."""
     return time.astimezone(UTC).isoformat(timespec="seconds")
@@ -149,11 +162,10 @@ def _judged(
 
 
 def _since(entries: list[Entry], taken: str) -> str:
-    """Time of the first session in a row that disagreed without being explained, this one included."""
+    """Time of the first session in a row that disagreed and led to no new version, this one included."""
     for entry in reversed(entries):
-        if entry.agrees is not False or entry.made is not None:
-            if entry.hash and entry.agrees is None and entry.made is None:
-                continue  # could not be asked
+        was_asked = entry.agrees is not None or entry.made is not None or not entry.hash
+        if was_asked and (entry.agrees is not False or entry.made is not None):
             break
-        taken = entry.taken
+        taken = entry.taken if was_asked else taken
     return taken

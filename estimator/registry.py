@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from estimator.calibration import POSTERIOR, Calibration, write_text
+from estimator.calibration import POSTERIOR, SUMMARY, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
 
 VERSIONS, CURRENT, LOG, LOCK = "versions", "current", "log.jsonl", "lock"
@@ -129,12 +129,16 @@ class Registry:
     def history(self) -> xr.Dataset:
         """Median, sd and 90 % interval of every parameter of every version, in SI; NaN where a version has not got it.
 
-        Coordinates say when the readings of a version were taken, from which session, and how it came about.
+        Coordinates say when the readings of a version were taken, from which session, how it came about, and which parameters follow from
+        others.
+
+        Raises:
+            CorruptStore: The summary of a version is damaged.
         """
         made = {entry.made: entry for entry in self.entries() if entry.made is not None}
-        parameters = {version: self.calibration(version).record["parameters"] for version in made}
+        parameters = {version: self._record(version)["parameters"] for version in made}
         names = list(dict.fromkeys(name for own in parameters.values() for name in own))
-        units = {name: own[name]["unit"] for own in parameters.values() for name in own}
+        first = {name: next(own[name] for own in parameters.values() if name in own) for name in names}
 
         def table(number: Any) -> tuple[tuple[str, str], np.ndarray]:
             rows = [
@@ -153,17 +157,13 @@ class Registry:
             {
                 "version": list(made),
                 "parameter": names,
-                "unit": ("parameter", [units[name] for name in names]),
+                "unit": ("parameter", [first[name]["unit"] for name in names]),
+                "is_derived": ("parameter", [first[name]["is_derived"] for name in names]),
                 "taken": ("version", [entry.taken for entry in made.values()]),
                 "session": ("version", [entry.session for entry in made.values()]),
                 "conclusion": ("version", [entry.conclusion for entry in made.values()]),
             },
         )
-
-    def free_parameters(self) -> list[str]:
-        """Names of what any version has fitted, without what follows from it."""
-        fitted = [self.calibration(version).draws for version in self.versions]
-        return list(dict.fromkeys(name for draws in fitted for name in draws))
 
     @contextmanager
     def writing(self) -> Iterator[None]:
@@ -229,6 +229,14 @@ class Registry:
                 f"version must be one of the registry ({held}); received {version} ({self.folder})"
             )
         return self.folder / VERSIONS / f"{version:04d}"
+
+    def _record(self, version: int) -> Mapping[str, Any]:
+        path = self._path(version) / SUMMARY
+        try:
+            record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
+        return record
 
     def _keep(self, entry: Entry, calibration: Calibration) -> None:
         partial = self.folder / VERSIONS / ".partial"
