@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -61,10 +61,10 @@ class Entry:
     version: int | None = None
     made: int | None = None
     agrees: bool | None = None
-    causes: tuple[Mapping[str, Any], ...] = ()
+    causes: Sequence[Mapping[str, Any]] = ()
     since: str | None = None
     checks: Mapping[str, Any] = field(default_factory=dict)
-    estimate: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    estimate: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def line(self) -> str:
         """As JSON."""

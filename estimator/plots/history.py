@@ -51,7 +51,7 @@ class Visit:
     taken: datetime
     conclusion: str
     label: str
-    estimate: Mapping[str, tuple[float, float]]
+    estimate: Mapping[str, Sequence[float]]
 
 
 @dataclass(frozen=True)
