@@ -24,6 +24,8 @@ from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.candidates import candidates, causes_of
 from estimator.diagnosis.fitting import Fit
+from estimator.effects.noise import Outliers
+from estimator.effects.use import uses_of
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
 from estimator.records import Observations
@@ -103,6 +105,7 @@ class _Predictive:
         spread: Standard deviation along each, in noise.
         noise_sd: Uncertainty of the logarithm of the noise, by sensor.
         sensor: Of each component.
+        wild: Share of outliers and how much wider they are, by sensor.
     """
 
     sigma_T: Float[Tensor, " component"]
@@ -111,6 +114,7 @@ class _Predictive:
     spread: Float[Tensor, " direction"]
     noise_sd: Float[Tensor, " sensor"]
     sensor: Int[Tensor, " component"]
+    wild: Float[Tensor, "2 sensor"]
 
     @classmethod
     def of(cls, calibration: Calibration, observations: Observations) -> _Predictive:
@@ -131,7 +135,11 @@ class _Predictive:
         noise_sd = torch.zeros(len(rig.sensors), dtype=torch.float64)
         noise_sd[posterior.sensor] = log_sigma.std(0)  # the same for all components of a sensor
         residual = (posterior.measured_T - mean_T) / sigma_T
-        return cls(sigma_T, residual, directions[:n].T, spread[:n], noise_sd, posterior.sensor)
+        wild = torch.stack((torch.zeros_like(noise_sd), torch.ones_like(noise_sd)))
+        for use in uses_of(rig, Outliers):
+            theta = use.theta(best)
+            wild[:, use.index(rig.sensors)] = torch.stack((theta["share"], theta["ratio"]))
+        return cls(sigma_T, residual, directions[:n].T, spread[:n], noise_sd, posterior.sensor, wild)
 
     def widened(self, refit: Fit) -> _Predictive:
         """The same noise about what the prior of a fit allows, to first order about that fit to these readings."""
@@ -159,7 +167,9 @@ class _Predictive:
         for _ in range(N_SIMULATED // AT_ONCE):
             moved = (normal(AT_ONCE, len(self.spread)) * self.spread) @ self.directions.T
             noise = torch.exp(normal(AT_ONCE, len(self.noise_sd)) * self.noise_sd)[:, self.sensor]
-            yield moved + noise * normal(AT_ONCE, len(self.sensor))
+            share, ratio = self.wild[:, self.sensor]
+            is_wild = torch.rand(AT_ONCE, len(self.sensor), generator=generator, dtype=torch.float64) < share
+            yield moved + torch.where(is_wild, ratio, 1.0) * noise * normal(AT_ONCE, len(self.sensor))
 
 
 def _tested(

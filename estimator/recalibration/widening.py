@@ -6,6 +6,7 @@ anything mounted may have been mounted anew. What no refit within these priors c
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -35,7 +36,7 @@ def widened_rig(calibration: Calibration, described: Rig) -> Rig:
         described: The rig as the user describes it, with the priors of the beginning; a cause that was found later has those of its rig.
     """
     rig = calibration.rig
-    tree = yaml.safe_load(rig.text)
+    tree = json.loads(json.dumps(yaml.safe_load(rig.text)))  # what anchors share becomes each body's own
     for parameter in rig.free:
         first = described.parameters.get(parameter.name, parameter).prior or parameter.prior
         own = calibration.record["parameters"][parameter.name]
