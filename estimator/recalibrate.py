@@ -111,7 +111,10 @@ def _arrivals(inbox: Path) -> list[_Arrival]:
 
 def _check_same(rig: Rig, current: Rig, folder: Path) -> None:
     """Refuse the rig file of another rig, for which every session would be bad data."""
-    described, kept = ([body.name for body in (*r.coils, *r.sensors, *r.movers)] for r in (rig, current))
+    described, kept = (
+        [one.name for one in r.coils] + [one.name for one in r.sensors] + [one.name for one in r.movers]
+        for r in (rig, current)
+    )
     if described != kept:
         raise InvalidInput(
             f"rig must name the coils, sensors and movers of the registry ({', '.join(kept)}); received {', '.join(described)} ({folder})"
