@@ -272,9 +272,13 @@ def _size(cause: Mapping[str, Any]) -> str:
 
 
 def _quantity(name: str, own: Mapping[str, Any]) -> str:
-    show = shown([name])[name]
-    value, sd = own["median"] * show.factor, own["sd"] * show.factor
-    return f"{show.words} {with_sd(value, sd) if sd else f'{value:.4g}'} {show.unit}".rstrip()
+    """A quantity as people read it; one in a unit such as T/h stays in that."""
+    show, value, sd = shown([name])[name], own["median"], own["sd"]
+    if show.unit or own["unit"] == "1":
+        size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
+        return f"{show.words} {size} {show.unit}".rstrip()
+    words = name.rpartition(".")[2].removesuffix("_" + own["unit"].replace("/", "_per_"))
+    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {own['unit']}"
 
 
 def _verdict_of(better: Gain) -> str:

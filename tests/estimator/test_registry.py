@@ -50,9 +50,9 @@ for name, (method, how) in replaced.items():
     shutil.copytree(kept, work, symlinks=True)
     child = os.fork()
     if child == 0:
-        setattr(Registry, method, how)
         registry = Registry(work)
         with registry.writing():
+            setattr(Registry, method, how)
             registry.commit(Entry("updated", "again", "b.zarr", "hash b"), successor)
     _, status = os.waitpid(child, 0)
     registry = Registry(work)
