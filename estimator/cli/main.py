@@ -29,8 +29,9 @@ from estimator.cli.simulate import simulate_command
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
-    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge; recalibrate: 10 a drift was found, 11 a
-    session was rejected.
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge.
+
+    Of recalibrate also: 10 a drift was found, 11 a session was rejected.
     """
     torch.set_num_threads(threads)
     os.environ.setdefault("OMP_NUM_THREADS", str(threads))

@@ -78,6 +78,13 @@ def test_exit_code_tells_drift_and_rejection(
         assert f"2026-01-01T00:00  a.zarr  {conclusion}: because of {conclusion}" in result.stdout
 
 
+def test_help_tells_the_exit_codes() -> None:
+    for call in ([], ["recalibrate"]):
+        told = " ".join(CliRunner().invoke(main, [*call, "--help"]).stdout.split())
+        assert "10 a drift was found" in told
+        assert "11 a session was rejected" in told
+
+
 def test_json_holds_every_conclusion_in_one_object(concluding: Callable[..., Result]) -> None:
     result = concluding(("unchanged", "rejected"), "--json")
     assert [entry["conclusion"] for entry in json.loads(result.stdout)["added"]] == ["unchanged", "rejected"]
