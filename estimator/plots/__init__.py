@@ -5,6 +5,7 @@ Every function draws into the Axes it is given or into a figure of its own, retu
 
 from estimator.plots.corner import corner
 from estimator.plots.field_map import field_plane
+from estimator.plots.history import history
 from estimator.plots.hypotheses import evidence_bars, explained, structure_bars
 from estimator.plots.place_map import (
     angular_deviation_map,
@@ -27,6 +28,7 @@ __all__ = [
     "evidence_bars",
     "explained",
     "field_plane",
+    "history",
     "interval_summary",
     "predicted_against_measured",
     "relative_error_map",

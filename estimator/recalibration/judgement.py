@@ -53,7 +53,7 @@ class Judgement:
         reason: In one sentence, with the numbers.
         calibration: To take the current one's place; None where that stays.
         agrees: With the current version; None where that could not be asked.
-        causes: That were named, as `diagnosis.json` holds them.
+        causes: Of a drift, or mistakes of the record, as `diagnosis.json` holds them.
         checks: The numbers behind the conclusion.
         estimate: Value and standard deviation of every parameter from this session within the widened prior.
     """
@@ -189,7 +189,9 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            () if found is None else _causes(found),
+            _causes(found)
+            if found is not None and (found.faults or conclusion is Conclusion.DRIFTED)
+            else (),
             checks,
             _estimate(self.refit),
         )
@@ -206,11 +208,7 @@ class _Comparison:
         return f"p = {p:.2g}" if p >= SMALLEST_SHOWN else f"p < {SMALLEST_SHOWN:g}"
 
     def _unexplained(self) -> str:
-        like = (
-            f"most like {self.agreement.striking_cause}"
-            if self.agreement.striking_cause
-            else "like nothing known"
-        )
+        like = f"most like {self.agreement.striking_cause or 'nothing known'}"
         return (
             f"disagrees with the current version ({self._p_value()}): residuals are {self.agreement.rms_sigma:.3g} times the noise; "
             f"neither a refit nor a cause that can be named explains them ({like})"
@@ -236,6 +234,7 @@ def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSet
 
 
 def _is_unexplained(found: Diagnosis) -> bool:
+    """Whether more is left than noise, by structure or by size."""
     if found.verdict is Verdict.UNEXPLAINED:
         return True
     return found.after.lack_of_fit.p_value < FALSE_ALARMS
