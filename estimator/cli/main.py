@@ -7,6 +7,7 @@ import os
 import click
 import torch
 
+from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.design import design_command
 from estimator.cli.diagnose import diagnose_command
@@ -42,5 +43,6 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    batch_command,
 ):
     main.add_command(command)

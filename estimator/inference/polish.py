@@ -97,11 +97,11 @@ def polish(
         step = _solve(damped, gradient[active])
         trial = vector[active].clone()
         trial[:, :n] += step
-        trial_value = posterior(trial)
+        trial_value = posterior.at(active)(trial)
         for i in torch.isinf(trial_value).nonzero().flatten().tolist():
             step[i] = _along_bounds(posterior, vector[active[i]], damped[i], step[i])
             trial[i, :n] = vector[active[i], :n] + step[i]
-            trial_value[i] = posterior(trial[i])
+            trial_value[i] = posterior.at(active[i])(trial[i])
         expected = 0.5 * (
             (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
         ).sum(-1)
@@ -115,7 +115,7 @@ def polish(
         if len(moved):
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
-            gradient[moved], information[moved] = _slope(posterior, vector[moved])
+            gradient[moved], information[moved] = _slope(posterior.at(moved), vector[moved])
             precision[moved] = information[moved] + _prior_precision(posterior, vector[moved])
     newton = _solve(precision, gradient)
     is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)

@@ -19,8 +19,10 @@ from estimator.plots.residuals import (
     residual_by_sensor,
     residual_histogram,
 )
+from estimator.plots.sessions import across_sessions
 
 __all__ = [
+    "across_sessions",
     "angular_deviation_map",
     "before_and_after_map",
     "corner",
