@@ -23,6 +23,7 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.system import System, SystemField
 
 __all__ = [
     "Calibration",
@@ -37,6 +38,8 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "System",
+    "SystemField",
     "block_split",
     "calibrate",
     "design",

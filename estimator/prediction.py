@@ -32,7 +32,7 @@ from estimator.rig import Coil, Rig
 
 
 class RoomField:
-    """The coils of a rig at one stand of its movers, ready to give the field at fixed points of the room.
+    """The coils of a rig with its movers at one stand, or at one for each point, ready to give the field at fixed points of the room.
 
     Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
 
@@ -40,10 +40,11 @@ class RoomField:
         rig: Coils and movers.
         values: Numbers of the rig, no batch.
         points_m: Points in the room (world frame).
-        motion: Per mover the six numbers of its columns; a mover that is not named stands at zeros (its reference configuration).
+        motion: Per mover the six numbers of its columns, or a row of them for each point; a mover that is not named stands at zeros (its
+            reference configuration). The field may be differentiated in them.
         tolerance: Error of the winding sum relative to |B|.
     Raises:
-        InvalidInput: A motion names no mover of the rig.
+        InvalidInput: A motion names no mover of the rig, or has neither one row nor one for each point.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class RoomField:
         rig: Rig,
         values: Values,
         points_m: Float[Tensor, "point 3"],
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+        motion: Mapping[str, Float[Tensor, "... 6"]] | None = None,
         tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
         self.rig, self.points_m = rig, points_m
@@ -62,8 +63,16 @@ class RoomField:
             raise InvalidInput(
                 f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {unknown[0]!r}"
             )
+        for name, rows in motion.items():
+            if rows.shape not in ((6,), (1, 6), (len(points_m), 6)):
+                raise InvalidInput(
+                    f"motion of {name} must be six numbers, or six for each of {len(points_m)} points; "
+                    f"received shape {tuple(rows.shape)}"
+                )
         zero = torch.zeros(6, dtype=points_m.dtype)
-        self.flange = {m.name: base_from_motion(m, motion.get(m.name, zero)[None]) for m in rig.movers}
+        self.flange = {
+            m.name: base_from_motion(m, motion.get(m.name, zero).reshape(-1, 6)) for m in rig.movers
+        }
         self._scene = Scene(rig, _one_reading(rig))
         self.rules: dict[str, Rule] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
