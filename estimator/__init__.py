@@ -23,6 +23,7 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.superposition import Superposition, superposition
 from estimator.system import System, SystemField
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Superposition",
     "System",
     "SystemField",
     "block_split",
@@ -49,4 +51,5 @@ __all__ = [
     "load_rig",
     "load_session",
     "simulate",
+    "superposition",
 ]

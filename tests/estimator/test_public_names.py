@@ -24,6 +24,7 @@ NAMES = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Superposition",
     "System",
     "SystemField",
     "block_split",
@@ -35,6 +36,7 @@ NAMES = [
     "load_rig",
     "load_session",
     "simulate",
+    "superposition",
 ]
 SIGNATURES = {
     "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, on_stage",
@@ -50,6 +52,7 @@ SIGNATURES = {
     "Calibration.summary": "self",
     "Calibration.save": "self, folder",
     "Calibration.load": "folder",
+    "superposition": "system, session, seed, on_stage",
     "System.of": "calibrations",
     "System.at": "self, points_m, motion",
     "System.currents": "self, currents_A",
