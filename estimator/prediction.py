@@ -18,12 +18,12 @@ from estimator.effects.supply import CoilHeating
 from estimator.effects.surroundings import BackgroundField
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.field.coil import coil_field_per_ampere
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
     choose_rule,
     distance_to_winding,
-    winding_field_per_ampere,
 )
 from estimator.frames import Transform
 from estimator.motion import base_from_motion
@@ -101,7 +101,7 @@ class RoomField:
             winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
             world_from_coil = self._world_from_coil(coil, values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
-            per_ampere = winding_field_per_ampere(points_coil_m, winding, rule)
+            per_ampere = coil_field_per_ampere(coil, points_coil_m, winding, rule)
             own_A = delivered_A[..., i]
             field = own_A[..., None, None] * per_ampere
             for use in uses_of(self.rig, SourceEffect, coil.name):
@@ -112,7 +112,7 @@ class RoomField:
             for answering in uses_of(self.rig, RoomEffect):
                 theta = answering.theta(values)
                 answer = answering.effect.response(
-                    CoilInRoom(world_from_coil, winding, rule), points_m, theta
+                    CoilInRoom(coil, world_from_coil, winding, rule), points_m, theta
                 )
                 if answer is not None:
                     field = field + own_A[..., None, None] * answer

@@ -27,6 +27,7 @@ from estimator.rig import Rig
 
 N_LEVELS = 7  # of every parameter in the paper's Table 1
 LEARNT = 0.5  # of the prior's width: what the readings teach is worth a free parameter
+FAR_APART = 10.0  # ratio of the worst known to the best known direction that is worth a sentence
 Response = Callable[[Float[Tensor, "*batch parameter"]], Float[Tensor, "*batch"]]
 
 
@@ -122,7 +123,7 @@ class Information:
                 "and read the others as conditional on that."
             )
         ratio = self.sd_by_direction[-1] / self.sd_by_direction[0]
-        if n > 1 and ratio > 100.0:
+        if n > 1 and ratio > FAR_APART:
             weight = self.directions[:, -1]
             parts = [
                 f"{weight[i]:+.2f} {self.names[i]}"
