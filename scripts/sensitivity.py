@@ -8,82 +8,90 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path[:0] = [str(Path(__file__).resolve().parent.parent), str(Path(__file__).resolve().parent)]
 
 import numpy as np
 import torch
+from paper_tables import NAMES, NOT_AT_HAND, TRUTH, table
 
 from estimator import Rig, load_plan, load_rig
 from estimator.plan import observations_of
 from estimator.plots import interactions, main_effects
 from estimator.records import Observations
-from estimator.sensitivity import factorial, information, levels_about, rms_field, sobol
+from estimator.sensitivity import (
+    Factorial,
+    Information,
+    Sobol,
+    factorial,
+    information,
+    levels_about,
+    rms_field,
+    sobol,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
-NAMES = tuple(f"coil1.{key}" for key in ("radius_m", "wire_radius_m", "axial_loops", "radial_loops"))
-TRUTH = dict(zip(NAMES, (0.051, 0.49e-3, 48.0, 25.0), strict=True))
+SHOWN_WEIGHT = 0.15  # of a parameter in a direction
+
+
+def study(out: Path, n_levels: int = 7) -> str:
+    """Table 1 and what goes beyond it, and the figures as files."""
+    out.mkdir(parents=True, exist_ok=True)
+    rig = load_rig(ROOT / "configs/paper_simulation.yaml").with_values(TRUTH)
+    plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
+    readings = observations_of(plan, rig, np.random.default_rng(0)).calibration
+    levels, response = levels_about(rig, NAMES, n_levels), rms_field(rig, readings, NAMES)
+    runs = factorial(response, levels)
+    for name, drawn in {
+        "main_effects": main_effects(runs, f"{rig.name}: main effects"),
+        "interactions": interactions(runs, f"{rig.name}: interactions"),
+    }.items():
+        drawn.savefig(out / f"{name}.png", dpi=90, bbox_inches="tight")
+    return "\n".join((effects(runs, sobol(response, levels)), fisher(rig, readings)))
+
+
+def effects(runs: Factorial, indices: Sobol) -> str:
+    """Shares of the variance of the rms field over the readings."""
+    shares = runs.shares()
+    rows = [
+        (name, NOT_AT_HAND, f"{runs.levels[i][0]:.4g} to {runs.levels[i][-1]:.4g}", f"{1e3 * np.ptp(runs.main_effect(name)):.3f}",
+         f"{100 * shares[(name,)]:.2f} %", f"{indices.first[i]:.4f}", f"{indices.total[i]:.4f}")
+        for i, name in enumerate(runs.names)
+    ]  # fmt: skip
+    header = ("parameter", "paper", "levels (SI)", "main effect (mT)", "share alone", "Sobol first", "total")
+    title = f"Table 1: {runs.response.size} runs, rms field {1e3 * runs.response.mean():.2f} mT"
+    pairs = sorted((key for key in shares if len(key) == 2), key=lambda key: -shares[key])
+    words = [(" x ".join(pair), f"{100 * shares[pair]:.3f} %") for pair in pairs]
+    words.append(("of three and four", f"{100 * (1.0 - sum(shares.values())):.3f} %"))
+    return "\n".join((table(title, header, rows), table("Interactions", ("of", "share"), words)))
+
+
+def fisher(rig: Rig, readings: Observations) -> str:
+    """What the readings can tell apart, with the pose known and with it free."""
+    pose = tuple(p.name for p in rig.free if p.name not in NAMES and not p.name.endswith("noise_T"))
+    parts = []
+    for title, names in (("pose known", NAMES), ("pose free", NAMES + pose)):
+        found = information(rig, readings, names)
+        rows = [(f"{sd:.2g}", _combination(found, i)) for i, sd in enumerate(found.sd_by_direction)]
+        header = ("sd over that of the prior", "direction in units of the prior")
+        parts += [table(f"Fisher information, {title}: eigenvectors", header, rows), found.words(), ""]
+    return "\n".join(parts)
+
+
+def _combination(found: Information, direction: int) -> str:
+    weight = found.directions[:, direction]
+    large = [i for i in np.argsort(-np.abs(weight)) if abs(weight[i]) > SHOWN_WEIGHT]
+    return ", ".join(f"{weight[i]:+.2f} {found.names[i].rpartition('.')[2]}" for i in large)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rig", type=Path, default=ROOT / "configs/paper_simulation.yaml")
-    parser.add_argument("--plan", type=Path, default=ROOT / "configs/plans/paper_grid.yaml")
     parser.add_argument("--levels", type=int, default=7)
-    parser.add_argument("--out", type=Path, default=ROOT / "out/sensitivity")
+    parser.add_argument("--out", type=Path, default=ROOT / "out/paper")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    rig = load_rig(options.rig).with_values(TRUTH)
-    plan = load_plan(options.plan, rig)
-    readings = observations_of(plan, rig, np.random.default_rng(0)).calibration
-    options.out.mkdir(parents=True, exist_ok=True)
-    show_factorial(rig, readings, options.levels, options.out)
-    show_information(rig, readings)
-
-
-def show_factorial(rig: Rig, readings: Observations, n_levels: int, out: Path) -> None:
-    levels = levels_about(rig, NAMES, n_levels)
-    response = rms_field(rig, readings, NAMES)
-    begin = time.perf_counter()
-    runs = factorial(response, levels)
-    elapsed = time.perf_counter() - begin
-    print(f"{runs.response.size} runs over {len(readings)} readings in {elapsed:.1f} s; rms field "
-          f"{1e3 * runs.response.mean():.3f} mT, {1e3 * runs.response.min():.3f} to {1e3 * runs.response.max():.3f} mT")  # fmt: skip
-    indices = sobol(response, levels)
-    print(
-        f"\n{'parameter':22} {'from':>9} {'to':>9} {'main effect / mT':>17} {'variance':>9} {'Sobol first':>12} {'total':>7}"
-    )
-    shares = runs.shares()
-    for i, name in enumerate(NAMES):
-        effect = 1e3 * np.ptp(runs.main_effect(name))
-        print(
-            f"{name:22} {levels[name][0]:9.4g} {levels[name][-1]:9.4g} {effect:17.4f} {shares[(name,)]:9.2%} "
-            f"{indices.first[i]:12.4f} {indices.total[i]:7.4f}"
-        )
-    for pair in sorted((key for key in shares if len(key) == 2), key=lambda key: -shares[key]):
-        print(f"{' x '.join(pair):60} {shares[pair]:9.4%}")
-    print(f"{'interactions of three and four':60} {1.0 - sum(shares.values()):9.4%}")
-    for name, drawn in (
-        ("main_effects", main_effects(runs, f"{rig.name}: main effects")),
-        ("interactions", interactions(runs, f"{rig.name}: interactions")),
-    ):
-        drawn.savefig(out / f"{name}.png", dpi=90, bbox_inches="tight")
-        print(out / f"{name}.png")
-
-
-def show_information(rig: Rig, readings: Observations) -> None:
-    pose = tuple(p.name for p in rig.free if p.name not in NAMES and not p.name.endswith("noise_T"))
-    for title, names in (("pose known", NAMES), ("pose free", NAMES + pose)):
-        found = information(rig, readings, names)
-        print(f"\nFisher information, {title}; standard deviations in units of the prior's")
-        print(f"{'direction':>12}" + "".join(f"{n.partition('.')[2]:>30}" for n in names[: len(NAMES)]))
-        for sd, vector in zip(found.sd_by_direction, found.directions.T, strict=True):
-            print(f"{sd:12.3g}" + "".join(f"{weight:30.3f}" for weight in vector[: len(NAMES)]))
-        for name, alone, together in zip(names, found.alone_sd, found.together_sd, strict=True):
-            print(f"{name:34} known others: {alone:10.2g}   all free: {together:10.2g}")
-        print(found.words())
+    print(study(options.out, options.levels))
 
 
 if __name__ == "__main__":

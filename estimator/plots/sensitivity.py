@@ -30,6 +30,7 @@ def main_effect(factorial: Factorial, name: str, ax: Axes | None = None) -> Axes
     return ax
 
 
+@styled
 def main_effects(factorial: Factorial, title: str = "") -> Figure:
     """Main effect of every parameter on one scale."""
     made = figure(2.6 * len(factorial.names), 2.8, title)
@@ -47,9 +48,7 @@ def main_effects(factorial: Factorial, title: str = "") -> Figure:
 
 
 @styled
-def interaction(
-    factorial: Factorial, across: str, line: str, ax: Axes | None = None, has_legend: bool = True
-) -> Axes:
+def interaction(factorial: Factorial, across: str, line: str, ax: Axes | None = None) -> Axes:
     """Mean response along one parameter, a line for each level of another; parallel lines do not interact."""
     ax = axes(ax, 3.0, 2.6)
     show = shown(factorial.names)
@@ -61,26 +60,32 @@ def interaction(
         ax.plot(x, row, color=colour, lw=1.0, label=_says(level, show[line]))
     ax.set_xlabel(show[across].label)
     ax.set_ylabel("rms field (mT)")
-    if has_legend:
-        ax.legend(title=show[line].label, fontsize=6, title_fontsize=7, handlelength=1.0)
     return ax
 
 
+@styled
 def interactions(factorial: Factorial, title: str = "") -> Figure:
-    """Every pair of parameters: across by column, lines by row."""
+    """Every pair of parameters on one scale: across by column, lines by row, explained at the end of the row; main effects between."""
     n = len(factorial.names)
-    made = figure(2.5 * n, 2.1 * n, title)
-    for i, line in enumerate(factorial.names):
-        for j, across in enumerate(factorial.names):
-            ax = made.add_subplot(n, n, i * n + j + 1)
-            if i == j:
+    made = figure(2.3 * n + 1.0, 2.1 * n, title)
+    panels = made.subplots(n, n, sharex="col", sharey=True, squeeze=False)
+    for line, row in zip(factorial.names, panels, strict=True):
+        for across, ax in zip(factorial.names, row, strict=True):
+            if line == across:
                 main_effect(factorial, line, ax)
             else:
-                interaction(factorial, across, line, ax, has_legend=j == (1 if i == 0 else 0))
-            if j:
-                ax.set_ylabel("")
-            if i < n - 1:
-                ax.set_xlabel("")
+                interaction(factorial, across, line, ax)
+        lines = row[1 if line == factorial.names[0] else 0].lines
+        row[-1].legend(
+            handles=lines,
+            title=shown(factorial.names)[line].label,
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            fontsize=7,
+            title_fontsize=8,
+        )
+        for ax in row:
+            ax.label_outer()
     return made
 
 

@@ -38,7 +38,8 @@ def test_interaction_has_a_line_for_each_level_of_the_other(
     ax = interaction(runs, across="coil1.radius_m", line="coil1.axial_loops")
     assert len(ax.lines) == 4
     np.testing.assert_allclose(ax.lines[3].get_ydata(), RADIUS_M / 0.05 * 51.0)
-    assert "axial loops" in words(ax)
+    assert [line.get_label() for line in ax.lines] == ["45", "47", "49", "51"]
+    assert "radius (mm)" in words(ax)
 
 
 def test_figures_have_a_panel_for_each_parameter_and_each_pair(
@@ -49,5 +50,8 @@ def test_figures_have_a_panel_for_each_parameter_and_each_pair(
     assert "rig \\$a\\$" in words(drawn)
     drawn = interactions(runs)
     assert len(drawn.axes) == 4
-    assert sum(ax.get_legend() is not None for ax in drawn.axes) == 2
+    legends = [ax.get_legend() for ax in drawn.axes]
+    assert [legend is not None for legend in legends] == [False, True, False, True]
+    assert [len(legend.get_texts()) for legend in legends if legend] == [len(RADIUS_M), len(LOOPS)]
+    assert len({ax.get_ylim() for ax in drawn.axes}) == 1
     words(drawn)
