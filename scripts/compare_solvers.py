@@ -101,7 +101,7 @@ def slsqp(problem: Problem, starts: np.ndarray, unit: np.ndarray, words: str) ->
     """Sequential quadratic programming with differences for derivatives."""
 
     def run(cost: Callable, start: np.ndarray, box: list, _: int) -> np.ndarray:
-        options = {"ftol": 1e-9, "maxiter": 100}
+        options = {"ftol": 1e-9, "maxiter": 50}
         return minimize(cost, start, method="SLSQP", bounds=box, options=options).x
 
     return _one_by_one(f"SLSQP (SciPy), {words}", problem, starts, unit, run)

@@ -25,8 +25,8 @@ import torch
 
 ROOT = Path(__file__).resolve().parent.parent
 INTRODUCTION = """\
-A dash in a column of the paper stands for a number that was not at hand while this was written; none is made up.
-Where the paper is silent, the choice is ours: 3 A, and a workspace of 100 x 100 x 50 mm whose middle lies 40 mm in front of the coil's face.
+A dash in a column of the paper stands for a number that was not at hand while this was written; none is made up. Where the paper is
+silent, the choice is ours: 3 A, and a workspace of 100 x 100 x 50 mm whose middle lies 40 mm in front of the coil's face.
 """
 
 
