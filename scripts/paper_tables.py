@@ -18,18 +18,7 @@ CURRENT_A, DISTANCE_M = 3.0, 0.04  # ours: the paper states neither the current 
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns below a title, in Markdown.
-
-    Examples:
-        >>> print(table("Table 0", ("quantity", "ours"), [("turns", "1200"), ("length", "47.04 mm")]))
-        **Table 0**
-        <BLANKLINE>
-        | quantity | ours     |
-        |----------|----------|
-        | turns    | 1200     |
-        | length   | 47.04 mm |
-        <BLANKLINE>
-    """
+    """Aligned columns below a title, in Markdown."""
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     lines = [
         "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
