@@ -23,6 +23,8 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.superposition import Superposition, superposition
+from estimator.system import System, SystemField
 
 __all__ = [
     "Calibration",
@@ -37,6 +39,9 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Superposition",
+    "System",
+    "SystemField",
     "block_split",
     "calibrate",
     "design",
@@ -46,4 +51,5 @@ __all__ = [
     "load_rig",
     "load_session",
     "simulate",
+    "superposition",
 ]

@@ -35,6 +35,13 @@ class DisplacementFrame(StrEnum):
     BASE = "base"
 
 
+class FieldSum(StrEnum):
+    """How the fields of a winding's loops are added."""
+
+    VECTORS = "vectors"
+    SPHERICAL_COMPONENTS = "spherical_components"  # about different centres, as the paper's eq 13 has it: wrong, kept for comparison
+
+
 @dataclass(frozen=True)
 class Mover:
     """A robot or stage; `motion` says what its readings mean.
@@ -64,8 +71,11 @@ class Body:
     carried_by: str | None = None
 
 
+@dataclass(frozen=True)
 class Coil(Body):
-    """A circular multi-layer winding."""
+    """A circular multi-layer winding; `field_sum` says how its simulation adds loops."""
+
+    field_sum: FieldSum = FieldSum.VECTORS
 
 
 class Sensor(Body):

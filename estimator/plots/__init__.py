@@ -19,6 +19,7 @@ from estimator.plots.residuals import (
     residual_by_sensor,
     residual_histogram,
 )
+from estimator.plots.sensitivity import interaction, interactions, main_effect, main_effects
 from estimator.plots.sessions import across_sessions
 
 __all__ = [
@@ -29,7 +30,11 @@ __all__ = [
     "evidence_bars",
     "explained",
     "field_plane",
+    "interaction",
+    "interactions",
     "interval_summary",
+    "main_effect",
+    "main_effects",
     "predicted_against_measured",
     "relative_error_map",
     "residual_against",

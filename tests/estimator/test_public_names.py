@@ -24,6 +24,9 @@ NAMES = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Superposition",
+    "System",
+    "SystemField",
     "block_split",
     "calibrate",
     "design",
@@ -33,6 +36,7 @@ NAMES = [
     "load_rig",
     "load_session",
     "simulate",
+    "superposition",
 ]
 SIGNATURES = {
     "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, on_stage",
@@ -48,6 +52,18 @@ SIGNATURES = {
     "Calibration.summary": "self",
     "Calibration.save": "self, folder",
     "Calibration.load": "folder",
+    "superposition": "system, session, seed, on_stage",
+    "System.of": "calibrations",
+    "System.at": "self, points_m, motion",
+    "System.currents": "self, currents_A",
+    "SystemField.field_T": "self, current_A",
+    "SystemField.gradient_T_per_m": "self, current_A",
+    "SystemField.field_interval_T": "self, current_A, level",
+    "SystemField.gradient_interval_T_per_m": "self, current_A, level",
+    "SystemField.force_N": "self, moment_A_m2, current_A",
+    "SystemField.actuation": "self, has_gradient",
+    "SystemField.currents_for_field": "self, field_T, most_A",
+    "SystemField.currents_for_force": "self, moment_A_m2, force_N, most_A",
     "Session.save": "self, path, overwrite",
 }
 MODULES = sorted(
