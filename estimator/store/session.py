@@ -24,6 +24,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
 from estimator.config import rig_from_state, rig_state
+from estimator.devices_section import without_devices
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
@@ -52,8 +53,10 @@ class Session:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over readings and rig; the same readings always give the same hash."""
-        return digest(observation_arrays(self.observations), rig_state(self.rig))
+        """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
+        state = rig_state(self.rig)
+        state["text"] = without_devices(state["text"])
+        return digest(observation_arrays(self.observations), state)
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse another description of the rig that does not name the same things in the same order.
