@@ -128,11 +128,21 @@ def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, st
     report = {}
     for name, device in devices.devices.items():
         try:
-            text = device.identify(timeout_s=timeout_s)
-            report[name] = f"{text}: {_one_value(device, timeout_s)}"
+            report[name] = ": ".join(check_device(device, timeout_s=timeout_s))
         except DriverError as error:
             report[name] = f"FAULT: {error}"
     return report
+
+
+def check_device(device: Device, *, timeout_s: float = 5.0) -> tuple[str, str]:
+    """Identify one device and read one value; nothing moves and no current changes.
+
+    Returns: What it says of itself, and the value with its unit.
+
+    Raises:
+        DriverError: It does not answer, or answers with a fault.
+    """
+    return device.identify(timeout_s=timeout_s), _one_value(device, timeout_s)
 
 
 def _one_value(device: Device, timeout_s: float) -> str:

@@ -9,6 +9,7 @@ import torch
 
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.design import design_command
+from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.predict import predict_command
@@ -28,7 +29,7 @@ from estimator.cli.simulate import simulate_command
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
-    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge.
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed.
     """
     torch.set_num_threads(threads)
     os.environ.setdefault("OMP_NUM_THREADS", str(threads))
@@ -42,5 +43,6 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    devices_group,
 ):
     main.add_command(command)
