@@ -14,6 +14,7 @@ from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.predict import predict_command
 from estimator.cli.report import report_command
+from estimator.cli.rig_simulator import rig_simulator_command
 from estimator.cli.simulate import simulate_command
 
 
@@ -44,5 +45,6 @@ for command in (
     predict_command,
     report_command,
     devices_group,
+    rig_simulator_command,
 ):
     main.add_command(command)
