@@ -28,6 +28,8 @@ from estimator.devices_section import without_devices
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
+from estimator.store.growing import GROWING, observations_of
+from estimator.store.journal import JOURNAL, read_journal
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -78,7 +80,9 @@ class Session:
         Raises:
             InvalidInput: The path exists and `overwrite` is not set, or it cannot be written.
         """
-        path = path.absolute()
+        self._save(path.absolute(), overwrite, None)
+
+    def _save(self, path: Path, overwrite: bool, journal: Path | None) -> None:
         if path.exists() and not overwrite:
             raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
         partial = path.with_name(path.name + ".partial")
@@ -88,6 +92,8 @@ class Session:
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(partial, ignore_errors=True)
             self._write(partial)
+            if journal is not None:
+                shutil.copy2(journal, partial / JOURNAL)
             replace_folder(partial, path)
         except OSError as error:
             shutil.rmtree(partial, ignore_errors=True)
@@ -127,9 +133,11 @@ def load_session(path: Path | str) -> Session:
         CorruptStore: A file is missing, truncated or altered, or the schema is of another version.
     """
     path = Path(path)
+    if is_growing(path):
+        return _from_journal(path)
     if not (path / "zarr.json").is_file():
         raise InvalidInput(
-            f"session must be a folder that coilcal import or coilcal simulate wrote; received {path}"
+            f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
     try:
         group = zarr.open_group(path, mode="r")
@@ -154,9 +162,34 @@ def load_session(path: Path | str) -> Session:
     return Session(rig, observations, attributes["source"], attributes["created"], attributes["truth"])
 
 
+def is_growing(path: Path) -> bool:
+    """Whether a session at this path is still being measured, or was left before its end."""
+    return (path / JOURNAL).is_file() and not (path / "zarr.json").is_file()
+
+
+def seal(path: Path) -> Session:
+    """Turn a session that has been measured to its end into arrays; its journal stays beside them.
+
+    Raises:
+        InvalidInput: It cannot be written; the journal is as it was.
+        CorruptStore: The journal is damaged.
+    """
+    session = _from_journal(path)
+    session._save(path.absolute(), True, path / JOURNAL)
+    return session
+
+
+def _from_journal(path: Path) -> Session:
+    header, records = read_journal(path)
+    if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
+        raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
+    rig = rig_from_state(header["rig"], f"rig inside {path}")
+    return Session(rig, observations_of(records, rig), header["source"], header["created"])
+
+
 def _is_session(path: Path) -> bool:
     group = path / "zarr.json"
-    return group.is_file() and KIND.encode() in group.read_bytes()
+    return is_growing(path) or (group.is_file() and KIND.encode() in group.read_bytes())
 
 
 def _described(body: Body | Mover) -> str:
