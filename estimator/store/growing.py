@@ -67,10 +67,12 @@ def new_header(rig: Rig, source: str, plan: str, references: Mapping[str, Number
         plan: Digest of the stops to visit, by which a resumed run knows that they are the same.
         references: Per mover base_from_flange where displacements are zero, as six numbers.
     """
+    now = datetime.now(UTC)
     return {
         "kind": GROWING,
         "schema_version": SCHEMA_VERSION,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": now.isoformat(timespec="seconds"),
+        "begin_s": now.timestamp(),
         "source": source,
         "rig": rig_state(rig),
         "rig_hash": rig.hash,
