@@ -229,19 +229,33 @@ def _time_since(journal: Journal) -> float:
 
 @contextmanager
 def _ending_without_current(instruments: Instruments) -> Iterator[None]:
-    """Ramp all currents to zero at the end, even where one fails, without hiding what ended the block."""
-    failed: Exception | None = None
+    """Ramp all currents to zero at the end, even where one fails, without hiding the error that ended the block.
+
+    An interruption is no error: a supply that is not known to be off is what the operator must hear of then.
+    """
     try:
         yield
-    finally:
-        for name, source in instruments.sources.items():
-            try:
-                source.output_off(timeout_s=OFF_S)
-            except Exception as error:
-                _LOG.critical("%s is not known to be off: %s", name, error)
-                failed = failed or error
-    if failed is not None:
+    except Exception:
+        _switch_off(instruments)
+        raise
+    except BaseException as interruption:
+        if (failed := _switch_off(instruments)) is not None:
+            raise failed from interruption
+        raise
+    if (failed := _switch_off(instruments)) is not None:
         raise failed
+
+
+def _switch_off(instruments: Instruments) -> Exception | None:
+    """What went wrong first, if anything."""
+    failed: Exception | None = None
+    for name, source in instruments.sources.items():
+        try:
+            source.output_off(timeout_s=OFF_S)
+        except Exception as error:
+            _LOG.critical("%s is not known to be off: %s", name, error)
+            failed = failed or error
+    return failed
 
 
 def _transform(pose: list[float]) -> Transform:

@@ -7,6 +7,7 @@ import os
 import click
 import torch
 
+from estimator.cli.acquire import acquire_command
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
@@ -46,5 +47,6 @@ for command in (
     report_command,
     devices_group,
     rig_simulator_command,
+    acquire_command,
 ):
     main.add_command(command)

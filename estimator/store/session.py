@@ -179,6 +179,20 @@ def seal(path: Path) -> Session:
     return session
 
 
+def remove_session(path: Path) -> None:
+    """Take away a session that is to be measured anew.
+
+    Raises:
+        InvalidInput: Something else is there, or it cannot be taken away.
+    """
+    if not _is_session(path):
+        raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
+    try:
+        shutil.rmtree(path)
+    except OSError as error:
+        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+
+
 def _from_journal(path: Path) -> Session:
     header, records = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
