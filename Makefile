@@ -9,6 +9,8 @@ INSTALLED := .venv/.installed
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
 	$(BIN)/coilcal calibrate demo/session.zarr --out demo/calibration --seed 1 --overwrite
+	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --hide axis_gain.x=0.01 --out demo/flawed.zarr --overwrite
+	$(BIN)/coilcal diagnose demo/flawed.zarr --out demo/diagnosis --seed 1 --overwrite
 
 test: lint types imports unit
 

@@ -12,16 +12,23 @@ from estimator.calibrate import calibrate
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.design import Proposal, actions, proposals
-from estimator.diagnosis.discrepancy import families
+from estimator.diagnosis.discrepancy import Discrepancy
 from estimator.diagnosis.extension import extended_text
-from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.record import without_faults
 from estimator.diagnosis.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.search import Search, search
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.symptoms import Symptoms
-from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
+from estimator.diagnosis.verdict import (
+    NamedCause,
+    Verdict,
+    beside_discrepancy,
+    extended_fit,
+    named_causes,
+    verdict_of,
+)
 from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
 from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
@@ -53,7 +60,8 @@ def diagnose(
         validation: Another session of the same rig to judge the gain by.
         out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
         seed: Of the split, the thinning, the starts and the sampling.
-        has_posterior: Sample the extended rig where a cause was found, with all readings but those for validation.
+        has_posterior: Sample the extended rig where a cause was found and a coil carried current, with all readings but those for
+            validation.
         on_stage: Told what is going on.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
@@ -64,7 +72,7 @@ def diagnose(
     session.check_rig(rig)
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    check_readings(rig, session.observations, session.source)
+    check_readings(rig, session.observations, session.source, needs_current=False)
     seen, unseen = _split(session, validation, seed)
     few = _thinned(seen, MOST_SEARCHED, seed)
 
@@ -78,14 +86,15 @@ def diagnose(
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(found, named, families(found.final))
+        named = beside_discrepancy(found, named)
+    extended = extended_fit(found, named)
     if verdict is Verdict.NOTHING_FOUND and faults:
         verdict = Verdict.INDISTINGUISHABLE if any(fault.twins for fault in faults) else Verdict.NAMED
     tell("gain on readings not used for fitting")
-    before, after = plain, found.final
+    before, after = plain, extended
     if len(seen) > len(few):
         many = _thinned(seen, MOST_FITTED, seed)
-        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, found.final))
+        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, extended))
     judged = gain(before, after, _thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
@@ -100,24 +109,34 @@ def diagnose(
         tuple(indistinguishable(base, found.pool)),
         tuple(_next_measurements(found, named, rig)),
         plain,
+        extended,
         after,
         Symptoms.of(plain, seed),
-        Symptoms.of(found.final, seed),
+        Symptoms.of(extended, seed),
         judged,
         extended_text(rig, after),
         seed,
+        _widening(extended, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else {},
     )
     folder = None if out is None else Path(out)
-    if has_posterior and result.fit.rig.effects:
+    has_current = bool((seen.current_A != 0.0).any())
+    if has_posterior and result.fit.rig.effects and has_current:
         tell("posterior of the extended rig")
-        extended = rig_from_text(result.extended_rig_text)
+        sampled_rig = rig_from_text(result.extended_rig_text)
         kept = None if folder is None else folder / POSTERIOR
-        sampled = calibrate(session, extended, out=kept, overwrite=True, seed=seed)
+        sampled = calibrate(session, sampled_rig, out=kept, overwrite=True, seed=seed)
         result = replace(result, posterior=sampled)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
     return result
+
+
+def _widening(fit: Fit, left: Discrepancy) -> dict[str, float]:
+    """How much less sure each parameter is if the strongest discrepancy that is left may be in the readings as well."""
+    beside = fit.covariance_beside(left.columns)
+    names = [parameter.name for parameter in fit.rig.free]
+    return {name: max(fit.value_sd(name, beside) / fit.value_sd(name), 1.0) for name in names}
 
 
 def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:

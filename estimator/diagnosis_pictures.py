@@ -26,7 +26,7 @@ def pictures(diagnosis: Diagnosis) -> list[Picture]:
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before, after = diagnosis.plain, diagnosis.search.final
+    before, after = diagnosis.plain, diagnosis.extended
     residuals = [_residual_T(fit) for fit in (before, after)]
     is_extended = bool(after.rig.effects)
     rig = diagnosis.rig
@@ -51,7 +51,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before, after = diagnosis.plain, diagnosis.search.final
+    before, after = diagnosis.plain, diagnosis.extended
     if not after.rig.effects:
         return
     change_T = (predicted_T(after) - predicted_T(before)).numpy()
@@ -88,8 +88,8 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
     factor, unit = _display(first.unit)
     for fit, covariate, when in (
         (diagnosis.plain, first, "before"),
-        (diagnosis.search.final, now, "after"),
-    )[: 2 if diagnosis.search.final.rig.effects else 1]:
+        (diagnosis.extended, now, "after"),
+    )[: 2 if diagnosis.extended.rig.effects else 1]:
         figure = plots.residual_against(
             covariate.by_reading.numpy() * factor,
             _residual_T(fit),

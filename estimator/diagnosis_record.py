@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,9 +51,11 @@ class Diagnosis:
         twins: Groups of causes that this session could not tell apart.
         next_measurements: What would tell the alternatives apart, best first.
         plain: The rig as it was described, fitted.
-        fit: The extended rig, fitted to many readings.
+        extended: The rig with the causes that were named, fitted to the readings of the search.
+        fit: The same, fitted to many readings.
         before, after: What their residuals show.
         gain: On readings that were not used for fitting; None where there are none.
+        widening: Factor by which the intervals of each parameter grow for what remains unexplained; empty where nothing does.
         posterior: The extended rig, sampled; None where that was not asked for or nothing was found.
     """
 
@@ -66,12 +69,14 @@ class Diagnosis:
     twins: tuple[tuple[Cause, ...], ...]
     next_measurements: tuple[Proposal, ...]
     plain: Fit
+    extended: Fit
     fit: Fit
     before: Symptoms
     after: Symptoms
     gain: Gain | None
     extended_rig_text: str
     seed: int
+    widening: Mapping[str, float]
     posterior: Calibration | None = None
 
     def label(self, cause: Cause) -> str:
@@ -128,18 +133,24 @@ class Diagnosis:
         result = {}
         for name, parameter in self.fit.rig.parameters.items():
             if name in sampled and name.startswith(prefix):
-                keys = ("median", "sd", "ci90", "unit")
-                result[name[len(prefix) :]] = {key: sampled[name][key] for key in keys}
+                own = sampled[name]
+                result[name[len(prefix) :]] = self._widened(
+                    name, own["median"], own["sd"], own["ci90"], own["unit"]
+                )
             elif name.startswith(prefix):
                 value = float(self.fit.values[name])
                 sd = self.fit.value_sd(name) if parameter.is_free else 0.0
-                result[name[len(prefix) :]] = {
-                    "median": value,
-                    "sd": sd,
-                    "ci90": [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd],
-                    "unit": parameter.unit,
-                }
+                ends = [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd]
+                result[name[len(prefix) :]] = self._widened(name, value, sd, ends, parameter.unit)
         return result
+
+    def _widened(
+        self, name: str, median: float, sd: float, ends: Sequence[float], unit: str
+    ) -> dict[str, Any]:
+        """An interval with room for what remains unexplained."""
+        factor = self.widening.get(name, 1.0)
+        ci90 = [median + factor * (end - median) for end in ends]
+        return {"median": median, "sd": factor * sd, "ci90": ci90, "unit": unit}
 
     def _cause(self, one: NamedCause) -> dict[str, Any]:
         return {

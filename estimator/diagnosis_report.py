@@ -84,7 +84,7 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
         seen = left if left.log_bayes_factor > 0.0 else diagnosis.search.whole
         sentences.append(f"What is left looks like {seen.family}: {seen.rms_sigma:.2g} of the noise rms.")
     gain = diagnosis.gain
-    if gain is not None and diagnosis.search.final.rig.effects:
+    if gain is not None and diagnosis.extended.rig.effects:
         sentences.append(
             f"On {len(gain.before.log_density)} readings kept out of all fits the error falls from "
             f"{_microtesla(gain.before)} to {_microtesla(gain.after)}."
@@ -93,7 +93,7 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
             f"{_microtesla(gain.before)} before, {_microtesla(gain.after)} after."
         )
     sentences.append("Before: " + " ".join(diagnosis.before.sentences()))
-    if diagnosis.search.final.rig.effects:
+    if diagnosis.extended.rig.effects:
         sentences.append("After: " + " ".join(diagnosis.after.sentences()))
     return sentences
 

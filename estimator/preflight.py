@@ -18,13 +18,14 @@ MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the g
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
 
-def check_readings(rig: Rig, observations: Observations, place: str) -> None:
+def check_readings(rig: Rig, observations: Observations, place: str, needs_current: bool = True) -> None:
     """Refuse readings that cannot support a fit.
 
     Args:
         rig: What they were taken on.
         observations: All readings; those that a fit would use have to suffice.
         place: Names their origin in messages.
+        needs_current: A coil without current tells nothing of itself, but much of sensors and room.
     Raises:
         InvalidInput: A value that is not finite; no reading to fit, or fewer components than free parameters; no current; no field; no
             motion.
@@ -43,7 +44,7 @@ def check_readings(rig: Rig, observations: Observations, place: str) -> None:
             f"readings must hold at least as many components as there are free parameters ({n_free}); "
             f"received {n_components} ({place})"
         )
-    if (observations.current_A == 0.0).all():
+    if needs_current and (observations.current_A == 0.0).all():
         raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({place})")
     if (observations.field_sensor_T[observations.is_measured] == 0.0).all():
         raise InvalidInput(f"sensors must show a field; every component is 0 T ({place})")

@@ -18,11 +18,19 @@ sys.path[:0] = [str(Path(__file__).resolve().parent.parent), str(Path(__file__).
 from real_data import DATA_SETS, DataSet
 
 from estimator import diagnose, load_rig
+from estimator.calibration import write_text
+from estimator.diagnosis_record import REPORT
+from estimator.diagnosis_report import diagnosis_report
 from estimator.store.importers import IMPORTERS
 
-MORE = (
-    DataSet("mice-run05", "mice_ssu_m2", "mice", "mice-ssu-solenoids/run05*.dat"),
-    DataSet("mice-run03", "mice_ssu_e1_cc_e2", "mice", "mice-ssu-solenoids/run03*.dat"),
+OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
+POWERED = {"run01": (), "run07": ("M1",), "run05": ("M2",), "run03": ("E1", "CC", "E2")}
+UNPOWERED = "mice-run01"  # diagnosed first: the others start from the rig that it was extended to
+MICE = tuple(
+    DataSet(
+        f"mice-{run}", "mice_ssu", "mice", f"mice-ssu-solenoids/{run}*.dat", OFF | dict.fromkeys(coils, 30.0)
+    )
+    for run, coils in POWERED.items()
 )
 
 
@@ -36,21 +44,33 @@ def main() -> None:
     if not data:
         sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
     torch.set_num_threads(1)
-    for data_set in (*DATA_SETS, *MORE):
+    others = [data_set for data_set in DATA_SETS if data_set.importer != "mice"]
+    for data_set in (*others, *MICE):
         if not options.names or data_set.name in options.names:
-            run(data_set, Path(data), options.out / data_set.name, options.seed)
+            run(data_set, Path(data), options.out, options.seed)
 
 
 def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
     begin = time.perf_counter()
-    rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
+    found_off = out / UNPOWERED / "rig_extended.yaml"
+    path = Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml"
+    if data_set.importer == "mice" and data_set.name != UNPOWERED and found_off.exists():
+        path = found_off
+    rig = load_rig(path)
+    idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
+    rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
     session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
 
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
-    record = diagnose(session, seed=seed, out=out, on_stage=tell).record()
+    print(f"  rig: {path}", flush=True)
+    found = diagnose(session, seed=seed, out=out / data_set.name, on_stage=tell)
+    record = found.record()
+    write_text(
+        out / data_set.name / REPORT, diagnosis_report(found, f"scripts/diagnose_real.py {data_set.name}")
+    )
     print(f"  verdict: {record['verdict']}; left: {record['unexplained']}")
     for cause in record["causes"]:
         others = [other["name"] for other in cause["alternatives"]]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import sys
 import tempfile
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from estimator import diagnose, load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
-from tests.hidden.study import KINDS, credible_sets, draw_case, label
+from tests.hidden.study import KINDS, credible_sets, draw_case, label, true_quantities
 
 Row = dict[str, Any]
 
@@ -158,6 +159,42 @@ def show_single(kind: str, rows: list[Row]) -> None:
         f"{sum(sizes) / max(len(sizes), 1):.2f}, right where one cause is named in {share(right, len(named))}; verdicts "
         f"{dict(Counter(row['verdict'] for row in rows))}"
     )
+    if kind == "single":
+        show_sizes(rows)
+
+
+def show_sizes(rows: list[Row]) -> None:
+    """True sizes inside 90 % intervals, unseen readings against the noise, and the coil's numbers, where one right cause was found."""
+    inside = []
+    ratio, biased, better = [], 0, 0
+    for row in rows:
+        sets = credible_sets(row)
+        if len(sets) != 1 or sets[0][0] != truth_of(row):
+            continue
+        found = row["causes"][0]["parameters"]
+        for key, value in true_quantities(row["truth"][0]).items():
+            if key in found:
+                low, high = found[key]["ci90"]
+                inside.append(low <= value <= high)
+        if row["gain"]:
+            noise_T = math.sqrt(3.0 * sum(v**2 for v in row["noise_T"].values()) / len(row["noise_T"]))
+            ratio.append((row["gain"]["after"]["vector_T"] / noise_T) ** 2)
+        off = [
+            ((n["before"] - n["truth"]) / n["sd_before"], (n["after"] - n["truth"]) / n["sd_before"])
+            for n in row.get("coil", {}).values()
+        ]
+        if off and max(abs(after - before) for before, after in off) > 1.0:
+            before, after = (math.hypot(*numbers) for numbers in zip(*off, strict=True))
+            biased += 1
+            better += after < before
+    if inside:
+        print(f"  true sizes inside their 90 % intervals: {share(sum(inside), len(inside))}")
+        print(
+            f"  error on unseen readings over the noise, rms over sessions: {math.sqrt(sum(ratio) / len(ratio)):.3f}"
+        )
+        print(
+            f"  coil closer to the truth, of those that the cause had moved by more than one sd: {share(better, biased)}"
+        )
 
 
 def show_outside(rows: list[Row]) -> None:

@@ -49,14 +49,14 @@ class Discrepancy:
         family: The one with the largest evidence.
         by_family: Log Bayes factor of each.
         rms_sigma: Rms of that family's best curve, in units of the noise.
-        fitted: Its whitened curve.
+        columns: Whitened, that family's, with standard normal coefficients.
     """
 
     log_bayes_factor: float
     family: str
     by_family: dict[str, float]
     rms_sigma: float
-    fitted: Float[Tensor, " component"]
+    columns: Float[Tensor, "component column"]
 
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
@@ -75,7 +75,7 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     assert strongest is not None
     curve = _curve(fit, strongest.columns, amplitude)
     rms_sigma = float(curve.square().mean().sqrt())
-    return Discrepancy(total, strongest.name, by_family, rms_sigma, curve)
+    return Discrepancy(total, strongest.name, by_family, rms_sigma, amplitude * strongest.columns)
 
 
 def evidence_by_amplitude(fit: Fit, family: Family) -> Float[Tensor, " amplitude"]:

@@ -101,12 +101,26 @@ class Fit:
         """Of the coordinates, by Laplace."""
         return covariance(self.polished.precision)[0]
 
-    def value_sd(self, name: str) -> float:
-        """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed."""
+    def covariance_beside(
+        self, columns: Float[Tensor, "component column"]
+    ) -> Float[Tensor, "coordinate coordinate"]:
+        """Covariance of the coordinates where a discrepancy with standard normal coefficients may be in the readings as well."""
+        across = self.jacobian.T @ columns
+        own = columns.T @ columns + torch.eye(columns.shape[1], dtype=torch.float64)
+        lost = across @ torch.linalg.solve(own, across.T)
+        return covariance((self.polished.precision[0] - lost)[None])[0]
+
+    def value_sd(self, name: str, covariance: Tensor | None = None) -> float:
+        """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed.
+
+        Args:
+            name: Of the parameter.
+            covariance: Of the coordinates; that of the fit by default.
+        """
         slope: Tensor = jacfwd(
             lambda vector: self.posterior.coordinates.values(vector)[name] + 0.0 * vector.sum()
         )(self.vector)
-        return float(torch.sqrt(slope @ self.covariance @ slope))
+        return float(torch.sqrt(slope @ (self.covariance if covariance is None else covariance) @ slope))
 
     def log_evidence_for(self, cause: Cause) -> float:
         """Log Bayes factor of one of the rig's causes against its null, beside all others; infinite where it has no null to be told from.

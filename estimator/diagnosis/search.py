@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -28,6 +28,7 @@ LOG_PRIOR_NOTHING = math.log(0.4)
 LOG_PRIOR_CAUSE = math.log(0.3)  # shared by all causes
 LOG_PRIOR_UNEXPLAINED = math.log(0.3)
 LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
+LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 CREDIBLE = 0.95
 MOST_LEADERS = 4
 LEADERS_WITHIN = 10.0  # of the best in log evidence of the screening
@@ -116,7 +117,14 @@ def search(base: Fit, tell: Callable[[str], None]) -> Search:
     fit = trail.forward(base)
     if 1 < len(trail.own(fit)) <= MOST_REVISITED:
         fit = trail.forward(trail.revisited(fit))
+    if len(trail.own(fit)) == 1 and leaves_structure(trail.steps[-1].left):
+        fit = trail.with_alternative(fit)
     return Search(base, fit, tuple(trail.steps), tuple(trail.dropped), tuple(pool), whole)
+
+
+def leaves_structure(left: Discrepancy) -> bool:
+    """Whether the odds are that something is left which no cause explains."""
+    return left.log_bayes_factor + LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING > LEAST_LOG_ODDS_LEFT
 
 
 class _Trail:
@@ -166,6 +174,18 @@ class _Trail:
             else:
                 self.steps[at] = step
                 fit = fit if step.taken == cause else step.winner
+        return fit
+
+    def with_alternative(self, fit: Fit) -> Fit:
+        """Where the one cause that was taken leaves structure, another of its credible set that leaves none."""
+        step = self.steps[0]
+        for rival in step.credible:
+            if rival.fit is None or rival.cause == step.taken:
+                continue
+            if not leaves_structure(discrepancy(rival.fit, self.smooth)):
+                self.tell(f"{rival.name} in its place leaves less")
+                self.steps = [replace(step, taken=rival.cause)]
+                return self.forward(rival.fit)
         return fit
 
     def _weighed_anew(self, step: Step) -> Fit:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import torch
+from torch import Tensor
 
 from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.discrepancy import Family
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.search import (
@@ -17,6 +17,7 @@ from estimator.diagnosis.search import (
     LOG_PRIOR_UNEXPLAINED,
     Rival,
     Search,
+    leaves_structure,
     linear_evidence,
     shares_of,
 )
@@ -25,7 +26,6 @@ from estimator.rig import Cause
 LEAST_LOG_ODDS = math.log(20.0)
 # Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
 SAME_THING = {"iron_plate", "iron_body"}
-LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 
 
 class Verdict(StrEnum):
@@ -58,7 +58,7 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
     prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
-    if left.log_bayes_factor + prior > LEAST_LOG_ODDS_LEFT:
+    if leaves_structure(left):
         return Verdict.UNEXPLAINED
     if len(named) > 1 and whole.log_bayes_factor + prior > max(LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED
@@ -83,16 +83,16 @@ def named_causes(search: Search) -> list[NamedCause]:
     return found
 
 
-def beside_discrepancy(search: Search, named: list[NamedCause], families: list[Family]) -> list[NamedCause]:
-    """Of the causes, those that would be named even if a flexible discrepancy were there: the others may imitate what is unknown."""
+def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
+    """Of the causes, those that would be named even if the strongest curves, at first and at last, were there: others may imitate them."""
     final = search.final
-    observations = final.observations
+    columns = torch.cat((search.whole.columns, search.steps[-1].left.columns), dim=1)
     kept = []
     for one in named:
         without = fit_rig(
-            final.rig.without_cause(one.cause), observations, final.values, final.posterior.chain.rules
+            final.rig.without_cause(one.cause), final.observations, final.values, final.posterior.chain.rules
         )
-        smooth = _with_columns(without, families)
+        smooth = _with_columns(without, columns)
         evidence = max(
             (linear_evidence(smooth, c) for c in candidates(without, [one.cause])), default=-math.inf
         )
@@ -101,9 +101,20 @@ def beside_discrepancy(search: Search, named: list[NamedCause], families: list[F
     return kept
 
 
-def _with_columns(fit: Fit, families: list[Family]) -> Fit:
-    """The fit as if smooth families of some strength had been fitted too."""
-    columns = torch.cat([2.0 * family.columns for family in families], dim=1)
+def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
+    """The last fit of a search with only those of its causes that were named."""
+    final = search.final
+    kept = {one.cause for one in named} | set(search.base.rig.effects)
+    rig = final.rig
+    for cause in final.rig.effects:
+        rig = rig if cause in kept else rig.without_cause(cause)
+    if rig is final.rig:
+        return final
+    return fit_rig(rig, final.observations, final.values, final.posterior.chain.rules)
+
+
+def _with_columns(fit: Fit, columns: Tensor) -> Fit:
+    """The fit as if curves with standard normal coefficients had been fitted too."""
     jacobian = torch.cat((fit.jacobian, columns), dim=1)
     prior = torch.block_diag(
         (fit.polished.precision - fit.polished.information)[0],

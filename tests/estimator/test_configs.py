@@ -69,6 +69,8 @@ def test_every_rig_file_loads_and_starts_inside_its_priors(name: str) -> None:
         ("mice_ssu_e1_cc_e2", "E1", 2.615, 56 * 64, 0.1102, (0.25709 + 0.31650) / 2),
         ("mice_ssu_e1_cc_e2", "CC", 1.868, 20 * 768, 1.3101, (0.25712 + 0.27835) / 2),
         ("mice_ssu_e1_cc_e2", "E2", 1.121, 62 * 64, 0.1102, (0.25712 + 0.32290) / 2),
+        ("mice_ssu", "M1", 3.448, 42 * 115, 0.2006, (0.25704 + 0.30159) / 2),
+        ("mice_ssu", "CC", 1.868, 20 * 768, 1.3101, (0.25712 + 0.27835) / 2),
         ("goettingen_long", "coil1", 0.0, 825, 0.449, 0.06475),
         ("goettingen_thick", "coil1", 0.0, 499, 0.270, 0.100),
         ("goettingen_helmholtz", "coil1", 0.0325, 577, 0.015, 0.055),

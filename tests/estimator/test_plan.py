@@ -239,3 +239,51 @@ def test_a_mistake_is_named(rig: Rig, tmp_path: Path, old: str, new: str, messag
     with pytest.raises(InvalidInput) as caught:
         loaded(tmp_path, rig, old, new)
     assert str(caught.value) == f"{message} ({tmp_path / 'plan.yaml'}, line {line})"
+
+
+STOPS = """\
+schema_version: 1
+name: two stops
+settle_s: 2
+stops:
+  - {arm: {q1_deg: -90}, stage: {z_mm: 1}, current_A: {coil1: 3}}
+  - {stage: {x_mm: -2}, current_A: {coil2: -0.5}}
+"""
+
+
+def with_stops(path: Path, rig: Rig, old: str = "", new: str = "") -> Plan:
+    assert STOPS.count(old) == 1 or not old, old
+    (path / "plan.yaml").write_text(STOPS.replace(old, new) if old else STOPS, encoding="utf-8")
+    return load_plan(path / "plan.yaml", rig)
+
+
+def test_stops_are_visited_one_by_one_with_their_own_currents(tmp_path: Path, rig: Rig) -> None:
+    asked = observations_of(with_stops(tmp_path, rig), rig, np.random.default_rng(1))
+    assert asked.current_A.tolist() == [[3.0, 0.0], [3.0, 0.0], [0.0, -0.5], [0.0, -0.5]]  # two sensors
+    assert asked.motion["stage"][:, [0, 2]].tolist() == [[0.0, 1e-3]] * 2 + [[-2e-3, 0.0]] * 2
+    assert asked.motion["arm"][0, 1] == pytest.approx(-np.pi / 2.0)
+    assert asked.time_s.tolist() == [0.0, 0.0, 2.0, 2.0]
+    assert not asked.is_validation.any()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (", current_A: {coil2: -0.5}", "", "stops[1].current_A is missing"),
+        ("{coil2: -0.5}", "{coil3: 1}", "stops[1].current_A must name coils of the rig (coil1, coil2)"),
+        ("{x_mm: -2}", "{x: -2}", "stops[1].stage.x must carry its unit"),
+        ("{x_mm: -2}", "{x_mm: -2, w_mm: 1}", "stops[1].stage.w_mm is not a key that is known here"),
+        ("  - {stage", "  - {arm2: {}, stage", "stops[1].arm2 is not a key that is known here"),
+    ],
+)
+def test_mistakes_in_stops_are_named(tmp_path: Path, rig: Rig, old: str, new: str, words: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        with_stops(tmp_path, rig, old, new)
+    assert words in str(caught.value)
+    assert "plan.yaml, line " in str(caught.value)
+
+
+def test_stops_must_be_a_list(tmp_path: Path, rig: Rig) -> None:
+    (tmp_path / "plan.yaml").write_text("schema_version: 1\nname: none\nstops: 3\n", encoding="utf-8")
+    with pytest.raises(InvalidInput, match="stops must be a list of keys and values; received 3"):
+        load_plan(tmp_path / "plan.yaml", rig)

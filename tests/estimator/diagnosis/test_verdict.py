@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -12,7 +13,14 @@ from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.discrepancy import Discrepancy, families
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.search import Rival, Search, Step
-from estimator.diagnosis.verdict import NamedCause, Verdict, beside_discrepancy, named_causes, verdict_of
+from estimator.diagnosis.verdict import (
+    NamedCause,
+    Verdict,
+    beside_discrepancy,
+    extended_fit,
+    named_causes,
+    verdict_of,
+)
 from estimator.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -32,7 +40,7 @@ def both(small_rig: Rig, small_session: Session) -> Fit:
 
 
 def left(log_bayes_factor: float) -> Discrepancy:
-    return Discrepancy(log_bayes_factor, "time", {"time": log_bayes_factor}, 1.0, torch.zeros(3).double())
+    return Discrepancy(log_bayes_factor, "time", {"time": log_bayes_factor}, 1.0, torch.zeros(3, 1).double())
 
 
 def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -3.0) -> Step:
@@ -123,7 +131,14 @@ def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)
     search = found(fit_of(small_rig, readings.calibration), final, LAST)
-    smooth = families(final)
-    kept = beside_discrepancy(search, [named(OFFSET), named(GAIN)], smooth)
-    assert GAIN not in [one.cause for one in kept]
-    assert [one.cause for one in beside_discrepancy(search, [named(OFFSET)], [smooth[0]])] == [OFFSET]
+    curve = replace(left(-3.0), columns=2.0 * families(final)[0].columns)
+    search = replace(search, whole=curve, steps=(replace(LAST, left=curve),))
+    assert [one.cause for one in beside_discrepancy(search, [named(OFFSET), named(GAIN)])] == [OFFSET]
+
+
+def test_the_extended_fit_keeps_the_causes_that_were_named_and_no_other(base, both):
+    search = found(base, both, LAST)
+    assert extended_fit(search, [named(OFFSET), named(GAIN)]) is both
+    only = extended_fit(search, [named(GAIN)])
+    assert only.rig.effects == (GAIN,)
+    assert extended_fit(search, []).rig.effects == ()

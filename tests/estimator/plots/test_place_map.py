@@ -12,7 +12,12 @@ from matplotlib.patches import Annulus, Rectangle
 
 from estimator.errors import InvalidInput
 from estimator.field.winding import Winding
-from estimator.plots import angular_deviation_map, relative_error_map, residual_map
+from estimator.plots import (
+    angular_deviation_map,
+    before_and_after_map,
+    relative_error_map,
+    residual_map,
+)
 
 TITLE = "rig, 2026-01-01"
 STEPS_M = np.linspace(-0.04, 0.04, 5)
@@ -133,3 +138,17 @@ def test_components_that_were_not_measured_do_not_count(winding: Winding) -> Non
     residual_T[::2] = np.nan
     values = discs(residual_map(GRID_M, residual_T, winding).axes[0])[1]
     assert np.allclose(values, 5.0)
+
+
+def test_before_and_after_share_their_colours_and_places(winding: Winding) -> None:
+    before_T, after_T = np.full_like(GRID_M, 100e-6), np.full_like(GRID_M, 10e-6)
+    figure = before_and_after_map(GRID_M, before_T, after_T, winding, 5e-6, TITLE)
+    panels = [ax for ax in figure.axes if ax.get_title()]
+    assert [ax.get_title().partition(",")[0] for ax in panels] == ["before", "before", "after", "after"]
+    limits = {
+        tuple(c.get_clim()) for ax in panels for c in ax.collections if isinstance(c, EllipseCollection)
+    }
+    assert len(limits) == 1
+    assert np.allclose(discs(panels[0])[1], np.sqrt(3.0) * 100.0)
+    assert np.allclose(discs(panels[2])[1], np.sqrt(3.0) * 10.0)
+    assert np.array_equal(discs(panels[0])[0], discs(panels[2])[0])

@@ -1,0 +1,83 @@
+"""`coilcal design` as a user calls it, and `coilcal simulate --hide`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+from estimator.store.session import load_session
+
+Run = Callable[..., Result]
+TWINS = ("--split", "background_field", "--split", "sensor_offset")
+
+
+def test_a_turned_sensor_is_proposed_to_split_twins(workspace: Path, run: Run) -> None:
+    result = run("design", workspace / "session.zarr", *TWINS, "--readings", 3, "--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    best = found["programmes"][0]
+    assert "turned by 90 degrees" in best["action"]
+    assert best["expected_log_evidence"] > 3.0 > found["programmes"][-1]["expected_log_evidence"]
+    assert len(found["reached"]) == 3
+    assert found["plan"] is None
+
+
+def test_the_plan_can_be_simulated(workspace: Path, run: Run, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    result = run(
+        "design", workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 4, "--out", plan
+    )
+    assert result.exit_code == 0
+    assert str(plan) in result.stdout
+    again = run("simulate", "--rig", workspace / "rig.yaml", "--plan", plan, "--out", tmp_path / "more.zarr")
+    assert again.exit_code == 0
+    assert len(load_session(tmp_path / "more.zarr").observations) == 4
+
+
+def test_an_existing_plan_is_kept(workspace: Path, run: Run, refused: Callable[[Result], str]) -> None:
+    result = run("design", workspace / "session.zarr", *TWINS, "--out", workspace / "plan.yaml")
+    assert "plan.yaml" in refused(result)
+
+
+@pytest.mark.parametrize("options", [(), ("--split", "axis_gain"), (*TWINS, "--shrink", "coil1.radius_m")])
+def test_one_goal_is_needed(
+    workspace: Path, run: Run, refused: Callable[[Result], str], options: tuple[str, ...]
+) -> None:
+    assert "must split two or more causes, or shrink one" in refused(
+        run("design", workspace / "session.zarr", *options)
+    )
+
+
+def test_a_hidden_cause_is_in_the_truth_by_its_full_name_and_in_the_readings(
+    workspace: Path, run: Run, tmp_path: Path
+) -> None:
+    simulate = (
+        "simulate",
+        "--rig",
+        workspace / "rig.yaml",
+        "--plan",
+        workspace / "plan.yaml",
+        "--truth",
+        "nominal",
+    )
+    plain, flawed = tmp_path / "plain.zarr", tmp_path / "flawed.zarr"
+    assert run(*simulate, "--out", plain).exit_code == 0
+    result = run(*simulate, "--hide", "sensor_offset.z_T=1e-4", "--out", flawed, "--json")
+    assert json.loads(result.stdout)["truth"]["sensor_offset[hall].z_T"] == 1e-4
+    one, other = (load_session(path) for path in (plain, flawed))
+    change_T = other.observations.field_sensor_T - one.observations.field_sensor_T
+    assert change_T.mean(0).tolist() == pytest.approx([0.0, 0.0, 1e-4], abs=1e-9)
+    assert other.rig.effects == ()
+
+
+def test_a_hidden_cause_that_does_not_exist_is_refused_before_anything_is_written(
+    workspace: Path, run: Run, refused: Callable[[Result], str], tmp_path: Path
+) -> None:
+    result = run("simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--hide", "gain=1",
+                 "--out", tmp_path / "a.zarr")  # fmt: skip
+    assert "cause must be one that coilcal knows" in refused(result)
+    assert not (tmp_path / "a.zarr").exists()
