@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -115,7 +116,8 @@ def acquire_command(
             n_before = _measure(task, out, is_resumed, stack)
     except (KeyboardInterrupt, SystemExit) as end:
         click.echo(
-            "coilcal: interrupted; the currents are ramped down, and the same command goes on", err=True
+            "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
+            err=True,
         )
         sys.exit(end.code if isinstance(end, SystemExit) else INTERRUPTED)
     session = seal(out)
@@ -206,7 +208,7 @@ def _source(task: _Task, devices: DeviceSet) -> str:
 
 def _plan_record(task: _Task) -> dict[str, Any]:
     rig, stops = task.bench.rig, task.stops
-    begins_s = [sum(task.times_s[:row]) for row in range(len(stops))]
+    begins_s = list(itertools.accumulate(task.times_s, initial=0.0))
     return {
         "plan": task.plan.name,
         "readings_per_stop": task.pace.n_readings,

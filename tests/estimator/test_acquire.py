@@ -219,7 +219,7 @@ def test_a_stop_is_one_row_however_many_sensors_there_are(small_plan: Plan, smal
     assert len(stops_of(small_plan, small_rig, 0)) == 27 + 9
     mice = load_rig("configs/mice_ssu_e1_cc_e2.yaml")
     pose = {"mapper": torch.zeros(6).numpy()}
-    plan = Plan("two", (), (), (), False, 1, 1.0, ((pose, {"E1": 1.0}), (pose, {"E1": 2.0})))
+    plan = Plan("two", (), (), (), "raster", 1, 1.0, ((pose, {"E1": 1.0}), (pose, {"E1": 2.0})))
     assert stops_of(plan, mice, 0).current_A[:, 0].tolist() == [1.0, 2.0]
 
 

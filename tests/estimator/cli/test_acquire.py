@@ -15,6 +15,7 @@ import yaml
 from click.testing import Result
 
 from drivers.open import open_devices
+from drivers.protocols import FlangePose
 from estimator import diagnose
 from estimator.store.journal import JOURNAL
 from estimator.store.session import is_growing, load_session
@@ -64,6 +65,7 @@ def call(folder: Path, out: Path, *more: object) -> list[str]:
 
 def started(folder: Path, out: Path, n_stops: int) -> subprocess.Popen[str]:
     """A measurement that has visited some stops."""
+    bring_home(folder)
     program = subprocess.Popen(
         [*PROGRAM, *call(folder, out)], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -73,6 +75,17 @@ def started(folder: Path, out: Path, n_stops: int) -> subprocess.Popen[str]:
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
     return program
+
+
+def bring_home(folder: Path) -> None:
+    """To where displacements are zero: an interrupted measurement leaves the arm where it stopped."""
+    section = yaml.safe_load((folder / "devices.yaml").read_text())["devices"]["arm1"]
+    ends_mm = zip(section["workspace_low_mm"], section["workspace_high_mm"], strict=True)
+    x_m, y_m, z_m = (5e-4 * (low_mm + high_mm) for low_mm, high_mm in ends_mm)
+    with open_devices({"arm1": section}) as devices:
+        devices.arms["arm1"].move_to(
+            FlangePose((x_m, y_m, z_m), (0.0, 0.0, 0.0)), speed_m_per_s=0.2, timeout_s=10.0
+        )
 
 
 def is_off(folder: Path) -> bool:
@@ -127,8 +140,8 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
 
 
 @pytest.mark.parametrize(("how", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
-def test_an_interrupted_run_leaves_no_current_and_what_it_said(
-    folder: Path, tmp_path: Path, how: signal.Signals, code: int
+def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(
+    run: Run, folder: Path, tmp_path: Path, how: signal.Signals, code: int
 ) -> None:
     out = tmp_path / "session.zarr"
     program = started(folder, out, 2)
@@ -141,13 +154,6 @@ def test_an_interrupted_run_leaves_no_current_and_what_it_said(
         assert time.monotonic() < deadline_s
     assert is_growing(out)
     assert 2 <= len(load_session(out).observations) < 36
-
-
-def test_another_plan_does_not_go_on_with_a_session(run: Run, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "session.zarr"
-    program = started(folder, out, 1)
-    program.terminate()
-    program.communicate(timeout=20.0)
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN.replace("{coil1: 3}", "{coil1: 2}"), encoding="utf-8")
     result = run(*[str(plan) if a.endswith("plan.yaml") else a for a in call(folder, out)])
@@ -178,5 +184,6 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     found = diagnose(session, seed=1).record()
     assert found["verdict"] == "named", found["causes"]
     assert [cause["name"] for cause in found["causes"]] == ["axis_gain"]
-    low, high = found["causes"][0]["parameters"]["x"]["ci90"]
-    assert low - 0.005 < HIDDEN_GAIN < high + 0.005
+    x, y, z = (found["causes"][0]["parameters"][axis]["median"] for axis in "xyz")
+    # A gain of all three axes together is the coil's, so only their differences can be told.
+    assert x - 0.5 * (y + z) == pytest.approx(HIDDEN_GAIN, abs=0.005)
