@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -52,21 +53,25 @@ class Journal:
         Raises:
             InvalidInput: It is there, or cannot be written.
         """
-        path = folder / JOURNAL
+        folder = folder.absolute()
+        begun = folder.with_name(folder.name + ".begun")
+        path = begun / JOURNAL
         try:
-            folder.mkdir(parents=True)
+            shutil.rmtree(begun, ignore_errors=True)
+            begun.mkdir(parents=True)
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
-        journal = cls(descriptor, path)
+        journal = cls(descriptor, folder / JOURNAL)
         try:
             journal._lock()
             journal._write(header)
-            for made in (
-                folder,
-                folder.absolute().parent,
-            ):  # or a crash could lose the names of folder and file
-                _sync_folder(made)
+            sync(begun)
+            begun.rename(folder)  # now there is a session, and it has a header
+            sync(folder.parent)
+        except OSError as error:
+            journal.close()
+            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
         except BaseException:
             journal.close()
             raise
@@ -176,8 +181,9 @@ def _parsed(path: Path) -> tuple[list[Record], int]:
     return entries, end
 
 
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

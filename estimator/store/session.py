@@ -29,10 +29,12 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
 from estimator.store.growing import GROWING, observations_of
-from estimator.store.journal import JOURNAL, read_journal
+from estimator.store.journal import JOURNAL, read_journal, sync
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
+GROUP = "zarr.json"
+PARTIAL = "sealing.partial"
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,7 @@ class Session:
         Raises:
             InvalidInput: The path exists and `overwrite` is not set, or it cannot be written.
         """
-        self._save(path.absolute(), overwrite, None)
-
-    def _save(self, path: Path, overwrite: bool, journal: Path | None) -> None:
+        path = path.absolute()
         if path.exists() and not overwrite:
             raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
         partial = path.with_name(path.name + ".partial")
@@ -92,8 +92,6 @@ class Session:
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(partial, ignore_errors=True)
             self._write(partial)
-            if journal is not None:
-                shutil.copy2(journal, partial / JOURNAL)
             replace_folder(partial, path)
         except OSError as error:
             shutil.rmtree(partial, ignore_errors=True)
@@ -135,7 +133,7 @@ def load_session(path: Path | str) -> Session:
     path = Path(path)
     if is_growing(path):
         return _from_journal(path)
-    if not (path / "zarr.json").is_file():
+    if not (path / GROUP).is_file():
         raise InvalidInput(
             f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
@@ -164,7 +162,7 @@ def load_session(path: Path | str) -> Session:
 
 def is_growing(path: Path) -> bool:
     """Whether a session at this path is still being measured, or was left before its end."""
-    return (path / JOURNAL).is_file() and not (path / "zarr.json").is_file()
+    return (path / JOURNAL).is_file() and not (path / GROUP).is_file()
 
 
 def seal(path: Path) -> Session:
@@ -175,7 +173,21 @@ def seal(path: Path) -> Session:
         CorruptStore: The journal is damaged.
     """
     session = _from_journal(path)
-    session._save(path.absolute(), True, path / JOURNAL)
+    partial = path / PARTIAL
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        session._write(partial)
+        for file in partial.rglob("*"):
+            sync(file)
+        # The group's own file makes a session of it, so that goes last: killed before, the session is still a journal.
+        for part in sorted(partial.iterdir(), key=lambda part: part.name == GROUP):
+            if part.name != GROUP:
+                shutil.rmtree(path / part.name, ignore_errors=True)
+            part.rename(path / part.name)
+        sync(path)
+        partial.rmdir()
+    except OSError as error:
+        raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
     return session
 
 
@@ -202,7 +214,7 @@ def _from_journal(path: Path) -> Session:
 
 
 def _is_session(path: Path) -> bool:
-    group = path / "zarr.json"
+    group = path / GROUP
     return is_growing(path) or (group.is_file() and KIND.encode() in group.read_bytes())
 
 

@@ -148,3 +148,57 @@ def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tm
         assert values == list(range(len(values)))
         assert len(values) >= max(acknowledged, default=0)
     assert len(values) > 50
+
+
+def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_whole(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(BaseException):
+        pass
+
+    rename, hashes = Path.rename, set()
+
+    def killed_after(n_renames: int) -> bool:
+        left = [n_renames]
+
+        def until_killed(self: Path, target: Path) -> Path:
+            if not left[0]:
+                raise Killed
+            left[0] -= 1
+            return rename(self, target)
+
+        monkeypatch.setattr(Path, "rename", until_killed)
+        try:
+            seal(folder)
+        except Killed:
+            return True
+        finally:
+            monkeypatch.undo()
+        return False
+
+    n_renames = 0
+    while killed_after(n_renames):
+        assert is_growing(folder)
+        hashes.add(load_session(folder).hash)
+        n_renames += 1
+    assert n_renames > 5
+    assert not is_growing(folder)
+    assert hashes == {load_session(folder).hash}
+    assert len(read_journal(folder)[1]) == 3
+
+
+def test_killed_before_its_header_is_written_a_session_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "session.zarr"
+
+    def killed(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Journal.create(folder, {"kind": "test"})
+    assert not folder.exists()
+    Journal.create(folder, {"kind": "test"}).close()
+    assert [path.name for path in tmp_path.iterdir()] == ["session.zarr"]
