@@ -33,6 +33,10 @@ ANSWER_S = 5.0  # beyond what a ramp, a motion or a measurement takes by itself
 OFF_S = 20.0
 SETTLED_SIGMA = 4.0  # difference of the two halves of the readings that chance makes once in a hundred stops
 FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
+STILL_M, STILL_RAD = (
+    2e-5,
+    1e-4,
+)  # below the repeatability of the arms: one that was not told to move has not moved
 
 
 @runtime_checkable
@@ -117,6 +121,7 @@ class _Visit:
     ) -> None:
         self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
         self._motion: dict[str, Tensor] = {}
+        self._stands: dict[str, FlangePose] = {}
         self._current_A: dict[str, float] = {}
 
     def go_to(self, stops: Observations, row: int) -> None:
@@ -146,7 +151,7 @@ class _Visit:
         middle_s = 0.5 * (begin_s + time.monotonic())
         motion = {}
         for mover in self._rig.movers:
-            pose = self._instruments.arms[mover.name].read_pose(timeout_s=ANSWER_S).value
+            pose = self._pose(mover.name)
             here = _transform([*pose.position_m, *pose.rotation_vector_rad])
             asked = stops.motion[mover.name][row][None]
             motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
@@ -171,12 +176,25 @@ class _Visit:
         for name, reference in self._references.items():
             self._move(name, _flange_pose(reference))
 
+    def _pose(self, name: str) -> FlangePose:
+        """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
+        pose = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S).value
+        known = self._stands.get(name)
+        if (
+            known is None
+            or math.dist(pose.position_m, known.position_m) > STILL_M
+            or math.dist(pose.rotation_vector_rad, known.rotation_vector_rad) > STILL_RAD
+        ):
+            self._stands[name] = pose
+        return self._stands[name]
+
     def _move(self, name: str, target: FlangePose) -> None:
         arm, speed_m_per_s = self._instruments.arms[name], self._pace.speed_m_per_s[name]
         here = arm.read_pose(timeout_s=ANSWER_S).value
         way_m = math.dist(here.position_m, target.position_m)
         # A turn on the spot takes its time, too: half a circle at the slowest that arms are driven.
         timeout_s = 2.0 * way_m / speed_m_per_s + 10.0 + ANSWER_S
+        self._stands.pop(name, None)
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
     def _average(self, name: str) -> tuple[Tensor, Tensor, bool]:

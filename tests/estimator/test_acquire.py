@@ -169,6 +169,27 @@ def test_readings_are_averaged_without_those_that_repeat(
     assert record["is_settled"]
 
 
+@pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
+def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_m: float, is_same: bool
+) -> None:
+    class Trembling(MemoryArm):
+        n_read = 0
+
+        def read_pose(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            x_m, y_m, z_m = self.pose.position_m
+            return self.counter.reading(replace(self.pose, position_m=(x_m + step_m * self.n_read, y_m, z_m)))
+
+    devices = rig_of_devices()
+    devices.arms["arm1"] = Trembling()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = (record["motion"]["arm1"] for record in journal.records)
+    assert (first == second) is is_same
+    assert second != third
+
+
 def test_a_field_that_settles_late_is_waited_for(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     falling = [(0.0, 0.0, 1e-3 * 2.0**-i) for i in range(20)]
     record = first_record(tmp_path, small_rig, stops, Scripted(*falling, (0.0, 0.0, 0.0)), 12)
