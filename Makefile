@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow recover coverage hidden real diagnose-real bench figures
+.PHONY: demo test lint types imports unit slow recover coverage hidden real diagnose-real storms bench figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -46,6 +46,9 @@ real: $(INSTALLED)        # measured coils below COILCAL_DATA
 
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
+
+storms: $(INSTALLED)     # a measurement killed at 50 random instants
+	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'
