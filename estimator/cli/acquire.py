@@ -179,7 +179,7 @@ def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
     if journal is None:
         if out.exists():
             remove_session(out)
-        header = new_header(rig, _source(task, devices), digest_of(task.stops), references)
+        header = new_header(rig, _source(task, devices), digest_of(task.stops), references, len(task.stops))
         journal = stack.enter_context(Journal.create(out, header))
     n_before = len(journal.records)
     if n_before:

@@ -58,7 +58,9 @@ class StopRecord:
         }
 
 
-def new_header(rig: Rig, source: str, plan: str, references: Mapping[str, Numbers]) -> Record:
+def new_header(
+    rig: Rig, source: str, plan: str, references: Mapping[str, Numbers], n_stops: int = 0
+) -> Record:
     """First record of a session.
 
     Args:
@@ -66,6 +68,7 @@ def new_header(rig: Rig, source: str, plan: str, references: Mapping[str, Number
         source: Where the readings come from, in words.
         plan: Digest of the stops to visit, by which a resumed run knows that they are the same.
         references: Per mover base_from_flange where displacements are zero, as six numbers.
+        n_stops: That the plan has; 0 where nobody knows.
     """
     now = datetime.now(UTC)
     return {
@@ -77,6 +80,7 @@ def new_header(rig: Rig, source: str, plan: str, references: Mapping[str, Number
         "rig": rig_state(rig),
         "rig_hash": rig.hash,
         "plan": plan,
+        "n_stops": n_stops,
         "references": {name: list(pose) for name, pose in references.items()},
     }
 

@@ -164,11 +164,26 @@ def _line(number: int, record: Mapping[str, Any]) -> bytes:
 
 
 def _parsed(path: Path) -> tuple[list[Record], int]:
-    """Whole lines without their numbers, and where they end; what follows the last line feed is torn."""
-    *lines, _ = path.read_bytes().split(b"\n")
-    end = sum(len(line) + 1 for line in lines)
+    """All records of a journal, the header among them, and where they end."""
+    entries, size = parsed_lines(path.read_bytes(), 0, path)
+    if not entries:
+        raise CorruptStore(f"session must begin with its header; {path} holds none")
+    return entries, size
+
+
+def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Record], int]:
+    """Records of whole lines, and the length of these; what follows the last line feed is torn, or being written.
+
+    Args:
+        data: Of a journal, from the beginning of a line.
+        first: Number of that line.
+        path: For messages.
+    Raises:
+        CorruptStore: A line is damaged.
+    """
+    *lines, _ = data.split(b"\n")
     entries = []
-    for number, line in enumerate(lines):
+    for number, line in enumerate(lines, start=first):
         checksum, _, text = line.partition(b" ")
         if checksum != b"%08x" % zlib.crc32(text):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
@@ -176,9 +191,7 @@ def _parsed(path: Path) -> tuple[list[Record], int]:
         if record.pop("n") != number:
             raise CorruptStore(f"session must hold all its lines; line {number + 1} of {path} is another one")
         entries.append(record)
-    if not entries:
-        raise CorruptStore(f"session must begin with its header; {path} holds none")
-    return entries, end
+    return entries, sum(len(line) + 1 for line in lines)
 
 
 def sync(path: Path) -> None:
