@@ -81,7 +81,7 @@ class Background:
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
-        self._pool = multiprocessing.get_context("spawn").Pool(1, _begin)
+        self._pool = multiprocessing.get_context("spawn").Pool(1, _prepare)
         self._running: AsyncResult[Refreshed] | None = None
         self._n_seen = 0
 
@@ -90,28 +90,37 @@ class Background:
         """Whether a refreshment is under way or has not been taken."""
         return self._running is not None
 
-    def offer(self, session: Session, is_last: bool = False) -> bool:
-        """Begin with a session, if there is nothing else to do and it has grown enough; whether it was begun."""
-        n = len(session.observations)
-        grown = n > self._n_seen if is_last else n >= max(FEWEST_READINGS, GROWTH * self._n_seen)
-        if self.is_busy or not grown:
-            return False
-        self._n_seen = n
-        self._running = self._pool.apply_async(refreshed, (session, self._seed))
-        return True
+    def offer(self, session: Session) -> None:
+        """Begin with a session, if there is nothing else to do and it has grown enough."""
+        if not self.is_busy and len(session.observations) >= max(FEWEST_READINGS, GROWTH * self._n_seen):
+            self._begin(session)
 
-    def take(self, timeout_s: float = 0.0) -> Refreshed | None:
+    def take(self) -> Refreshed | None:
         """What was found, once; None where it is not ready, or the readings do not support a fit yet."""
-        if self._running is None:
-            return None
-        self._running.wait(timeout_s)
-        if not self._running.ready():
+        if self._running is None or not self._running.ready():
             return None
         running, self._running = self._running, None
         try:
             return running.get()
         except InvalidInput:
             return None
+
+    def last(self, session: Session) -> Refreshed | None:
+        """Posterior and verdict of a session that will not grow any more; waits for them."""
+        found = self._wait()
+        if len(session.observations) > self._n_seen:
+            self._begin(session)
+            found = self._wait() or found
+        return found
+
+    def _begin(self, session: Session) -> None:
+        self._n_seen = len(session.observations)
+        self._running = self._pool.apply_async(refreshed, (session, self._seed))
+
+    def _wait(self) -> Refreshed | None:
+        if self._running is not None:
+            self._running.wait()
+        return self.take()
 
     def __enter__(self) -> Background:
         return self
@@ -123,7 +132,7 @@ class Background:
         self._pool.join()
 
 
-def _begin() -> None:
+def _prepare() -> None:
     """Of the process: the readings come first, Ctrl-C is for the program that started it."""
     os.nice(NICENESS)
     torch.set_num_threads(1)

@@ -13,6 +13,7 @@ from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
+from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
 from estimator.cli.report import report_command
 from estimator.cli.rig_simulator import rig_simulator_command
@@ -48,5 +49,6 @@ for command in (
     devices_group,
     rig_simulator_command,
     acquire_command,
+    live_command,
 ):
     main.add_command(command)
