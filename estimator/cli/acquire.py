@@ -169,7 +169,7 @@ def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
     journal = stack.enter_context(Journal.resume(out)) if is_resumed else None
     if journal is not None:
         _check_same(journal, task, out)
-    devices = stack.enter_context(task.bench.open())
+    devices = stack.enter_context(task.bench.opened())
     references = journal.header["references"] if journal is not None else references_of(rig, devices)
     at_reference = {
         name: Transform.from_pose(*torch.tensor([pose], dtype=torch.float64).split(3, dim=1))

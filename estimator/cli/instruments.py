@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from drivers.errors import DriverError, Refused
+from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.open import DeviceSet, open_devices
 from estimator.config import load_rig
 from estimator.devices_section import DeviceSettings, load_devices, place_of
@@ -68,6 +68,24 @@ class Bench:
         chosen = {name: self.devices[name] for name in names or self.devices}
         with self.located():
             return open_devices(chosen)
+
+    @contextmanager
+    def opened(self) -> Iterator[DeviceSet]:
+        """All devices for a block, closed after it.
+
+        Raises:
+            DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest.
+        """
+        devices = self.open()
+        interlock = devices.interlock
+        try:
+            with devices:
+                yield devices
+        except DriverError as error:
+            if interlock.reason is None:
+                raise
+            rest = "; ".join(interlock.not_at_rest) or "arms and currents were brought to rest"
+            raise DeviceFault(f"{interlock.reason}; {rest}") from error
 
     @contextmanager
     def located(self) -> Iterator[None]:
