@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from statistics import fmean
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, ReadingFlag, RobotArm, Vector
+from estimator.clocks import DeviceClock
 from estimator.errors import InvalidInput
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach, motion_reached
@@ -122,6 +124,7 @@ class _Visit:
         self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
         self._motion: dict[str, Tensor] = {}
         self._stands: dict[str, FlangePose] = {}
+        self._clocks: dict[str, DeviceClock] = {}
         self._current_A: dict[str, float] = {}
 
     def go_to(self, stops: Observations, row: int) -> None:
@@ -146,9 +149,8 @@ class _Visit:
 
     def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
         """Average the field, then look where the arms and the currents are."""
-        begin_s = time.monotonic()
         averages = {name: self._average(name) for name in self._instruments.sensors}
-        middle_s = 0.5 * (begin_s + time.monotonic())
+        taken_s = fmean(time_s for _, _, _, time_s in averages.values())
         motion = {}
         for mover in self._rig.movers:
             pose = self._pose(mover.name)
@@ -156,7 +158,7 @@ class _Visit:
             asked = stops.motion[mover.name][row][None]
             motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
         return StopRecord(
-            middle_s + offset_s,
+            taken_s + offset_s,
             stops.current_A[row].tolist(),
             motion,
             {name: mean_T.tolist() for name, (mean_T, *_) in averages.items()},
@@ -166,9 +168,10 @@ class _Visit:
                 name: source.read_current_A(timeout_s=ANSWER_S).value
                 for name, source in self._instruments.sources.items()
             },
-            {name: sd_T.tolist() for name, (_, sd_T, _) in averages.items()},
+            {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
             self._pace.n_readings,
-            all(is_settled for *_, is_settled in averages.values()),
+            all(is_settled for _, _, is_settled, _ in averages.values()),
+            {name: clock.delay_s for name, clock in self._clocks.items()},
         )
 
     def return_home(self) -> None:
@@ -178,7 +181,9 @@ class _Visit:
 
     def _pose(self, name: str) -> FlangePose:
         """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
-        pose = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S).value
+        reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
+        pose = reading.value
+        self._taken_s(name, reading)
         known = self._stands.get(name)
         if (
             known is None
@@ -197,8 +202,16 @@ class _Visit:
         self._stands.pop(name, None)
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
-    def _average(self, name: str) -> tuple[Tensor, Tensor, bool]:
-        """Mean and scatter of readings whose two halves agree, and whether they did in time."""
+    def _taken_s(self, name: str, reading: Reading[Any]) -> float:
+        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock."""
+        if reading.device_time_s is None:
+            return reading.host_monotonic_s
+        clock = self._clocks.setdefault(name, DeviceClock())
+        clock.add(reading.host_monotonic_s, reading.device_time_s)
+        return clock.on_host_s(reading.device_time_s)
+
+    def _average(self, name: str) -> tuple[Tensor, Tensor, bool, float]:
+        """Mean and scatter of readings whose two halves agree, whether they did in time, and when they were taken."""
         sensor, n = self._instruments.sensors[name], self._pace.n_readings
         deadline_s = time.monotonic() + self._pace.longest_settle_s
         values = [sensor.read_field_T(timeout_s=ANSWER_S)]
@@ -212,7 +225,8 @@ class _Visit:
             allowed_T = FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)
             is_settled = not bool((step_T > allowed_T).any())
             if is_settled or time.monotonic() > deadline_s:
-                return field_T.mean(0), field_T.std(dim=0), is_settled
+                taken_s = fmean(self._taken_s(name, reading) for reading in values)
+                return field_T.mean(0), field_T.std(dim=0), is_settled, taken_s
             values = values[n // 2 : n]
 
 

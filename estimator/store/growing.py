@@ -27,7 +27,7 @@ class StopRecord:
     """What was read at one stop; numbers that are not known are None in the journal.
 
     Attributes:
-        time_s: Middle of the readings, since the session began.
+        time_s: When the field was read, on average, since the session began.
         current_A: Commanded current of each coil.
         motion: Per mover the six numbers of its columns, as measured.
         field_T: Mean of each component by sensor; NaN where it was out of range.
@@ -37,6 +37,7 @@ class StopRecord:
         sd_T: Scatter of the single readings, by sensor.
         n_readings: That were averaged.
         is_settled: Whether the field had come to rest.
+        delay_s: How late the readings of instruments with clocks of their own arrive.
     """
 
     time_s: float
@@ -49,6 +50,7 @@ class StopRecord:
     sd_T: Mapping[str, Numbers] = field(default_factory=dict)
     n_readings: int = 1
     is_settled: bool = True
+    delay_s: Mapping[str, float] = field(default_factory=dict)
 
     def record(self) -> Record:
         """For the journal."""

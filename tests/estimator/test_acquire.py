@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -167,6 +168,26 @@ def test_readings_are_averaged_without_those_that_repeat(
     assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
     assert record["sd_T"]["hall"][2] == pytest.approx(2e-3 / math.sqrt(3))
     assert record["is_settled"]
+
+
+def test_a_stop_is_dated_by_the_clock_of_its_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Late(MemorySensor):
+        """Hands its readings over 20 ms after it took them, but the first at once; its clock runs since 1970."""
+
+        n_read = 0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            now_s = time.monotonic()
+            taken_s = now_s if self.n_read == 1 else now_s - 0.02
+            return self.counter.reading((0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=taken_s + 1e9)
+
+    record = first_record(tmp_path, small_rig, stops, Late(), n_readings=10)
+    assert record["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
+    again = first_record(tmp_path / "again", small_rig, stops, MemorySensor())
+    assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
 
 
 @pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
