@@ -23,6 +23,7 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.stream import Estimate, Stream
 
 __all__ = [
     "Calibration",
@@ -30,6 +31,7 @@ __all__ = [
     "CorruptStore",
     "Design",
     "Diagnosis",
+    "Estimate",
     "InvalidInput",
     "Observations",
     "Plan",
@@ -37,6 +39,7 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Stream",
     "block_split",
     "calibrate",
     "design",

@@ -82,6 +82,15 @@ def bring_home(folder: Path) -> None:
         )
 
 
+def gone_on(run: Run, folder: Path, out: Path) -> Result:
+    """The same command again; and again where the computer was too busy to hear the arm 500 times a second, which stops the rig."""
+    for _ in range(4):
+        result = run(*call(folder, out, "--json"))
+        if "must be heard" not in result.stderr:
+            break
+    return result
+
+
 def is_off(folder: Path) -> bool:
     """Whether no current flows."""
     section = yaml.safe_load((folder / "devices.yaml").read_text())["devices"]
@@ -165,7 +174,7 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     assert program.returncode == 130, said
     assert "the same command goes on" in said[1]
     before = (out / JOURNAL).read_bytes()
-    result = run(*call(folder, out, "--json"))
+    result = gone_on(run, folder, out)
     assert result.exit_code == 0, result.stderr
     said_json = json.loads(result.stdout)
     assert 3 <= said_json["stops_of_earlier_runs"] < 24
