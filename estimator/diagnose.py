@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +16,11 @@ from estimator.diagnosis.discrepancy import Discrepancy
 from estimator.diagnosis.extension import extended_text
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import gain
-from estimator.diagnosis.record import without_faults
+from estimator.diagnosis.record import Fault, without_faults
 from estimator.diagnosis.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.search import Search, search
 from estimator.diagnosis.signatures import CLEAR
+from estimator.diagnosis.step import leaves_structure
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import (
     NamedCause,
@@ -83,6 +84,10 @@ def diagnose(
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
     found = search(base, tell)
+    if faults and _is_doubtful(faults, found):
+        tell("what is left is stronger than the mistakes that were undone: again without undoing them")
+        base, faults = plain, []
+        found = search(base, tell)
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -130,6 +135,12 @@ def diagnose(
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
     return result
+
+
+def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
+    """Whether more is left than a mistake explained: then it may only have bent a wrong model towards the readings."""
+    left = found.steps[-1].left
+    return leaves_structure(left) and min(fault.log_bayes_factor for fault in faults) < left.log_bayes_factor
 
 
 def _widening(fit: Fit, left: Discrepancy) -> dict[str, float]:

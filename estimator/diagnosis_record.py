@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +183,7 @@ class Diagnosis:
                         "name": rival.name if rival.cause is None else self.label(rival.cause),
                         "log_bayes_factor": rival.log_bayes_factor,
                         "probability": rival.probability,
+                        "held_out": None if rival.held_out is None else asdict(rival.held_out),
                     }
                     for rival in step.rivals
                 ],

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from estimator.diagnosis.gain import Judged
-from estimator.diagnosis.search import Rival, Step, shares_of
+from estimator.diagnosis.step import Rival, Step, shares_of
 from estimator.diagnosis.verdict import Verdict
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import Diagnosis
@@ -240,6 +240,7 @@ def _rivals_table(diagnosis: Diagnosis, step: Step, number: int) -> Table:
             _words(rival),
             _signed(rival.log_bayes_factor),
             _percent(share.get(rival.name)),
+            "—" if rival.held_out is None else f"{_signed(rival.held_out.gain)} ± {rival.held_out.se:.1f}",
             _why(step, rival),
         ]
         for rival in step.rivals[:MOST_RIVALS]
@@ -247,8 +248,9 @@ def _rivals_table(diagnosis: Diagnosis, step: Step, number: int) -> Table:
     taken = "nothing more" if step.taken is None else diagnosis.label(step.taken)
     return Table(
         f"Who was considered, step {number}: {taken} taken",
-        ["hypothesis", "meaning", "log evidence", "among causes", "outcome"],
+        ["hypothesis", "meaning", "log evidence", "among causes", "unseen blocks", "outcome"],
         rows,
+        "Unseen blocks: gain in log density where each block of places is predicted from the others; ± is its standard error.",
     )
 
 
@@ -284,6 +286,8 @@ def _why(step: Step, rival: Rival) -> str:
         return "asked again at the end"
     if best is None or step.taken is None:
         return "not needed" if rival.cause is not None else ""
+    if rival.held_out is not None and rival.held_out.is_loss:
+        return "predicts unseen places worse"
     behind = best.log_bayes_factor - rival.log_bayes_factor
     if rival.name == "nothing":
         return f"explains nothing: {behind:.1f} behind"

@@ -33,6 +33,17 @@ MICE = tuple(
     for run, coils in POWERED.items()
 )
 
+MORE = (
+    DataSet("maxwell-both-coils", "maxwell_pair", "plane_map", "maxwell-pair-plane-maps/u1_*.csv"),
+    DataSet(
+        "mri4all-gradient",  # the negative control: no circular loops
+        "mri4all_gradient",
+        "difference_scan",
+        "mri4all-gradient-coils/*_[bg][0x].csv",
+        {"coil1": 1.0, "coil2": -1.0},
+    ),
+)
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -45,7 +56,7 @@ def main() -> None:
         sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
     torch.set_num_threads(1)
     others = [data_set for data_set in DATA_SETS if data_set.importer != "mice"]
-    for data_set in (*others, *MICE):
+    for data_set in (*others, *MORE, *MICE):
         if not options.names or data_set.name in options.names:
             run(data_set, Path(data), options.out, options.seed)
 

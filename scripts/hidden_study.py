@@ -30,7 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=300, help="of each kind")
     parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--first-seed", type=int, default=20_000)
+    parser.add_argument("--first-seed", type=int, default=30_000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("out/hidden.jsonl"))
     options = parser.parse_args()
@@ -48,6 +48,10 @@ def main() -> None:
             file.flush()
             rows[row["kind"], row["seed"]] = row
             print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
+    failed = [rows[case] for case in wanted if "error" in rows[case]]
+    for row in failed:
+        print(line(row))
+    print(f"{len(failed)} of {len(wanted)} diagnoses failed; they are in no share below")
     show([rows[case] for case in wanted if "error" not in rows[case]])
 
 

@@ -15,7 +15,7 @@ from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.diagnosis.linear import FreeNoise, Projector
+from estimator.diagnosis.linear import MOST_SHRINK, FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
@@ -24,6 +24,8 @@ from estimator.inference.polish import Polished, polish
 from estimator.parameters import LogNormal, Parameter
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
+
+ROUNDING = 1e-12  # of the largest reading: two that differ by less are the same
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,25 @@ class Fit:
         """How the noise of the sensors may follow; None where it is known."""
         priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]
         widths = [p.relative_sd if isinstance(p, LogNormal) else 1.0 for p in priors if p is not None]
-        return FreeNoise(float(len(self.residual)), min(widths)) if widths else None
+        if not widths:
+            return None
+        noise_T = min(float(self.values[f"{sensor.name}.noise_T"]) for sensor in self.rig.sensors)
+        rounding_T = resolution_T(self.posterior.measured_T) / math.sqrt(12.0)
+        lowest = max(math.log(rounding_T / noise_T), MOST_SHRINK) if rounding_T > 0.0 else MOST_SHRINK
+        return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0))
+
+
+def resolution_T(measured_T: Float[Tensor, " component"]) -> float:
+    """The step in which readings were written down, as far as they show it: the smallest difference between two of them; 0 for one.
+
+    Examples:
+        >>> resolution_T(torch.tensor([1.20e-3, 1.21e-3, 1.20e-3, 1.26e-3], dtype=torch.float64))
+        1e-05
+    """
+    ordered = torch.unique(measured_T)
+    steps = ordered.diff()
+    steps = steps[steps > ROUNDING * ordered.abs().max()]
+    return round(float(steps.min()), 15) if len(steps) else 0.0
 
 
 def fit_rig(

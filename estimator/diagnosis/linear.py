@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-SHRINKS, N_SHRINKS = (-5.0, 0.0), 101  # logarithms of the noise that are looked at, over the fitted one
+MOST_SHRINK, N_SHRINKS = -5.0, 101  # logarithms of the noise that are looked at, over the fitted one
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,12 @@ class FreeNoise:
     Attributes:
         n: Number of components.
         width: Of its prior, in the logarithm. The slope of the prior at the fit is balanced by that of the data there.
+        most_shrink: Logarithm of the smallest noise that the digits of the readings allow, over the fitted one.
     """
 
     n: float
     width: float
+    most_shrink: float = MOST_SHRINK
 
 
 def log_bayes_factor(
@@ -95,7 +97,7 @@ def log_bayes_factor(
     share = (square / size.clamp(min=1e-12)).sum(-1, keepdim=True) / noise.n
     square = torch.minimum(square, size * noise.n) / share.clamp(min=1.0)
     # Over the logarithm of the noise; columns weigh more where it is smaller, and their freedom costs more.
-    shrink = torch.linspace(*SHRINKS, N_SHRINKS, dtype=torch.float64)
+    shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
     grown = torch.exp(-2.0 * shrink)
     size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
     explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started * grown

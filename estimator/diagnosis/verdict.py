@@ -12,18 +12,18 @@ from torch import Tensor
 from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import Projector
-from estimator.diagnosis.search import (
+from estimator.diagnosis.screening import linear_evidence
+from estimator.diagnosis.search import Search
+from estimator.diagnosis.step import (
+    LEAST_LOG_ODDS,
     LOG_PRIOR_NOTHING,
     LOG_PRIOR_UNEXPLAINED,
     Rival,
-    Search,
     leaves_structure,
-    linear_evidence,
     shares_of,
 )
 from estimator.rig import Cause
 
-LEAST_LOG_ODDS = math.log(20.0)
 # Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
 SAME_THING = {"iron_plate", "iron_body"}
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from estimator.errors import InvalidInput
 from estimator.rig import Rig
 from estimator.store.importers.axis_scan import read_axis_scan
+from estimator.store.importers.difference_scan import read_difference_scan
 from estimator.store.importers.mice import read_mice
 from estimator.store.importers.plane_map import read_plane_maps
 from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
@@ -20,6 +21,7 @@ __all__ = [
     "IMPORTERS",
     "Importer",
     "read_axis_scan",
+    "read_difference_scan",
     "read_mice",
     "read_plane_maps",
     "read_readings_csv",
@@ -56,4 +58,5 @@ IMPORTERS: Mapping[str, Importer] = {
     "mice": _mice,
     "plane_map": read_plane_maps,
     "axis_scan": _axis_scan,
+    "difference_scan": read_difference_scan,
 }

@@ -12,7 +12,8 @@ from scipy.special import softmax
 from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.discrepancy import Discrepancy, families
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.search import Rival, Search, Step
+from estimator.diagnosis.search import Search
+from estimator.diagnosis.step import Rival, Step
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,

@@ -1,0 +1,77 @@
+"""Log evidence of many causes: of all at once in the linear model, and of the leaders with everything fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from estimator.diagnosis.candidates import Candidate
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.rig import Cause
+
+SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
+
+
+def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
+    """Log evidence of every cause in the linear model, with its best start."""
+    by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
+    for candidate in pool:
+        by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate), candidate))
+    result = {}
+    for cause, starts in by_cause.items():
+        values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
+        result[cause] = (log_mean_exp(values), starts[int(values.argmax())][1])
+    return result
+
+
+def linear_evidence(fit: Fit, candidate: Candidate) -> float:
+    """Log Bayes factor of a candidate against nothing: half for all its quantities, half for some of them."""
+    values = [_of_subset(fit, candidate, subset) for subset in candidate.subsets]
+    if len(values) == 1:
+        return values[0]
+    parts = log_mean_exp(torch.tensor(values[:-1], dtype=torch.float64))
+    return float(torch.logaddexp(torch.tensor(parts), torch.tensor(values[-1]))) - math.log(2.0)
+
+
+def _of_subset(fit: Fit, candidate: Candidate, subset: tuple[int, ...]) -> float:
+    gram = fit.projector.gram(candidate.columns, candidate.columns)
+    score, started = _score(fit, candidate)
+    pick = list(subset)
+    return float(
+        log_bayes_factor(gram[pick][:, pick], score[pick], candidate.prior_sd[pick], fit.free_noise, started)
+    )
+
+
+def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
+    """Score of a candidate's columns at its start, and the gain in log density of the start itself."""
+    score = candidate.columns.T @ fit.residual
+    if not bool(candidate.shift.any()):
+        return score, 0.0
+    shift = candidate.shift[:, None]
+    score = score - fit.projector.gram(candidate.columns, shift)[:, 0]
+    gain = float(fit.residual @ candidate.shift - 0.5 * fit.projector.gram(shift, shift)[0, 0])
+    return score, gain
+
+
+def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
+    """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over."""
+    observations = fit.observations
+    rig = with_effect(fit.rig, start.cause, observations, start.shapes)
+    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules)
+    gain = full.log_evidence - fit.log_evidence
+    if not math.isfinite(gain):
+        return screened, full
+    if any(
+        q.is_shape and not q.is_fixed
+        for q in EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
+    ):
+        # Laplace misses the width of shapes, and a linear model does not know their bounds.
+        return min(max(gain, screened), gain + SHAPES_WIDTH), full
+    linear = _of_subset(fit, start, start.subsets[-1])
+    return screened + gain - linear, full
