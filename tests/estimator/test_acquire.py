@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +122,45 @@ def test_however_it_ends_the_current_goes_off_and_the_next_run_goes_on(
     assert torch.allclose(readings.motion["arm1"], stops.motion["arm1"], atol=1e-12)
     assert bool((readings.time_s.diff() > 0.0).all())
     assert again.sources["coil1"].told == [("set", -3.0), ("off",)]
+
+
+def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not_on_it(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def fill_disk(progress: Progress) -> None:
+        assert progress.n_done == 1  # nobody hears of the second
+        monkeypatch.setattr(os, "pwrite", full)
+
+    with (
+        begun(folder, small_rig, stops, devices) as journal,
+        pytest.raises(InvalidInput, match="No space left on device"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE, fill_disk)
+    monkeypatch.undo()
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    assert len(load_session(folder).observations) == 1
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_times_go_on_whatever_is_done_to_the_clock_of_the_computer(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() + step_s)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+    time_s = load_session(folder).observations.time_s
+    assert bool((time_s.diff() > 0.0).all())
 
 
 def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
