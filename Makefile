@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real bench figures
+.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real storms streams bench bench-live figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -46,6 +46,16 @@ real: $(INSTALLED)        # measured coils below COILCAL_DATA
 
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
+
+storms: $(INSTALLED)     # a measurement killed at 50 random instants
+	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py
+
+streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of 500 Hz RTDE beside six busy processes, none lost
+	COILCAL_SENIS_S=600 $(RUN) pytest -m slow tests/drivers/hall/test_senis_stream.py
+	COILCAL_RTDE_S=60 $(RUN) pytest tests/drivers/robots/test_rtde_reader.py -k computer_is_busy
+
+bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
+	$(BIN)/python scripts/benchmark_live.py
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'

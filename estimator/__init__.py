@@ -23,6 +23,7 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.stream import Estimate, Stream
 from estimator.superposition import Superposition, superposition
 from estimator.system import System, SystemField
 
@@ -32,6 +33,7 @@ __all__ = [
     "CorruptStore",
     "Design",
     "Diagnosis",
+    "Estimate",
     "InvalidInput",
     "Observations",
     "Plan",
@@ -39,6 +41,7 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Stream",
     "Superposition",
     "System",
     "SystemField",

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from estimator.devices_section import DEVICES, read_devices
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
 from estimator.effects.scene import Extent
@@ -94,7 +95,7 @@ def _rig(top: Section, text: str) -> Rig:
     causes = tuple(
         _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections
     )
-    rig = replace(rig, effects=causes)
+    rig = replace(rig, effects=causes, devices=read_devices(top.section(DEVICES), rig))
     top.finish()
     _check_ties(numbers)
     broken = rig.broken_rule()

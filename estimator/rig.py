@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from enum import StrEnum
+from typing import Any
 
 from estimator.errors import InvalidInput
 from estimator.parameters import Parameter
@@ -105,6 +106,7 @@ class Rig:
         parameters: Every number by its dotted name, in file order.
         text: The YAML it was read from; its hash identifies the rig.
         effects: What is known or supposed to be wrong with it.
+        devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Rig:
     parameters: Mapping[str, Parameter]
     text: str = ""
     effects: tuple[Cause, ...] = ()
+    devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -122,7 +125,7 @@ class Rig:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over the structure and every parameter."""
+        """SHA-256 over the structure and every parameter, not over the devices."""
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.effects))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
