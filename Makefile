@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow recover coverage hidden real diagnose-real bench figures
+.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real storms streams bench bench-live figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -32,8 +32,8 @@ unit: $(INSTALLED)
 slow: $(INSTALLED)        # statistics with bounds that can fail
 	$(RUN) pytest -n 2 -m slow
 
-recover: $(INSTALLED)     # the paper's Table 2 and 3
-	$(BIN)/python scripts/recover_paper.py
+paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; minutes
+	$(BIN)/python scripts/reproduce_paper.py --out out/paper
 
 coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
 	$(BIN)/python scripts/coverage_study.py --repeats 200 --first-seed 2000 --out out/coverage.jsonl
@@ -47,11 +47,21 @@ real: $(INSTALLED)        # measured coils below COILCAL_DATA
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
 
+storms: $(INSTALLED)     # a measurement killed at 50 random instants
+	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py
+
+streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of 500 Hz RTDE beside six busy processes, none lost
+	COILCAL_SENIS_S=600 $(RUN) pytest -m slow tests/drivers/hall/test_senis_stream.py
+	COILCAL_RTDE_S=60 $(RUN) pytest tests/drivers/robots/test_rtde_reader.py -k computer_is_busy
+
+bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
+	$(BIN)/python scripts/benchmark_live.py
+
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'
 	$(BIN)/python scripts/benchmark.py --repeats 3 --numpyro
 
-figures: $(INSTALLED)     # pictures in docs/figures, from demo/ and out/real
+figures: $(INSTALLED)     # pictures in docs/figures, from demo/, out/real and out/paper
 	$(BIN)/python scripts/figures.py
 
 # Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the

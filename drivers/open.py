@@ -120,6 +120,38 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
     return devices
 
 
+@dataclass(frozen=True, slots=True)
+class RigLimits:
+    """What the devices of a rig may be asked for, by their names.
+
+    Attributes:
+        currents: Of the coils.
+        slews_A_per_s: Rates at which the supplies ramp.
+        arms: Workspaces and speeds.
+    """
+
+    currents: dict[str, CurrentLimits] = field(default_factory=dict)
+    slews_A_per_s: dict[str, float] = field(default_factory=dict)
+    arms: dict[str, ArmLimits] = field(default_factory=dict)
+
+
+def limits_of(section: Mapping[str, Any], place: str = "devices") -> RigLimits:
+    """Read the limits that stand in a section; no device is touched.
+
+    Raises:
+        Refused: One is missing or impossible.
+    """
+    limits = RigLimits()
+    for name, mapping in section.items():
+        settings = Settings(mapping, f"{place}.{name}")
+        if "supply" in settings:
+            limits.currents[name] = _current_limits(settings)
+            limits.slews_A_per_s[name] = settings.quantity("ramp", "slew", limits.currents[name].slew_A_per_s)
+        elif "arm" in settings:
+            limits.arms[name] = _arm_limits(settings)
+    return limits
+
+
 def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, str]:
     """Identify each device and read one value; nothing moves and no current changes.
 
@@ -128,11 +160,21 @@ def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, st
     report = {}
     for name, device in devices.devices.items():
         try:
-            text = device.identify(timeout_s=timeout_s)
-            report[name] = f"{text}: {_one_value(device, timeout_s)}"
+            report[name] = ": ".join(check_device(device, timeout_s=timeout_s))
         except DriverError as error:
             report[name] = f"FAULT: {error}"
     return report
+
+
+def check_device(device: Device, *, timeout_s: float = 5.0) -> tuple[str, str]:
+    """Identify one device and read one value; nothing moves and no current changes.
+
+    Returns: What it says of itself, and the value with its unit.
+
+    Raises:
+        DriverError: It does not answer, or answers with a fault.
+    """
+    return device.identify(timeout_s=timeout_s), _one_value(device, timeout_s)
 
 
 def _one_value(device: Device, timeout_s: float) -> str:
@@ -254,16 +296,20 @@ def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     from drivers.robots.universal_robot import JOINT_LIMITS_RAD, UniversalRobot
 
     model = ARMS[settings.choice("arm", tuple(ARMS))]
-    low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
-    high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
-    speed_m_per_s = settings.quantity("highest_speed", "speed")
-    limits = ArmLimits((low_x_m, low_y_m, low_z_m), (high_x_m, high_y_m, high_z_m), speed_m_per_s)
+    limits = _arm_limits(settings)
     joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD
     if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
         low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
         joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
     arm = UniversalRobot(settings.text("host"), model, joint_limits_rad=joint_limits_rad)
     return GuardedArm(arm, limits, interlock, name=name)
+
+
+def _arm_limits(settings: Settings) -> ArmLimits:
+    low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
+    high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
+    speed_m_per_s = settings.quantity("highest_speed", "speed")
+    return ArmLimits((low_x_m, low_y_m, low_z_m), (high_x_m, high_y_m, high_z_m), speed_m_per_s)
 
 
 def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:

@@ -25,6 +25,9 @@ from estimator.rig import Rig
 from estimator.simulate import draw_truth, simulate
 from estimator.split import block_split
 from estimator.store.session import Session, load_session
+from estimator.stream import Estimate, Stream
+from estimator.superposition import Superposition, superposition
+from estimator.system import System, SystemField
 
 __all__ = [
     "Calibration",
@@ -33,6 +36,7 @@ __all__ = [
     "Design",
     "Diagnosis",
     "Entry",
+    "Estimate",
     "InvalidInput",
     "Observations",
     "Plan",
@@ -41,6 +45,10 @@ __all__ = [
     "SamplerSettings",
     "Session",
     "Stage",
+    "Stream",
+    "Superposition",
+    "System",
+    "SystemField",
     "block_split",
     "calibrate",
     "design",
@@ -52,4 +60,5 @@ __all__ = [
     "recalibrate",
     "roll_back",
     "simulate",
+    "superposition",
 ]

@@ -68,8 +68,8 @@ class Calibration:
         Raises:
             InvalidInput: An unknown coil or mover, a mover whose stand is not said, or a number that is not finite.
         """
-        best = self._best()
-        return self._room(points_m, motion).field_T(best, self._currents(currents_A))
+        best = self.best_values()
+        return self.room(points_m, motion).field_T(best, self._currents(currents_A))
 
     def gradient(
         self,
@@ -78,8 +78,8 @@ class Calibration:
         motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
     ) -> Float[Tensor, "point 3 3"]:
         """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free place."""
-        best = self._best()
-        return self._room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
+        best = self.best_values()
+        return self.room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
 
     def field_interval(
         self,
@@ -99,13 +99,45 @@ class Calibration:
         """
         if not 0.0 < level < 1.0:
             raise InvalidInput(f"level must lie between 0 and 1; received {level}")
-        room = self._room(points_m, motion)
+        room = self.room(points_m, motion)
         n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
         fields = fields.expand(n_draws, len(points_m), 3)  # no batch where no coil is free
         tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=fields.dtype)
         lower, upper = torch.quantile(fields, tails, dim=0)
         return lower, upper
+
+    def room(
+        self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, "... 6"]] | None
+    ) -> RoomField:
+        """The coils with their movers at a stand, or at one for each point, ready for any numbers of the rig and any currents.
+
+        Args:
+            points_m: Points in the world frame.
+            motion: As in `field`; or a row of six numbers for each point.
+        Raises:
+            InvalidInput: As in `field`.
+        """
+        motion = motion or {}
+        carriers = {coil.carried_by for coil in self.rig.coils}
+        for mover in self.rig.movers:
+            if mover.name in motion:
+                if motion[mover.name].shape[-1] != 6 or not torch.isfinite(motion[mover.name]).all():
+                    received = motion[mover.name].tolist()
+                    raise InvalidInput(
+                        f"motion of {mover.name} must be six finite numbers; received {received}"
+                    )
+            elif mover.name in carriers and mover.motion is not MotionKind.DISPLACEMENT:
+                raise InvalidInput(
+                    f"motion of {mover.name} must be given ({', '.join(mover.columns)}): it carries a coil; received none"
+                )
+        if not torch.isfinite(points_m).all():
+            raise InvalidInput("points must be finite; received NaN or infinity among them")
+        return RoomField(self.rig, self.best_values(), points_m, motion)
+
+    def best_values(self) -> dict[str, Tensor]:
+        """Every number of the rig at the posterior's maximum, as `RoomField` takes them."""
+        return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
 
     def draw_values(self, most: int) -> dict[str, Tensor]:
         """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps."""
@@ -199,29 +231,6 @@ class Calibration:
         checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
         encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
         tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
-
-    def _room(
-        self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, " 6"]] | None
-    ) -> RoomField:
-        motion = motion or {}
-        carriers = {coil.carried_by for coil in self.rig.coils}
-        for mover in self.rig.movers:
-            if mover.name in motion:
-                if motion[mover.name].shape != (6,) or not torch.isfinite(motion[mover.name]).all():
-                    received = motion[mover.name].tolist()
-                    raise InvalidInput(
-                        f"motion of {mover.name} must be six finite numbers; received {received}"
-                    )
-            elif mover.name in carriers and mover.motion is not MotionKind.DISPLACEMENT:
-                raise InvalidInput(
-                    f"motion of {mover.name} must be given ({', '.join(mover.columns)}): it carries a coil; received none"
-                )
-        if not torch.isfinite(points_m).all():
-            raise InvalidInput("points must be finite; received NaN or infinity among them")
-        return RoomField(self.rig, self._best(), points_m, motion)
-
-    def _best(self) -> dict[str, Tensor]:
-        return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
 
     def _currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
         names = [coil.name for coil in self.rig.coils]

@@ -33,13 +33,13 @@ from estimator.effects.record import UnitError
 from estimator.effects.scene import Scene
 from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
+from estimator.field.coil import coil_field_per_ampere
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
     Winding,
     choose_rule,
     distance_to_winding,
-    winding_field_per_ampere,
 )
 from estimator.frames import Transform
 from estimator.motion import base_from_motion, pose_of
@@ -230,7 +230,7 @@ class Chain:
         )
         winding = winding_of(self.rig, coil, values)
         rule = self.rules[coil.name]
-        field = winding_field_per_ampere(points_m, winding, rule, self.is_compiled)
+        field = coil_field_per_ampere(coil, points_m, winding, rule, self.is_compiled)
         found = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
             theta = use.theta(values)
@@ -256,7 +256,7 @@ class Chain:
         answer = torch.zeros_like(points_coil_m)
         winding = winding_of(self.rig, coil, values)
         world_from_coil = self._world_from_body(coil, "coil", rows, values)
-        per_ampere = CoilInRoom(world_from_coil, winding, self.rules[coil.name])
+        per_ampere = CoilInRoom(coil, world_from_coil, winding, self.rules[coil.name])
         for answering in uses_of(self.rig, RoomEffect):
             response = answering.effect.response(
                 per_ampere, points_world_m + answer * 0.0, answering.theta(values)
@@ -323,6 +323,7 @@ class Chain:
 class CoilInRoom(PerAmpere):
     """One coil as seen from the room, at every distinct pose."""
 
+    coil: Coil
     world_from_coil: Transform
     winding: Winding
     rule: Rule
@@ -330,7 +331,8 @@ class CoilInRoom(PerAmpere):
     def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
         """Field per ampere in the world frame at one point per pose."""
         points_coil_m = self.world_from_coil.inverse().apply(points_m)
-        return self.world_from_coil.rotate(winding_field_per_ampere(points_coil_m, self.winding, self.rule))
+        field = coil_field_per_ampere(self.coil, points_coil_m, self.winding, self.rule)
+        return self.world_from_coil.rotate(field)
 
 
 def _columns(rig: Rig, scene: Scene) -> dict[str, Tensor]:

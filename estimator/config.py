@@ -9,12 +9,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from estimator.devices_section import DEVICES, read_devices
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
 from estimator.effects.scene import Extent
 from estimator.errors import InvalidInput
 from estimator.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig import Cause, Coil, DisplacementFrame, MotionKind, Mover, Rig, Sensor
+from estimator.rig import Cause, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Rig, Sensor
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
@@ -94,7 +95,7 @@ def _rig(top: Section, text: str) -> Rig:
     causes = tuple(
         _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections
     )
-    rig = replace(rig, effects=causes)
+    rig = replace(rig, effects=causes, devices=read_devices(top.section(DEVICES), rig))
     top.finish()
     _check_ties(numbers)
     broken = rig.broken_rule()
@@ -195,8 +196,9 @@ def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numb
         _pure(section, name, count, numbers, positive=True, is_count=True)
     _pure(section, name, "current_gain", numbers, default=1.0)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
+    field_sum = section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS)
     section.finish()
-    return Coil(name, carried_by)
+    return Coil(name, carried_by, FieldSum(field_sum))
 
 
 def _sensor(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numbers) -> Sensor:

@@ -83,7 +83,7 @@ def diagnose(
     tell("screening and naming of causes")
     found = search(base, tell)
     if faults and _is_doubtful(faults, found):
-        tell("what is left is stronger than the mistakes that were undone: again without undoing them")
+        tell("the mistakes of the record are doubtful: again without undoing them")
         base, faults = plain, []
         found = search(base, tell)
     named = named_causes(found)
@@ -136,9 +136,21 @@ def diagnose(
 
 
 def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
-    """Whether more is left than a mistake explained: then it may only have bent a wrong model towards the readings."""
-    left = found.steps[-1].left
-    return leaves_structure(left) and min(fault.log_bayes_factor for fault in faults) < left.log_bayes_factor
+    """Whether a mistake of the record may only have bent a wrong model towards the readings.
+
+    Either more is left than it explained, or the causes that were found beside it explain the record as well as it stands.
+    """
+    left, final = found.steps[-1].left, found.final
+    if leaves_structure(left) and min(fault.log_bayes_factor for fault in faults) < left.log_bayes_factor:
+        return True
+    rig = final.rig
+    for fault in faults:
+        rig = rig.without_cause(fault.cause)
+    if not rig.effects:
+        return False
+    rules = final.posterior.chain.rules
+    as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, MORE_STARTS)
+    return as_recorded.log_evidence > final.log_evidence
 
 
 def _widening(fit: Fit, left: Discrepancy) -> dict[str, float]:

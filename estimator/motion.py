@@ -7,13 +7,15 @@ from collections.abc import Mapping
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.func import jacfwd
 
-from estimator.frames import Transform, rotation_from_vector
+from estimator.frames import Transform, rotation_from_vector, vector_from_rotation
 from estimator.kinematics import base_from_flange
 from estimator.records import Observations
 from estimator.rig import Body, DisplacementFrame, MotionKind, Mover, Rig
 
 MOST_PLACES = 200
+NEWTON_STEPS = 6
 
 
 def base_from_motion(mover: Mover, motion: Float[Tensor, "place 6"]) -> Transform:
@@ -32,6 +34,60 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "place 6"]) -> Transfor
         turned = base_from_flange0.mT @ pose.rotation @ base_from_flange0
         return Transform(turned, pose.translation_m @ base_from_flange0)
     return pose
+
+
+def flange_to_reach(mover: Mover, motion: Float[Tensor, "place 6"], reference: Transform) -> Transform:
+    """Pose in the frame of its base that a mover must bring its flange to, to report these readings.
+
+    Args:
+        mover: Says what they mean.
+        motion: Readings, as in a session or a plan.
+        reference: base_from_flange where displacements are zero; other movers do without.
+    """
+    moved = base_from_motion(mover, motion)
+    return reference @ moved if mover.motion is MotionKind.DISPLACEMENT else moved
+
+
+def motion_reached(
+    mover: Mover, base_from_flange: Transform, reference: Transform, near: Float[Tensor, "place 6"]
+) -> Float[Tensor, "place 6"]:
+    """Readings of a mover whose flange is measured at a pose: the inverse of `flange_to_reach`.
+
+    Joint angles are those whose nominal kinematics give the pose, which is what the model makes of them again; the controller's own,
+    by the calibrated kinematics of one arm, would not.
+
+    Args:
+        mover: Says what readings mean.
+        base_from_flange: Measured pose.
+        reference: base_from_flange where displacements are zero.
+        near: Readings that were asked for; joint angles are sought from there.
+    """
+    if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
+        return torch.stack(
+            [_joints(mover, base_from_flange.rows(torch.tensor([i])), q) for i, q in enumerate(near)]
+        )
+    is_relative = mover.motion is MotionKind.DISPLACEMENT
+    pose = reference.inverse() @ base_from_flange if is_relative else base_from_flange
+    if is_relative and mover.displacement_frame is DisplacementFrame.BASE:
+        base_from_flange0 = rotation_from_vector(torch.tensor(mover.reference_rotation_rad, dtype=near.dtype))
+        turned = base_from_flange0 @ pose.rotation @ base_from_flange0.mT
+        pose = Transform(turned, pose.translation_m @ base_from_flange0.mT)
+    return torch.cat((pose.translation_m, vector_from_rotation(pose.rotation)), dim=-1)
+
+
+def _joints(mover: Mover, base_from_flange: Transform, near: Float[Tensor, " 6"]) -> Float[Tensor, " 6"]:
+    """Newton's method on the shift and the small turn that are left."""
+    target_from_base = base_from_flange.inverse()
+
+    def left(joints_rad: Tensor) -> Tensor:
+        off = target_from_base @ base_from_motion(mover, joints_rad[None])
+        skew = 0.5 * (off.rotation - off.rotation.mT)[0]  # to first order the rotation vector
+        return torch.cat((off.translation_m[0], torch.stack((skew[2, 1], skew[0, 2], skew[1, 0]))))
+
+    joints_rad = near
+    for _ in range(NEWTON_STEPS):
+        joints_rad = joints_rad - torch.linalg.lstsq(jacfwd(left)(joints_rad), left(joints_rad)).solution
+    return joints_rad
 
 
 def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:

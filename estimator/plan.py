@@ -14,6 +14,7 @@ import yaml
 from scipy.stats import qmc
 
 from estimator.config import POSE_QUANTITIES
+from estimator.protocol import ORDERS, recommended_currents_A, visits
 from estimator.records import Observations
 from estimator.rig import MotionKind, Mover, Rig
 from estimator.units import UNITS
@@ -21,6 +22,7 @@ from estimator.yaml_section import Section
 
 CARTESIAN = POSE_QUANTITIES[:6]  # place and rotation vector; tilts and spin belong to mounts
 SHOWN = {"length": "mm", "angle": "deg"}  # in plans that are written
+REVISITED = 2.0  # places, by the recommended protocol
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
@@ -32,19 +34,21 @@ class Plan:
         calibration, validation: Per pose and mover the six numbers of the mover's columns, in SI.
         currents_A: Settings visited at every pose; coils that are not named are off.
         stops: Pose and setting one by one, after all others, in the order of the file.
-        is_random_order: Poses in random instead of file order.
+        order: Of the poses, that of the file (`raster`) or by chance (`random`); with `mixed`, currents change by chance as well.
         repeats: Visits of every pose and setting.
         settle_s: Time from one reading to the next.
+        n_revisited: Calibration poses that are visited again half-way and at the end.
     """
 
     name: str
     calibration: tuple[Mapping[str, np.ndarray], ...]
     validation: tuple[Mapping[str, np.ndarray], ...]
     currents_A: tuple[Mapping[str, float], ...]
-    is_random_order: bool
+    order: str
     repeats: int
     settle_s: float
     stops: tuple[tuple[Mapping[str, np.ndarray], Mapping[str, float]], ...] = ()
+    n_revisited: int = 0
 
 
 def load_plan(path: Path | str, rig: Rig) -> Plan:
@@ -65,6 +69,7 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
         calibration = _poses(poses.section("calibration"), rig)
         validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
         poses.finish()
+    is_recommended = bool(calibration) and "currents_A" not in top
     settle_s = top.number("settle_s", 1.0)
     if settle_s <= 0.0:
         top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
@@ -72,11 +77,12 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
         str(top.required("name")),
         calibration,
         validation,
-        _currents(top, rig) if calibration else (),
-        top.choice("order", ("raster", "random"), "raster") == "random",
+        _currents(top, rig, is_recommended) if calibration else (),
+        top.choice("order", ORDERS, "mixed" if is_recommended else "raster"),
         _count(top, "repeats", 1.0),
         settle_s,
         stops,
+        _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0),
     )
     top.finish()
     return plan
@@ -86,9 +92,14 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
     """The plan as readings whose field is still NaN, one row per sensor and setting, in the order of the visit."""
     rows: list[tuple[Mapping[str, np.ndarray], Mapping[str, float], bool, int]] = []
     for is_validation, poses in ((False, plan.calibration), (True, plan.validation)):
+        n_revisited = 0 if is_validation else plan.n_revisited
         for repeat in range(plan.repeats):
-            order = rng.permutation(len(poses)) if plan.is_random_order else np.arange(len(poses))
-            rows += [(poses[i], setting, is_validation, repeat) for i in order for setting in plan.currents_A]
+            for place, number in visits(len(poses), n_revisited, plan.order, rng):
+                settings = np.arange(len(plan.currents_A))
+                if plan.order == "mixed":
+                    settings = rng.permutation(settings)
+                visit = number * plan.repeats + repeat
+                rows += [(poses[place], plan.currents_A[i], is_validation, visit) for i in settings]
     rows += [(*stop, False, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
     n_sensors = len(rig.sensors)
     times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
@@ -176,14 +187,19 @@ def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np
     return np.linspace(start, stop, count) * unit.to_si
 
 
-def _count(section: Section, key: str, default: float | None = None) -> int:
+def _count(section: Section, key: str, default: float | None = None, least: int = 1) -> int:
     number = section.number(key, default)
-    if number < 1 or number != int(number):
-        section.refuse(key, "must be a whole number of at least 1", f"{number:g}")
+    if number < least or number != int(number):
+        section.refuse(key, f"must be a whole number of at least {least}", f"{number:g}")
     return int(number)
 
 
-def _currents(top: Section, rig: Rig) -> tuple[Mapping[str, float], ...]:
+def _currents(top: Section, rig: Rig, is_recommended: bool) -> tuple[Mapping[str, float], ...]:
+    """The settings that are listed, or those that the recommended protocol makes of the largest current."""
+    if is_recommended and "largest_A" in top:
+        largest_A = top.required("largest_A")
+        _check_setting(top, "largest_A", largest_A, rig)
+        return recommended_currents_A({str(name): float(value) for name, value in largest_A.items()})
     settings = top.required("currents_A")
     if not isinstance(settings, list) or not settings:
         top.refuse("currents_A", "must be a list of settings such as [{coil1: 3}]", repr(settings))

@@ -18,12 +18,12 @@ from estimator.effects.supply import CoilHeating
 from estimator.effects.surroundings import BackgroundField
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.field.coil import coil_field_per_ampere
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
     choose_rule,
     distance_to_winding,
-    winding_field_per_ampere,
 )
 from estimator.frames import Transform
 from estimator.motion import base_from_motion
@@ -32,7 +32,7 @@ from estimator.rig import Coil, Rig
 
 
 class RoomField:
-    """The coils of a rig at one stand of its movers, ready to give the field at fixed points of the room.
+    """The coils of a rig with its movers at one stand, or at one for each point, ready to give the field at fixed points of the room.
 
     Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
 
@@ -40,10 +40,11 @@ class RoomField:
         rig: Coils and movers.
         values: Numbers of the rig, no batch.
         points_m: Points in the room (world frame).
-        motion: Per mover the six numbers of its columns; a mover that is not named stands at zeros (its reference configuration).
+        motion: Per mover the six numbers of its columns, or a row of them for each point; a mover that is not named stands at zeros (its
+            reference configuration). The field may be differentiated in them.
         tolerance: Error of the winding sum relative to |B|.
     Raises:
-        InvalidInput: A motion names no mover of the rig.
+        InvalidInput: A motion names no mover of the rig, or has neither one row nor one for each point.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class RoomField:
         rig: Rig,
         values: Values,
         points_m: Float[Tensor, "point 3"],
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+        motion: Mapping[str, Float[Tensor, "... 6"]] | None = None,
         tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
         self.rig, self.points_m = rig, points_m
@@ -62,8 +63,16 @@ class RoomField:
             raise InvalidInput(
                 f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {unknown[0]!r}"
             )
+        for name, rows in motion.items():
+            if rows.shape not in ((6,), (1, 6), (len(points_m), 6)):
+                raise InvalidInput(
+                    f"motion of {name} must be six numbers, or six for each of {len(points_m)} points; "
+                    f"received shape {tuple(rows.shape)}"
+                )
         zero = torch.zeros(6, dtype=points_m.dtype)
-        self.flange = {m.name: base_from_motion(m, motion.get(m.name, zero)[None]) for m in rig.movers}
+        self.flange = {
+            m.name: base_from_motion(m, motion.get(m.name, zero).reshape(-1, 6)) for m in rig.movers
+        }
         self._scene = Scene(rig, _one_reading(rig))
         self.rules: dict[str, Rule] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
@@ -92,7 +101,7 @@ class RoomField:
             winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
             world_from_coil = self._world_from_coil(coil, values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
-            per_ampere = winding_field_per_ampere(points_coil_m, winding, rule)
+            per_ampere = coil_field_per_ampere(coil, points_coil_m, winding, rule)
             own_A = delivered_A[..., i]
             field = own_A[..., None, None] * per_ampere
             for use in uses_of(self.rig, SourceEffect, coil.name):
@@ -103,7 +112,7 @@ class RoomField:
             for answering in uses_of(self.rig, RoomEffect):
                 theta = answering.theta(values)
                 answer = answering.effect.response(
-                    CoilInRoom(world_from_coil, winding, rule), points_m, theta
+                    CoilInRoom(coil, world_from_coil, winding, rule), points_m, theta
                 )
                 if answer is not None:
                     field = field + own_A[..., None, None] * answer

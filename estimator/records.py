@@ -75,6 +75,32 @@ class Observations:
         )
 
     @property
+    def alone(self) -> Observations:
+        """These readings as a session of their own, without what they were chosen from."""
+        return self._taken(torch.arange(len(self)), None, None)
+
+    def followed_by(self, later: Observations) -> Observations:
+        """One session of these readings and later ones; temperatures that only one of them has are left out."""
+
+        def both(one: Tensor, other: Tensor) -> Tensor:
+            return torch.cat((one, other))
+
+        return Observations(
+            both(self.time_s, later.time_s),
+            both(self.sensor, later.sensor),
+            both(self.current_A, later.current_A),
+            {name: both(motion, later.motion[name]) for name, motion in self.motion.items()},
+            both(self.field_sensor_T, later.field_sensor_T),
+            both(self.is_validation, later.is_validation),
+            both(self.repeat, later.repeat),
+            {
+                name: both(values, later.temperature_C[name])
+                for name, values in self.temperature_C.items()
+                if name in later.temperature_C
+            },
+        )
+
+    @property
     def calibration(self) -> Observations:
         """The readings that a fit may see."""
         return self.rows(~self.is_validation)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from enum import StrEnum
+from typing import Any
 
 from estimator.errors import InvalidInput
 from estimator.parameters import Parameter
@@ -33,6 +34,13 @@ class DisplacementFrame(StrEnum):
 
     END_EFFECTOR = "end_effector"
     BASE = "base"
+
+
+class FieldSum(StrEnum):
+    """How the fields of a winding's loops are added."""
+
+    VECTORS = "vectors"
+    SPHERICAL_COMPONENTS = "spherical_components"  # about different centres, as the paper's eq 13 has it: wrong, kept for comparison
 
 
 @dataclass(frozen=True)
@@ -64,8 +72,11 @@ class Body:
     carried_by: str | None = None
 
 
+@dataclass(frozen=True)
 class Coil(Body):
-    """A circular multi-layer winding."""
+    """A circular multi-layer winding; `field_sum` says how its simulation adds loops."""
+
+    field_sum: FieldSum = FieldSum.VECTORS
 
 
 class Sensor(Body):
@@ -95,6 +106,7 @@ class Rig:
         parameters: Every number by its dotted name, in file order.
         text: The YAML it was read from; its hash identifies the rig.
         effects: What is known or supposed to be wrong with it.
+        devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
     """
 
     name: str
@@ -104,6 +116,7 @@ class Rig:
     parameters: Mapping[str, Parameter]
     text: str = ""
     effects: tuple[Cause, ...] = ()
+    devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -112,7 +125,7 @@ class Rig:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over the structure and every parameter."""
+        """SHA-256 over the structure and every parameter, not over the devices."""
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.effects))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()

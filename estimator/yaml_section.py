@@ -48,6 +48,7 @@ class Section:
         self.path, self.file, self.line = path, file, node.start_mark.line + 1
         self._entries: dict[str, yaml.Node] = {}
         self._lines: dict[str, int] = {}
+        self._spans: dict[str, tuple[int, int]] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
@@ -58,6 +59,7 @@ class Section:
                     f"{self.place(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
                 )
             self._entries[key], self._lines[key] = value_node, line
+            self._spans[key] = (key_node.start_mark.index, value_node.end_mark.index)
         self._untaken = set(self._entries)
 
     @classmethod
@@ -99,6 +101,10 @@ class Section:
     def where(self, key: str) -> str:
         """File and line of a key."""
         return f"{self.file}, line {self._lines.get(key, self.line)}"
+
+    def span(self, key: str) -> tuple[int, int] | None:
+        """First character of a key and the one after its value, in the text; None where the key is absent."""
+        return self._spans.get(key)
 
     def value(self, key: str, default: Any = None) -> Any:
         """Plain value of a key: text, number, list or None."""

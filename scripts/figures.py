@@ -1,7 +1,8 @@
-"""Pictures in docs/figures, from calibrations that `make demo` and `make real` left behind."""
+"""Pictures in docs/figures, from what `make demo`, `make real` and `make paper` left behind."""
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -28,6 +29,16 @@ WANTED = {
     },
     "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
 }
+PAPER = (
+    "interactions",
+    "valley",
+    "relative_error_start",
+    "relative_error_calibrated",
+    "angle_calibrated",
+    "twin_residual",
+    "twin_predicted_literal",
+    "twin_predicted_extended",
+)
 
 
 def main() -> None:
@@ -41,6 +52,12 @@ def main() -> None:
         for file, title in names.items():
             drawn[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
             print(folder / f"{file}.png")
+    for name in PAPER:
+        drawn_before = ROOT / f"out/paper/{name}.png"
+        if drawn_before.exists():
+            print(shutil.copyfile(drawn_before, folder / f"paper_{name}.png"))
+        else:
+            print(f"{drawn_before} is not there; its copy stays as it is", file=sys.stderr)
 
 
 if __name__ == "__main__":

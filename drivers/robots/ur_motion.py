@@ -29,7 +29,10 @@ WATCHDOG_HZ = 5.0
 
 NAMES = ("actual_TCP_pose", "actual_TCP_speed", "actual_q", "safety_status_bits", "runtime_state")
 
-_OLDEST_S = 0.15
+_OLDEST_S = 0.3  # longer than the pauses of a busy computer; where the arm hears nothing either, its own watchdog is quicker
+_UPLOADS = (
+    3  # of the control script to an arm that stands still: on a busy computer its watchdog may bite at once
+)
 _LOOP_S = 0.01
 _ACCELERATION_M_PER_S2 = 0.25
 _BRAKE_M_PER_S2 = 2.0
@@ -125,16 +128,21 @@ class UrMotion:
         reason = why_not_running(self._fresh_sample().values)
         if reason == "its program is not running":
             # A protective stop that was unlocked, or a pause of the host longer than the watchdog's.
-            if not self._control.reuploadScript() or not self._control.setWatchdog(WATCHDOG_HZ):
+            if not any(self._upload() for _ in range(_UPLOADS)):
                 raise self._fault("does not start the control script again")
             reason = why_not_running(self._next_sample().values)
         if reason is not None:
             raise DeviceFault(f"{self._name} must obey; {reason}")
 
+    def _upload(self) -> bool:
+        return bool(self._control.reuploadScript() and self._control.setWatchdog(WATCHDOG_HZ))
+
     def _check_reach(self, pose: list[float]) -> None:
         if not self._control.isPoseWithinSafetyLimits(pose):
             raise Refused(f"arm.pose must be within the safety limits of the controller; received {pose}")
         joints_rad = self._control.getInverseKinematics(pose)
+        if len(joints_rad) != len(self._joint_limits_rad):
+            raise self._fault("does not say which joints the pose needs")
         for index, (joint_rad, (low_rad, high_rad)) in enumerate(
             zip(joints_rad, self._joint_limits_rad, strict=True)
         ):

@@ -74,6 +74,11 @@ class Simulator(ClosesItself):
         """Number of its process."""
         return self._process.pid
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its process lives."""
+        return self._process.is_alive()
+
     def close(self) -> None:
         """End it, as pulling its cable would."""
         self._process.kill()

@@ -23,6 +23,8 @@ _NORMAL_BIT, _PROTECTIVE_BIT, _EMERGENCY_BIT = 1 << 0, 1 << 2, 1 << 7
 _POWER_ON_BIT, _PROGRAM_RUNNING_BIT = 1 << 0, 1 << 1
 _ASYNC_RUNNING = 1 << 15
 _FASTEST_ROTATION_RAD_PER_S = 1.0
+_SHOULDER_M = 0.152
+"""Height of the shoulder, from which an arm reaches."""
 
 _KINDS = (
     (r"actual_joint_voltage", "VECTOR6D"),
@@ -187,7 +189,8 @@ class UrController:
                 self._watchdog_s = 1 / frequency_Hz if frequency_Hz > 0 else math.inf
                 self._kicked_s = time.monotonic()
             case 36 | 37:
-                self._outputs["output_int_register_1"] = int(math.hypot(*numbers[:3]) <= self._reach_m)
+                reach_m = math.hypot(*numbers[:2], numbers[2] - _SHOULDER_M)
+                self._outputs["output_int_register_1"] = int(reach_m <= self._reach_m)
             case 40:
                 self._write_doubles(self._tcp)
             case 255:

@@ -7,13 +7,18 @@ import os
 import click
 import torch
 
+from estimator.cli.acquire import acquire_command
+from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.design import design_command
+from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.import_readings import import_command
+from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
+from estimator.cli.rig_simulator import rig_simulator_command
 from estimator.cli.simulate import simulate_command
 
 
@@ -29,7 +34,7 @@ from estimator.cli.simulate import simulate_command
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
-    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge.
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed.
 
     Of recalibrate also: 10 a drift was found, 11 a session was rejected.
     """
@@ -46,5 +51,10 @@ for command in (
     predict_command,
     report_command,
     recalibrate_command,
+    batch_command,
+    devices_group,
+    rig_simulator_command,
+    acquire_command,
+    live_command,
 ):
     main.add_command(command)

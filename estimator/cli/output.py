@@ -14,10 +14,11 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from drivers.errors import DriverError, Refused
 from estimator.calibrate import Stage
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
-EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED = 2, 3, 4
+EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5
 EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 
 P = ParamSpec("P")
@@ -38,6 +39,9 @@ def explain_errors(command: Callable[P, R]) -> Callable[P, R]:
         except CoilcalError as error:
             click.echo(f"coilcal: {error}", err=True)
             sys.exit(EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT)
+        except DriverError as error:
+            click.echo(f"coilcal: {error}", err=True)
+            sys.exit(EXIT_BAD_INPUT if isinstance(error, Refused) else EXIT_DEVICE)
         except BrokenPipeError:
             raise
         except OSError as error:  # a path that the system refuses before coilcal looks at it

@@ -75,7 +75,7 @@ def simulate_command(
     if csv_path is not None:
         refuse_existing(csv_path, overwrite)
     rig = load_rig(rig_path)
-    values = _truth(rig, truth, seed) | named_number(assignments, "--set")
+    values = truth_of(rig, truth, seed) | named_number(assignments, "--set")
     plan = load_plan(plan_path, rig)
     causes = full_names(rig, named_number(hidden, "--hide"))
     readings = simulate(rig, plan, values, seed, causes)
@@ -91,7 +91,8 @@ def simulate_command(
     show(result, text, as_json)
 
 
-def _truth(rig: Rig, choice: str, seed: int) -> dict[str, float]:
+def truth_of(rig: Rig, choice: str, seed: int) -> dict[str, float]:
+    """What the option --truth asks for: `prior`, `nominal` or the numbers in a file."""
     if choice == "prior":
         return draw_truth(rig, seed)
     if choice == "nominal":

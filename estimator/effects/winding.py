@@ -260,11 +260,19 @@ class CoreSaturation(SourceEffect):
 
 
 class SphericalSum(SourceEffect):
-    """The readings follow the paper's literal sum, which adds spherical components of loops whose centres differ."""
+    """Readings and simulation differ by the paper's literal sum, which adds spherical components of loops whose centres differ.
+
+    A weight of 1 stands for readings that a literal simulation made. Where the simulation itself is literal (`field_sum:
+    spherical_components` in the rig file), a weight of -1 takes that back: nature adds vectors.
+    """
 
     name: ClassVar[str] = "spherical_sum"
-    words: ClassVar[str] = "the readings follow a sum of spherical components about different centres"
-    source: ClassVar[str] = "0 or 1: which simulation made the data (Osinde et al., eq 13)"
+    words: ClassVar[str] = (
+        "readings and simulation differ by a sum of spherical components about different centres"
+    )
+    source: ClassVar[str] = (
+        "0, 1 or -1: which simulation made the data, and which one explains them (Osinde et al., eq 13)"
+    )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Weight of the literal sum against the right one."""

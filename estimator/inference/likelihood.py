@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.chain import Chain
@@ -27,7 +28,8 @@ class LogPosterior:
     Attributes:
         coordinates: Meaning of the vector.
         chain: Predicts the readings.
-        measured_T: The measured components, flattened; missing ones left out.
+        measured_T: The measured components, flattened; missing ones left out. With a leading axis, one row of readings for each row of
+            the vector: many sessions of the same settings at once.
     """
 
     def __init__(self, coordinates: Coordinates, chain: Chain, observations: Observations) -> None:
@@ -42,6 +44,20 @@ class LogPosterior:
             use.label: self.measured_components(chain.gradient_T_per_m(use.place).norm(dim=-1))
             for use in uses_of(chain.rig, PositionJitter)
         }
+
+    def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
+        """The density for vectors whose every row has readings of its own, all taken at the same settings.
+
+        Args:
+            measured_T: What `measured_components` leaves of the readings, row by row.
+        """
+        other = copy(self)
+        other.measured_T = measured_T
+        return other
+
+    def at(self, rows: Int[Tensor, "..."] | Bool[Tensor, "..."]) -> LogPosterior:
+        """The density for some rows of a vector; the same one where all rows share the readings."""
+        return self if self.measured_T.dim() == 1 else self.with_rows(self.measured_T[rows])
 
     @cached_property
     def moves_field(self) -> Bool[Tensor, " coordinate"]:
@@ -93,7 +109,7 @@ class LogPosterior:
         sigma_T = self.component_sigma_T(vector)
         whitened = (self.measured_T - self.predicted(vector)) / sigma_T
         log_density, _ = self._scatter(whitened, vector)
-        constant = 0.5 * math.log(2.0 * math.pi) * len(self.measured_T)
+        constant = 0.5 * math.log(2.0 * math.pi) * len(self._flat)
         return (log_density - torch.log(sigma_T)).sum(-1) - constant
 
     def weight(
@@ -127,6 +143,6 @@ class LogPosterior:
         if possible.all():
             total = total + self.log_likelihood(vector)
         elif possible.any():
-            inside = total[possible] + self.log_likelihood(vector[possible])
+            inside = total[possible] + self.at(possible).log_likelihood(vector[possible])
             total = total.masked_scatter(possible, inside)
         return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)

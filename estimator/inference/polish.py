@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
+from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
@@ -84,24 +85,24 @@ def polish(
     damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
     growth = torch.full_like(damping, 2.0)
     gradient, information = _slope(posterior, vector)
-    precision = information + _prior_precision(posterior, vector)
+    precision = information + prior_precision(posterior.coordinates, vector)
     done = torch.zeros(len(vector), dtype=torch.bool)
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
-        newton = _solve(precision, gradient)
+        newton = solve(precision, gradient)
         done = done | ((gradient * newton).sum(-1) < tolerance) | (damping > LARGEST_DAMPING)
         active = (~done).nonzero().flatten()
         if not len(active):
             break
         damped = precision[active] + damping[active, None, None] * _diagonal(precision[active])
-        step = _solve(damped, gradient[active])
+        step = solve(damped, gradient[active])
         trial = vector[active].clone()
         trial[:, :n] += step
-        trial_value = posterior(trial)
+        trial_value = posterior.at(active)(trial)
         for i in torch.isinf(trial_value).nonzero().flatten().tolist():
             step[i] = _along_bounds(posterior, vector[active[i]], damped[i], step[i])
             trial[i, :n] = vector[active[i], :n] + step[i]
-            trial_value[i] = posterior(trial[i])
+            trial_value[i] = posterior.at(active[i])(trial[i])
         expected = 0.5 * (
             (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
         ).sum(-1)
@@ -115,9 +116,9 @@ def polish(
         if len(moved):
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
-            gradient[moved], information[moved] = _slope(posterior, vector[moved])
-            precision[moved] = information[moved] + _prior_precision(posterior, vector[moved])
-    newton = _solve(precision, gradient)
+            gradient[moved], information[moved] = _slope(posterior.at(moved), vector[moved])
+            precision[moved] = information[moved] + prior_precision(posterior.coordinates, vector[moved])
+    newton = solve(precision, gradient)
     is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
     return Polished(vector, value, precision, information, is_converged, iteration)
 
@@ -169,15 +170,15 @@ def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -
     return gradient + vmap(jacrev(log_prior))(continuous, counts), information
 
 
-def _prior_precision(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> Tensor:
+def prior_precision(coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]) -> Tensor:
     """Negative Hessian of the log prior, with some curvature where it has none."""
-    n = posterior.coordinates.n_continuous
+    n = coordinates.n_continuous
 
     def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
-        return posterior.coordinates.log_prior(torch.cat((continuous, counts), dim=-1))
+        return coordinates.log_prior(torch.cat((continuous, counts), dim=-1))
 
     own = -vmap(hessian(log_prior))(vector[:, :n], vector[:, n:])
-    scale = posterior.coordinates.scale[:n]
+    scale = coordinates.scale[:n]
     unit = scale[:, None] * scale[None, :]
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (own + own.mT) * unit)
     precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
@@ -208,13 +209,13 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
         is_held |= over
         bound = torch.where(over, torch.where(there < lower, lower, upper), bound)
         normal = slope[is_held]
-        across = torch.stack([_solve(damped, row) for row in normal], dim=-1)
+        across = torch.stack([solve(damped, row) for row in normal], dim=-1)
         miss = normal @ step - APPROACH * (bound - here)[is_held]
         best = step - across @ torch.linalg.lstsq(normal @ across, miss[:, None]).solution[:, 0]
     return best
 
 
-def _solve(matrix: Tensor, right: Tensor) -> Tensor:
+def solve(matrix: Tensor, right: Tensor) -> Tensor:
     """Solution of a positive definite system, scaled to a unit diagonal first: coordinates differ in size by many powers of ten."""
     scale = _diagonal_of(matrix).clamp(min=1e-300).rsqrt()
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(

@@ -20,8 +20,11 @@ from estimator.plots.residuals import (
     residual_by_sensor,
     residual_histogram,
 )
+from estimator.plots.sensitivity import interaction, interactions, main_effect, main_effects
+from estimator.plots.sessions import across_sessions
 
 __all__ = [
+    "across_sessions",
     "angular_deviation_map",
     "before_and_after_map",
     "corner",
@@ -29,7 +32,11 @@ __all__ = [
     "explained",
     "field_plane",
     "history",
+    "interaction",
+    "interactions",
     "interval_summary",
+    "main_effect",
+    "main_effects",
     "predicted_against_measured",
     "relative_error_map",
     "residual_against",

@@ -23,6 +23,7 @@ POSTERIOR_SDS = (
 )
 SHARE = 0.1  # of the first prior's width: what ageing may do to a winding or a sensor between two sessions
 SHARE_OF_POSE = 1.0  # a body that is mounted anew stands where it could have stood before the first session
+HOLDERS = ("movers", "coils", "sensors", "effects")  # the sections with parameters
 NOTE = "# Priors: the last calibration's posterior, widened by coilcal recalibrate."
 
 
@@ -62,7 +63,7 @@ def _entry(parameter: Parameter, first: Prior, median: float, sd: float) -> dict
 def _replace(tree: dict[str, Any], parameter: Parameter, entry: dict[str, Any]) -> None:
     """Put an entry in SI in the place of a parameter's, whatever unit that was written in."""
     body, *blocks, key = parameter.name.split(".")
-    (node,) = (section[body] for section in tree.values() if isinstance(section, dict) and body in section)
+    (node,) = (tree[kind][body] for kind in HOLDERS if body in (tree.get(kind) or {}))
     for block in blocks:
         node = node[block]
     entries = {key if _is_same(written, key) else written: value for written, value in node.items()}

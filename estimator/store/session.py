@@ -24,12 +24,17 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
 from estimator.config import rig_from_state, rig_state
+from estimator.devices_section import without_devices
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
+from estimator.store.growing import GROWING, observations_of
+from estimator.store.journal import JOURNAL, read_journal, sync
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
+GROUP = "zarr.json"
+PARTIAL = "sealing.partial"
 
 
 @dataclass(frozen=True)
@@ -52,8 +57,10 @@ class Session:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over readings and rig; the same readings always give the same hash."""
-        return digest(observation_arrays(self.observations), rig_state(self.rig))
+        """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
+        state = rig_state(self.rig)
+        state["text"] = without_devices(state["text"])
+        return digest(observation_arrays(self.observations), state)
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse another description of the rig that does not name the same things in the same order.
@@ -124,9 +131,11 @@ def load_session(path: Path | str) -> Session:
         CorruptStore: A file is missing, truncated or altered, or the schema is of another version.
     """
     path = Path(path)
-    if not (path / "zarr.json").is_file():
+    if is_growing(path):
+        return _from_journal(path)
+    if not (path / GROUP).is_file():
         raise InvalidInput(
-            f"session must be a folder that coilcal import or coilcal simulate wrote; received {path}"
+            f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
     try:
         group = zarr.open_group(path, mode="r")
@@ -151,9 +160,62 @@ def load_session(path: Path | str) -> Session:
     return Session(rig, observations, attributes["source"], attributes["created"], attributes["truth"])
 
 
+def is_growing(path: Path) -> bool:
+    """Whether a session at this path is still being measured, or was left before its end."""
+    return (path / JOURNAL).is_file() and not (path / GROUP).is_file()
+
+
+def seal(path: Path) -> Session:
+    """Turn a session that has been measured to its end into arrays; its journal stays beside them.
+
+    Raises:
+        InvalidInput: It cannot be written; the journal is as it was.
+        CorruptStore: The journal is damaged.
+    """
+    session = _from_journal(path)
+    partial = path / PARTIAL
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        session._write(partial)
+        for file in partial.rglob("*"):
+            sync(file)
+        # The group's own file makes a session of it, so that goes last: killed before, the session is still a journal.
+        for part in sorted(partial.iterdir(), key=lambda part: part.name == GROUP):
+            if part.name != GROUP:
+                shutil.rmtree(path / part.name, ignore_errors=True)
+            part.rename(path / part.name)
+        sync(path)
+        partial.rmdir()
+    except OSError as error:
+        raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
+    return session
+
+
+def remove_session(path: Path) -> None:
+    """Take away a session that is to be measured anew.
+
+    Raises:
+        InvalidInput: Something else is there, or it cannot be taken away.
+    """
+    if not _is_session(path):
+        raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
+    try:
+        shutil.rmtree(path)
+    except OSError as error:
+        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+
+
+def _from_journal(path: Path) -> Session:
+    header, records = read_journal(path)
+    if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
+        raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
+    rig = rig_from_state(header["rig"], f"rig inside {path}")
+    return Session(rig, observations_of(records, rig), header["source"], header["created"])
+
+
 def _is_session(path: Path) -> bool:
-    group = path / "zarr.json"
-    return group.is_file() and KIND.encode() in group.read_bytes()
+    group = path / GROUP
+    return is_growing(path) or (group.is_file() and KIND.encode() in group.read_bytes())
 
 
 def _described(body: Body | Mover) -> str:

@@ -136,6 +136,7 @@ NUMBERS = [
     ("relative_sd: 0.5", "relative_sd: 0.6"),
     ("tied_to: coil1.axial_loops", "tied_to: coil1.radial_loops"),
     ("motion: UR3e", "motion: UR3"),
+    ("    carried_by: arm1", "    carried_by: arm1\n    field_sum: spherical_components"),
     ("    carried_by: arm1", "    carried_by: arm1\n    current_gain: 1.01"),
 ]
 

@@ -37,6 +37,12 @@ REFUSALS = {
         "sensors.hall.world_from_sensor is not a key that is known here",
         24,
     ),
+    "unknown sum": (
+        WIRE,
+        f"{WIRE}\n    field_sum: sum",
+        "coils.coil1.field_sum must be one of vectors, spherical_components; received 'sum'",
+        11,
+    ),
     "missing key": ("    radial_loops: 22\n", "", "coils.coil1.radial_loops is missing", 8),
     "missing wire": (f"    {WIRE}\n", "", "coils.coil1.wire_radius_m is missing", 8),
     "missing version": ("schema_version: 1\n", "", "schema_version is missing", 1),

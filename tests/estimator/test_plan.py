@@ -111,7 +111,7 @@ def test_what_is_left_out_has_a_default(rig: Rig, tmp_path: Path) -> None:
         encoding="utf-8",
     )
     plan = load_plan(tmp_path / "plan.yaml", rig)
-    assert (plan.is_random_order, plan.repeats, plan.settle_s, plan.validation) == (False, 1, 1.0, ())
+    assert (plan.order, plan.repeats, plan.settle_s, plan.validation) == ("raster", 1, 1.0, ())
     assert plan.currents_A == ({"coil1": 1e-3},)
     assert len(observations_of(plan, rig, np.random.default_rng(0))) == 2
 
@@ -228,7 +228,12 @@ REFUSALS = {
         "currents_A must hold finite numbers; received {'coil1': True}",
         9,
     ),
-    "unknown order": ("raster", "Raster", "order must be one of raster, random; received 'Raster'", 10),
+    "unknown order": (
+        "raster",
+        "Raster",
+        "order must be one of raster, random, mixed; received 'Raster'",
+        10,
+    ),
     "no repeat": ("repeats: 2", "repeats: 0", "repeats must be a whole number of at least 1; received 0", 11),
     "no time": ("settle_s: 0.25", "settle_s: 0", "settle_s must be > 0; received 0", 12),
 }
@@ -287,3 +292,40 @@ def test_stops_must_be_a_list(tmp_path: Path, rig: Rig) -> None:
     (tmp_path / "plan.yaml").write_text("schema_version: 1\nname: none\nstops: 3\n", encoding="utf-8")
     with pytest.raises(InvalidInput, match="stops must be a list of keys and values; received 3"):
         load_plan(tmp_path / "plan.yaml", rig)
+
+
+RECOMMENDED = """\
+schema_version: 1
+name: recommended
+poses: {calibration: {arm: {q1_deg: -90}, stage: {z_mm: {from: -1, to: 1, count: 4}}}}
+largest_A: {coil1: 3, coil2: 2}
+"""
+
+
+def test_a_plan_without_currents_follows_the_recommended_protocol(tmp_path: Path, rig: Rig) -> None:
+    (tmp_path / "plan.yaml").write_text(RECOMMENDED, encoding="utf-8")
+    readings = observations_of(load_plan(tmp_path / "plan.yaml", rig), rig, np.random.default_rng(1))
+    stops = readings.rows(torch.arange(0, len(readings), 2))
+    currents_A = {tuple(row) for row in stops.current_A.tolist()}
+    alone = {(level * 3.0, 0.0) for level in (0.5, -0.5, 1.0, -1.0)}
+    alone |= {(0.0, level * 2.0) for level in (0.5, -0.5, 1.0, -1.0)}
+    assert currents_A == {(0.0, 0.0)} | alone
+    places = stops.motion["stage"][:, 2].reshape(-1, 9)
+    assert bool((places == places[:, :1]).all())  # all currents at a place before the next one
+    visited = places[:, 0].tolist()
+    assert visited[:2] == visited[2:4] == visited[6:]  # two places three times: at first, half-way, at last
+    assert len(set(visited)) == 4
+    assert visited != sorted(visited)
+    assert stops.repeat.reshape(-1, 9)[:, 0].tolist() == [0, 0, 1, 1, 0, 0, 2, 2]
+    orders = {tuple(map(tuple, block.tolist())) for block in stops.current_A.reshape(-1, 9, 2)}
+    assert len(orders) == 8
+
+
+def test_what_the_protocol_decides_may_be_said_otherwise(tmp_path: Path, rig: Rig) -> None:
+    (tmp_path / "plan.yaml").write_text(RECOMMENDED + "order: raster\nrevisited: 0\n", encoding="utf-8")
+    plan = load_plan(tmp_path / "plan.yaml", rig)
+    assert (plan.order, plan.n_revisited) == ("raster", 0)
+    for text in (RECOMMENDED + "currents_A: [{coil1: 1}]\n", RECOMMENDED.replace("largest_A", "currents")):
+        (tmp_path / "plan.yaml").write_text(text, encoding="utf-8")
+        with pytest.raises(InvalidInput, match="largest_A|currents_A is missing"):
+            load_plan(tmp_path / "plan.yaml", rig)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from estimator.coordinates import Coordinates, Values
 from estimator.errors import InvalidInput
 from estimator.prediction import RoomField
 from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.rig import FieldSum, Rig
 
 COILS = """
 coils:
@@ -53,7 +55,9 @@ def points_m() -> Tensor:
     return tensor(points) + tensor([0.0, 0.0, 0.03])
 
 
-def test_field_is_what_a_sensor_carried_there_would_read(rig, points_m):
+@pytest.mark.parametrize("field_sum", FieldSum)
+def test_field_is_what_a_sensor_carried_there_would_read(rig, points_m, field_sum):
+    rig = replace(rig, coils=tuple(replace(coil, field_sum=field_sum) for coil in rig.coils))
     n = len(points_m)
     probe = torch.cat((points_m, torch.zeros_like(points_m)), 1)
     observations = Observations(

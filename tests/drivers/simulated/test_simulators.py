@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import subprocess
@@ -48,9 +47,6 @@ def test_a_simulator_ends_when_its_parent_is_killed():
             time.sleep(0.02)
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("lakeshore") is None, reason="Lake Shore's own package is not installed"
-)
 def test_lake_shores_own_driver_reads_the_simulated_f71(world):
     world.drive(0, 3.0)
     client = """

@@ -15,7 +15,7 @@ EXISTS = "output must not exist yet, or be replaced with --overwrite; received"
 GRID = "--grid must look like x_mm=-50:50:11 or z_mm=20; received"
 TRUTH = "--truth must be prior, nominal or a JSON file {{parameter: number}}; received"
 NO_CALIBRATION = "calibration must be a folder that coilcal calibrate finished (with summary.json); received"
-NO_SESSION = "session must be a folder that coilcal import or coilcal simulate wrote; received"
+NO_SESSION = "session must be a folder that coilcal import, simulate or acquire wrote; received"
 
 REFUSALS = {
     f"{SIMULATE} --out simulated.zarr": f"{EXISTS} simulated.zarr",

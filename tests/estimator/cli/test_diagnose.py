@@ -139,7 +139,7 @@ def test_clean_session_in_words_names_nothing_and_ends_well(workspace: Path, run
 
 
 EXISTS = "output must not exist yet, or be replaced with --overwrite; received"
-NO_SESSION = "session must be a folder that coilcal import or coilcal simulate wrote; received"
+NO_SESSION = "session must be a folder that coilcal import, simulate or acquire wrote; received"
 REFUSALS = {
     "diagnose session.zarr --out calibration": f"{EXISTS} calibration",
     "diagnose session.zarr --out rig.yaml": f"{EXISTS} rig.yaml",

@@ -62,7 +62,7 @@ def visit(
     """Readings of the grid whose middle lies that far in front of the coil, the coil being displaced."""
     poses = tuple({"arm1": np.array([*(1e-3 * place), 0.0, 0.0, 0.0])} for place in places_mm(order))
     settings = tuple({"coil1": current_A} for current_A in currents_A)
-    plan = Plan("grid", poses, (), settings, False, repeats, 1.0)
+    plan = Plan("grid", poses, (), settings, "raster", repeats, 1.0)
     return simulate(rig, plan, at(rig, middle_mm), seed)
 
 

@@ -56,3 +56,16 @@ def test_quantities_of_causes_and_noise_are_widened_too(
     assert (gain.mean, gain.sd) == pytest.approx((0.012, math.hypot(POSTERIOR_SDS * 1e-3, SHARE * 0.02)))
     assert isinstance(noise, LogNormal)
     assert noise.relative_sd == pytest.approx(math.hypot(POSTERIOR_SDS * 0.05, SHARE * 0.5))
+
+
+def test_what_anchors_share_becomes_each_sensor_s_own(small_calibration: Calibration, rig_text: str) -> None:
+    shared = "hall: &probe {noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}}\n  other: *probe"
+    rig = rig_from_text(rig_text.replace("hall:\n    noise_uT: 5", shared) + "effects:\n")
+    record = {p.name: {"median": p.value, "sd": 0.0} for p in rig.free}
+    record["hall.noise_T"], record["other.noise_T"] = {"median": 6e-6, "sd": 0.0}, {"median": 7e-6, "sd": 0.0}
+    known = Calibration(
+        rig, small_calibration.observations, {}, {}, small_calibration.log_prob, {"parameters": record}
+    )
+    widened = widened_rig(known, rig)
+    values = [widened.parameters[f"{name}.noise_T"].value for name in ("hall", "other")]
+    assert values == pytest.approx([6e-6, 7e-6])

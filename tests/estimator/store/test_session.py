@@ -237,7 +237,7 @@ def test_a_store_of_another_kind_is_refused(store: Path) -> None:
 def test_what_is_no_session_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "readings.csv").write_text("t_s\n", encoding="utf-8")
     with pytest.raises(
-        InvalidInput, match="session must be a folder that coilcal import or coilcal simulate wrote"
+        InvalidInput, match="session must be a folder that coilcal import, simulate or acquire wrote"
     ):
         load_session(tmp_path / name)
 

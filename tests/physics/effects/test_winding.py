@@ -9,6 +9,7 @@ import pytest
 from tests.physics.effects.laboratory import (
     MU0_RATIO,
     POINTS_M,
+    RIG,
     Loops,
     added_T,
     assert_same_field,
@@ -177,6 +178,9 @@ def test_spherical_sum_is_the_papers_sum_taken_literally():
     assert (np.linalg.norm(literal - right, axis=1) > 1e-3 * np.linalg.norm(right, axis=1)).any()
     half = predicted_T(ONE, {"spherical_sum[coil]": {"weight": 0.5}})
     assert_same_field(half, 0.5 * (literal + right), 1e-8)
+    printed = RIG.replace("{radius_mm: 40,", "{field_sum: spherical_components, radius_mm: 40,")
+    assert_same_field(predicted_T(ONE, rig=printed), literal, 1e-8)
+    assert_same_field(predicted_T(ONE, {"spherical_sum[coil]": {"weight": -1.0}}, printed), right, 1e-8)
 
 
 def test_dipole_model_is_mu0_m_over_4_pi_r3_about_the_middle_of_the_winding():

@@ -1,0 +1,301 @@
+"""Visits the stops of a plan with real instruments: move, set currents, settle, average, write down, tell.
+
+Instruments are seen as `drivers.protocols` only; whoever opens them puts the limits of the rig before them (`drivers.guarded`).
+However a run ends, the currents are ramped to zero.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, ReadingFlag, RobotArm, Vector
+from estimator.clocks import DeviceClock
+from estimator.errors import InvalidInput
+from estimator.frames import Transform, vector_from_rotation
+from estimator.motion import flange_to_reach, motion_reached
+from estimator.pace import Pace, durations_s
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.growing import StopRecord
+from estimator.store.journal import Journal
+
+_LOG = logging.getLogger(__name__)
+
+ANSWER_S = 5.0  # beyond what a ramp, a motion or a measurement takes by itself
+OFF_S = 20.0
+SETTLED_SIGMA = 4.0  # difference of the two halves of the readings that chance makes once in a hundred stops
+FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
+STILL_M, STILL_RAD = (
+    2e-5,
+    1e-4,
+)  # below the repeatability of the arms: one that was not told to move has not moved
+
+
+@runtime_checkable
+class Instruments(Protocol):
+    """Open instruments by the name of what they serve; a `drivers.open.DeviceSet` is one."""
+
+    sensors: dict[str, FieldSensor]
+    sources: dict[str, CurrentSource]
+    arms: dict[str, RobotArm]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Told after each stop, once it is on the disk.
+
+    Attributes:
+        n_done: Stops that were visited, those of earlier runs included.
+        n_stops: In the plan.
+        left_s: Time that the others will take.
+        stop: The last one.
+    """
+
+    n_done: int
+    n_stops: int
+    left_s: float
+    stop: StopRecord
+
+
+def references_of(rig: Rig, instruments: Instruments) -> dict[str, list[float]]:
+    """Where each arm stands now; displacements count from there."""
+    found = {}
+    for mover in rig.movers:
+        pose = instruments.arms[mover.name].read_pose(timeout_s=ANSWER_S).value
+        found[mover.name] = [*pose.position_m, *pose.rotation_vector_rad]
+    return found
+
+
+def acquire(
+    stops: Observations,
+    rig: Rig,
+    instruments: Instruments,
+    journal: Journal,
+    pace: Pace,
+    on_stop: Callable[[Progress], None] | None = None,
+) -> None:
+    """Visit the stops that the journal does not hold yet, then bring the arms back to where displacements are zero.
+
+    Args:
+        stops: All of the session, in order (`estimator.pace.stops_of`).
+        rig: Names what the instruments serve.
+        instruments: Open, within the limits of the rig.
+        journal: Its header holds the references; each stop is on the disk before `on_stop` hears of it.
+        pace: How.
+        on_stop: Told after each stop.
+    Raises:
+        InvalidInput: A sensor gives no new reading, or the journal cannot be written.
+        drivers.errors.DriverError: An instrument failed, or refused what is beyond its limits.
+    """
+    expected_s = durations_s(stops, rig, pace)
+    n_before = len(journal.records)
+    visit = _Visit(
+        rig, instruments, pace, {n: _transform(p) for n, p in journal.header["references"].items()}
+    )
+    begin_s = time.monotonic()
+    since_s = _time_since(journal)
+    with _ending_without_current(instruments):
+        for row in range(n_before, len(stops)):
+            visit.go_to(stops, row)
+            record = visit.read(stops, row, since_s - begin_s)
+            journal.append(record.record())
+            if on_stop is not None:
+                share = (time.monotonic() - begin_s) / sum(expected_s[n_before : row + 1])
+                on_stop(Progress(row + 1, len(stops), share * sum(expected_s[row + 1 :]), record))
+    visit.return_home()
+
+
+class _Visit:
+    """The state of a run: what was set last, so that nothing is sent twice."""
+
+    def __init__(
+        self, rig: Rig, instruments: Instruments, pace: Pace, references: Mapping[str, Transform]
+    ) -> None:
+        self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
+        self._motion: dict[str, Tensor] = {}
+        self._stands: dict[str, FlangePose] = {}
+        self._clocks: dict[str, DeviceClock] = {}
+        self._current_A: dict[str, float] = {}
+
+    def go_to(self, stops: Observations, row: int) -> None:
+        """Move, then set the currents, then wait."""
+        for mover in self._rig.movers:
+            motion = stops.motion[mover.name][row]
+            if mover.name not in self._motion or bool((motion != self._motion[mover.name]).any()):
+                target = flange_to_reach(mover, motion[None], self._references[mover.name])
+                self._move(mover.name, _flange_pose(target))
+                self._motion[mover.name] = motion
+        for i, coil in enumerate(self._rig.coils):
+            current_A = float(stops.current_A[row, i])
+            if coil.name in self._instruments.sources and self._current_A.get(coil.name) != current_A:
+                ramp_s = (
+                    abs(current_A - self._current_A.get(coil.name, 0.0)) / self._pace.slew_A_per_s[coil.name]
+                )
+                self._instruments.sources[coil.name].set_current_A(
+                    current_A, timeout_s=2.0 * ramp_s + ANSWER_S
+                )
+                self._current_A[coil.name] = current_A
+        time.sleep(self._pace.settle_s)
+
+    def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
+        """Average the field, then look where the arms and the currents are."""
+        averages = {name: self._average(name) for name in self._instruments.sensors}
+        taken_s = fmean(time_s for _, _, _, time_s in averages.values())
+        motion = {}
+        for mover in self._rig.movers:
+            pose = self._pose(mover.name)
+            here = _transform([*pose.position_m, *pose.rotation_vector_rad])
+            asked = stops.motion[mover.name][row][None]
+            motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
+        return StopRecord(
+            taken_s + offset_s,
+            stops.current_A[row].tolist(),
+            motion,
+            {name: mean_T.tolist() for name, (mean_T, *_) in averages.items()},
+            bool(stops.is_validation[row]),
+            int(stops.repeat[row]),
+            {
+                name: source.read_current_A(timeout_s=ANSWER_S).value
+                for name, source in self._instruments.sources.items()
+            },
+            {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
+            self._pace.n_readings,
+            all(is_settled for _, _, is_settled, _ in averages.values()),
+            {name: clock.delay_s for name, clock in self._clocks.items()},
+        )
+
+    def return_home(self) -> None:
+        """Where the next session finds the arms as this one did."""
+        for name, reference in self._references.items():
+            self._move(name, _flange_pose(reference))
+
+    def _pose(self, name: str) -> FlangePose:
+        """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
+        reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
+        pose = reading.value
+        self._taken_s(name, reading)
+        known = self._stands.get(name)
+        if (
+            known is None
+            or math.dist(pose.position_m, known.position_m) > STILL_M
+            or math.dist(pose.rotation_vector_rad, known.rotation_vector_rad) > STILL_RAD
+        ):
+            self._stands[name] = pose
+        return self._stands[name]
+
+    def _move(self, name: str, target: FlangePose) -> None:
+        arm, speed_m_per_s = self._instruments.arms[name], self._pace.speed_m_per_s[name]
+        here = arm.read_pose(timeout_s=ANSWER_S).value
+        way_m = math.dist(here.position_m, target.position_m)
+        # A turn on the spot takes its time, too: half a circle at the slowest that arms are driven.
+        timeout_s = 2.0 * way_m / speed_m_per_s + 10.0 + ANSWER_S
+        self._stands.pop(name, None)
+        arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
+
+    def _taken_s(self, name: str, reading: Reading[Any]) -> float:
+        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock."""
+        if reading.device_time_s is None:
+            return reading.host_monotonic_s
+        clock = self._clocks.setdefault(name, DeviceClock())
+        clock.add(reading.host_monotonic_s, reading.device_time_s)
+        return clock.on_host_s(reading.device_time_s)
+
+    def _average(self, name: str) -> tuple[Tensor, Tensor, bool, float]:
+        """Mean and scatter of readings whose two halves agree, whether they did in time, and when they were taken."""
+        sensor, n = self._instruments.sensors[name], self._pace.n_readings
+        deadline_s = time.monotonic() + self._pace.longest_settle_s
+        values = [sensor.read_field_T(timeout_s=ANSWER_S)]
+        while True:
+            field_T = torch.tensor(
+                [_components_T(reading) for reading in _more(sensor, name, values, n)]
+            ).double()
+            step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
+            # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change does not widen it.
+            scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
+            allowed_T = FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)
+            is_settled = not bool((step_T > allowed_T).any())
+            if is_settled or time.monotonic() > deadline_s:
+                taken_s = fmean(self._taken_s(name, reading) for reading in values)
+                return field_T.mean(0), field_T.std(dim=0), is_settled, taken_s
+            values = values[n // 2 : n]
+
+
+def _more(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> list[Reading[Vector]]:
+    """Add readings that are new until there are enough."""
+    deadline_s = time.monotonic() + ANSWER_S * n
+    while len(values) < n:
+        values += [r for r in sensor.read_new_T(timeout_s=ANSWER_S) if ReadingFlag.STALE not in r.flags]
+        if time.monotonic() > deadline_s:
+            raise InvalidInput(
+                f"{name} must give {n} new readings within {ANSWER_S * n:g} s; {len(values)} came"
+            )
+    del values[n:]
+    return values
+
+
+def _components_T(reading: Reading[Vector]) -> Vector:
+    """NaN for what left the range; all three where the sensor does not say which of them."""
+    is_marked = any(math.isnan(value_T) for value_T in reading.value)
+    if ReadingFlag.OVER_RANGE in reading.flags and not is_marked:
+        return math.nan, math.nan, math.nan
+    return reading.value
+
+
+def _time_since(journal: Journal) -> float:
+    """When this run begins on the clock of the session: after its last reading, whatever the host's clock did meanwhile."""
+    if not journal.records:
+        return 0.0
+    passed_s = time.time() - float(journal.header["begin_s"])
+    return max(passed_s, float(journal.records[-1]["time_s"]))
+
+
+@contextmanager
+def _ending_without_current(instruments: Instruments) -> Iterator[None]:
+    """Ramp all currents to zero at the end, even where one fails, without hiding the error that ended the block.
+
+    An interruption is no error: a supply that is not known to be off is what the operator must hear of then.
+    """
+    try:
+        yield
+    except Exception:
+        _switch_off(instruments)
+        raise
+    except BaseException as interruption:
+        if (failed := _switch_off(instruments)) is not None:
+            raise failed from interruption
+        raise
+    if (failed := _switch_off(instruments)) is not None:
+        raise failed
+
+
+def _switch_off(instruments: Instruments) -> Exception | None:
+    """What went wrong first, if anything."""
+    failed: Exception | None = None
+    for name, source in instruments.sources.items():
+        try:
+            source.output_off(timeout_s=OFF_S)
+        except Exception as error:
+            _LOG.critical("%s is not known to be off: %s", name, error)
+            failed = failed or error
+    return failed
+
+
+def _transform(pose: list[float]) -> Transform:
+    numbers = torch.tensor([pose], dtype=torch.float64)
+    return Transform.from_pose(numbers[:, :3], numbers[:, 3:])
+
+
+def _flange_pose(pose: Transform) -> FlangePose:
+    x_m, y_m, z_m = pose.translation_m[0].tolist()
+    x_rad, y_rad, z_rad = vector_from_rotation(pose.rotation)[0].tolist()
+    return FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))

@@ -1,0 +1,174 @@
+"""Many sessions at once: every session, coil and hypothesis fitted on a cluster, the leading hypotheses sampled.
+
+A batch that was cut off, or is asked again with more sessions, does only what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.batch.engine import cluster
+from estimator.batch.jobs import PLAIN, Job, stacks
+from estimator.batch.result import BatchResult
+from estimator.batch.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, sampled
+from estimator.calibration import SUMMARY
+from estimator.config import load_rig
+from estimator.errors import InvalidInput, reason
+from estimator.inference.ensemble import SamplerSettings
+
+__all__ = ["BatchResult", "batch"]
+
+STACK_READINGS, STACK_JOBS = (
+    8000 // (1 + MORE_STARTS),
+    64,
+)  # beyond that a stack is slower than two, for it leaves the processor's cache
+LEADS_ABOVE = 0.05  # probability of a hypothesis whose posterior is sampled
+JOBS = "jobs"
+
+
+def batch(
+    sessions: Sequence[Path | str],
+    *,
+    out: Path | str,
+    rig: Path | str | None = None,
+    hypotheses: Sequence[str] = (PLAIN,),
+    is_each_coil: bool = False,
+    has_posterior: bool = True,
+    seed: int = 0,
+    settings: SamplerSettings | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    tell: Callable[[int, int, str], None] | None = None,
+) -> BatchResult:
+    """Calibrate many sessions.
+
+    Each is fitted under each hypothesis (Levenberg-Marquardt from several starts, Laplace); sessions of the same rig at the same settings
+    are fitted together on the batch axis. Then emcee samples the hypotheses with a probability above 5 % among those of their session.
+
+    Args:
+        sessions: Folders that coilcal import, simulate or acquire wrote. On a cluster of several computers, and `out`, seen by all of them.
+        out: Folder for the results, one folder for each job. Jobs that are finished there are skipped.
+        rig: Another description of the rig of all sessions.
+        hypotheses: `plain` for the rig as it is described, or causes that are free in addition, joined by +: `axis_gain+sensor_offset`.
+        is_each_coil: Calibrate each coil by itself, from the readings in which it alone carries current.
+        has_posterior: Sample the leading hypotheses.
+        seed: Of starts and sampling.
+        settings: When to stop sampling.
+        workers, scheduler: Number of processes on this computer, or the address of a Dask scheduler.
+        tell: Told how many of how many jobs are done, and in words what was.
+    Returns: The results, also of sessions that failed: these do not stop the others.
+    Raises:
+        InvalidInput: No session, an output that cannot be written, a scheduler that does not answer.
+    """
+    if not sessions:
+        raise InvalidInput("sessions must be at least one; received none")
+    folder = Path(out).absolute() / JOBS
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(
+            f"output must be a folder that can be written; {out} is not: {reason(error)}"
+        ) from error
+    rig_text = load_rig(rig).text if rig else ""
+    run = _Run(folder, tell or (lambda done, total, words: None), {})
+    with cluster(workers, scheduler) as where:
+        paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
+        jobs: list[Job] = []
+
+        def described(path: Any, found: Any) -> None:
+            if isinstance(found, list):
+                jobs.extend(found)
+            else:
+                run.fail(path, found)
+
+        arguments = (rig_text, tuple(hypotheses), is_each_coil, seed)
+        where.run({path: (describe, (path, *arguments)) for path in paths}, described)
+        jobs.sort(
+            key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))
+        )
+
+        open_stacks = [
+            stack
+            for stack in stacks(jobs, STACK_READINGS, STACK_JOBS)
+            if not all(run.is_fitted(job) for job in stack)
+        ]
+        run.begin(len(jobs), sum(run.is_fitted(job) for job in jobs))
+        where.run(
+            {i: (fit, (stack, str(folder))) for i, stack in enumerate(open_stacks)}, run.fitted(open_stacks)
+        )
+        result = BatchResult(folder, tuple(job.name for job in jobs if run.is_fitted(job)), run.failed)
+        if has_posterior:
+            leaders = _leaders(jobs, result)
+            waiting = {job.name: job for job in leaders if not run.is_sampled(job)}
+            run.begin(len(leaders), len(leaders) - len(waiting))
+            chosen = settings or SamplerSettings()
+            where.run(
+                {name: (sampled, (job, str(folder), chosen)) for name, job in waiting.items()}, run.sampled
+            )
+    return BatchResult(folder, result.names, run.failed)
+
+
+class _Run:
+    """How far a batch is."""
+
+    def __init__(self, folder: Path, tell: Callable[[int, int, str], None], failed: dict[str, str]) -> None:
+        self.folder, self.tell, self.failed = folder, tell, failed
+        self.done = self.total = 0
+
+    def begin(self, total: int, done: int) -> None:
+        """A new stage, of which some may have been done before."""
+        self.total, self.done = total, done
+        if done:
+            self.tell(done, total, "done before")
+
+    def is_fitted(self, job: Job) -> bool:
+        return (self.folder / job.name / RESULT).exists()
+
+    def is_sampled(self, job: Job) -> bool:
+        return (self.folder / job.name / POSTERIOR / SUMMARY).exists()
+
+    def fail(self, what: str, why: object) -> None:
+        """A failure of a session or job; the others go on."""
+        self.failed[what] = str(why)
+        self.tell(self.done, self.total, f"{what} failed: {why}")
+
+    def fitted(self, open_stacks: list[list[Job]]) -> Callable[[Any, Any], None]:
+        """What to do when a stack comes back."""
+
+        def came(i: Any, failed: Any) -> None:
+            stack = open_stacks[i]
+            broken = {job.name: failed for job in stack} if isinstance(failed, Exception) else failed
+            self.done += len(stack) - len(broken)
+            self.tell(self.done, self.total, "fitted")
+            for name, why in broken.items():
+                self.fail(name, why)
+
+        return came
+
+    def sampled(self, name: Any, failed: Any) -> None:
+        """What to do when a posterior comes back."""
+        if failed is None:
+            self.done += 1
+            self.tell(self.done, self.total, f"{name} sampled")
+        else:
+            self.fail(name, failed)
+
+
+def _leaders(jobs: Sequence[Job], result: BatchResult) -> list[Job]:
+    """The jobs whose hypothesis is probable among those of its session."""
+    evidence = {
+        name: record["log_evidence"] for name, record in zip(result.names, result.records(), strict=True)
+    }
+    found = []
+    for job in jobs:
+        if job.name not in evidence:
+            continue
+        rivals = np.array([evidence[o.name] for o in jobs if o.subject == job.subject and o.name in evidence])
+        share = np.exp(evidence[job.name] - rivals.max()) / np.exp(rivals - rivals.max()).sum()
+        if share > LEADS_ABOVE:
+            found.append(job)
+    return found

@@ -1,0 +1,116 @@
+"""Jobs on Dask distributed: a cluster of this computer's processes, or one that is there already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import dask
+from distributed import Client, KilledWorker, LocalCluster, as_completed
+from distributed.comm.core import CommClosedError
+
+from estimator.errors import InvalidInput
+
+DEATHS_ALLOWED = 3  # of workers on one and the same job, before the job is taken for the cause
+RECONNECTIONS, PATIENCE_S = 5, 60
+
+Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+class Cluster:
+    """Runs calls on workers.
+
+    A worker that dies is replaced and its calls are made again elsewhere; where the scheduler is lost, unfinished calls are made again once
+    there is one at the same address.
+    """
+
+    def __init__(self, client: Client, address: str) -> None:
+        self._client, self._address = client, address
+
+    def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
+        """Make every call once; `tell` hears of each result, or of the exception in its place, as it comes.
+
+        Raises:
+            InvalidInput: The scheduler was lost and none came back in its place.
+        """
+        left = dict(calls)
+        for _ in range(1 + RECONNECTIONS):
+            try:
+                for name, result in self._results(left):
+                    del left[name]
+                    tell(name, result)
+            except (CommClosedError, TimeoutError, OSError):
+                pass
+            if not left:
+                return
+            self._reconnect()
+        raise InvalidInput(
+            f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(left)} jobs left)"
+        )
+
+    def _results(self, calls: Mapping[Hashable, Call]) -> Iterator[tuple[Hashable, Any]]:
+        futures = {
+            self._client.submit(function, *arguments, pure=False): name
+            for name, (function, arguments) in calls.items()
+        }
+        for future in as_completed(futures, loop=self._client.loop):
+            if future.status == "finished":
+                yield futures[future], future.result()
+            elif future.status == "error":
+                error = future.exception()
+                died = isinstance(error, KilledWorker)
+                words = (
+                    f"{DEATHS_ALLOWED + 1} workers died on it" if died else f"{type(error).__name__}: {error}"
+                )
+                yield futures[future], RuntimeError(words)
+            else:
+                raise CommClosedError("the scheduler was lost")
+
+    def _reconnect(self) -> None:
+        self._client.close(timeout=1)
+        try:
+            self._client = Client(self._address, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, TimeoutError) as error:
+            raise InvalidInput(
+                f"scheduler must answer within {PATIENCE_S} s; {self._address} did not (what is finished is kept: run it again)"
+            ) from error
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+
+@contextmanager
+def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
+    """Workers to run on.
+
+    Args:
+        workers: Processes on this computer; one per processor by default. Only without a scheduler.
+        scheduler: Address of one that is there already, such as tcp://host:8786.
+    Raises:
+        InvalidInput: Both are given, or the scheduler does not answer.
+    """
+    if scheduler is not None and workers is not None:
+        raise InvalidInput("workers must not be given for a scheduler that has its own; received both")
+    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}):
+        if scheduler is None:
+            n = workers or len(os.sched_getaffinity(0))
+            with (
+                LocalCluster(
+                    n_workers=n, threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None
+                ) as local,
+                Client(local, set_as_default=False) as client,
+            ):
+                yield Cluster(client, local.scheduler_address)
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise InvalidInput(f"scheduler must answer within {PATIENCE_S} s; {scheduler} did not") from error
+        remote = Cluster(client, scheduler)
+        try:
+            yield remote
+        finally:
+            remote.close()

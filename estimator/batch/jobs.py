@@ -1,0 +1,145 @@
+"""What a batch consists of: one fit for each session, coil and hypothesis, known by what decides its result."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimator.calibrate import versions
+from estimator.config import rig_from_text
+from estimator.effects import effect_of
+from estimator.effects.attach import with_effect
+from estimator.effects.scene import Scene
+from estimator.errors import InvalidInput
+from estimator.hide import cause_of
+from estimator.inference.stacked import settings_hash
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.session import Session, load_session
+
+PLAIN = "plain"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One fit of a batch.
+
+    Attributes:
+        session: Path of the session.
+        rig_text: Another description of its rig; empty for its own.
+        coil: The one coil that is calibrated, from the readings in which it alone carries current; None for the whole rig.
+        hypothesis: `plain`, or causes to be free, joined by +.
+        seed: Of starts and sampling.
+        key: Hash of session, rig, hypothesis, seed and versions: what decides the result.
+        settings: Jobs that share it can be stacked.
+        n_readings: That are fitted.
+    """
+
+    session: str
+    rig_text: str
+    coil: str | None
+    hypothesis: str
+    seed: int
+    key: str = ""
+    settings: str = ""
+    n_readings: int = 0
+
+    @property
+    def name(self) -> str:
+        """Folder of the result: readable, and another one wherever the result would be another."""
+        words = [Path(self.session).stem, *([self.coil] if self.coil else []), self.hypothesis, self.key[:10]]
+        return "-".join(re.sub(r"[^\w.+]+", "_", word).strip("_") for word in words)
+
+    @property
+    def subject(self) -> tuple[str, str | None]:
+        """What the hypotheses compete for."""
+        return self.session, self.coil
+
+
+def jobs_of(path: str, rig_text: str, hypotheses: Sequence[str], is_each_coil: bool, seed: int) -> list[Job]:
+    """The fits of one session.
+
+    Raises:
+        CoilcalError: The session cannot be read, has no reading for a coil, or a hypothesis does not exist in its rig.
+    """
+    session = load_session(path)
+    if rig_text:
+        session.check_rig(rig_from_text(rig_text))
+    coils: list[str | None] = [coil.name for coil in session.rig.coils] if is_each_coil else [None]
+    return [
+        _known(Job(path, rig_text, coil, hypothesis, seed), session)
+        for coil in coils
+        for hypothesis in hypotheses
+    ]
+
+
+def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
+    """The readings that a job is about, and the rig with what its hypothesis frees.
+
+    Raises:
+        InvalidInput: The coil never carries current alone, or the hypothesis does not exist in this rig.
+    """
+    rig = rig_from_text(job.rig_text) if job.rig_text else session.rig
+    if job.coil is not None:
+        session, rig = _one_coil(session, rig, job.coil)
+    for cause_text in _causes(job.hypothesis):
+        rig = _with_cause(rig, session.observations, cause_text)
+    return session, rig
+
+
+def stacks(jobs: Sequence[Job], most_readings: int, most_jobs: int) -> Iterator[list[Job]]:
+    """Jobs that are fitted together: those of the same rig at the same settings, whatever of them is done already."""
+    by_settings: dict[str, list[Job]] = {}
+    for job in sorted(jobs, key=lambda job: job.key):
+        by_settings.setdefault(job.settings, []).append(job)
+    for same in by_settings.values():
+        width = max(1, min(most_jobs, most_readings // max(same[0].n_readings, 1)))
+        for first in range(0, len(same), width):
+            yield same[first : first + width]
+
+
+def _known(job: Job, session: Session) -> Job:
+    own, rig = readings_and_rig(job, session)
+    observations = own.observations.calibration
+    decisive = [session.hash, rig.hash, job.coil, job.hypothesis, job.seed, versions()]
+    key = hashlib.sha256(json.dumps(decisive).encode()).hexdigest()
+    return Job(
+        job.session,
+        job.rig_text,
+        job.coil,
+        job.hypothesis,
+        job.seed,
+        key,
+        settings_hash(rig, observations),
+        len(observations),
+    )
+
+
+def _causes(hypothesis: str) -> list[str]:
+    return [] if hypothesis == PLAIN else hypothesis.split("+")
+
+
+def _with_cause(rig: Rig, observations: Observations, text: str) -> Rig:
+    cause = cause_of(text, rig)
+    if cause in rig.effects:
+        raise InvalidInput(f"hypothesis {text!r} must not be in the rig already")
+    shapes = effect_of(cause.name).starts(Scene(rig, observations), cause.place)[0]
+    return with_effect(rig, cause, observations, shapes)
+
+
+def _one_coil(session: Session, rig: Rig, coil: str) -> tuple[Session, Rig]:
+    """Readings without current in any other coil, and the rig with everything of the other coils fixed (paper, eq 17)."""
+    at = [one.name for one in rig.coils].index(coil)
+    others = session.observations.current_A.clone()
+    others[:, at] = 0.0
+    alone = (others == 0.0).all(1)
+    if not bool((session.observations.current_A[alone, at] != 0.0).any()):
+        raise InvalidInput(f"{coil} must carry current alone in some reading; it never does")
+    idle = [name for name in (one.name for one in rig.coils) if name != coil]
+    fixed = [p.name for p in rig.free if p.name.partition(".")[0] in idle]
+    own = Session(rig, session.observations.rows(alone), session.source, session.created, session.truth)
+    return own, rig.with_fixed(fixed)

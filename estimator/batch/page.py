@@ -1,0 +1,179 @@
+"""The page of a batch: how many sessions agree, which do not fit, what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from estimator import plots
+from estimator.batch.result import BatchResult
+from estimator.calibrate import versions
+from estimator.plots.style import shown, with_sd
+from estimator.report import Picture, ReportPage, Table, render_report
+
+MOST_PARAMETERS = 12
+SCATTER_TOO_WIDE = 2.0  # chi-square per degree of freedom of a parameter across sessions
+
+
+def overview(result: BatchResult, command: str) -> str:
+    """HTML of a batch, self-contained.
+
+    Args:
+        result: Of `estimator.batch`.
+        command: What produced it, shown as provenance.
+    """
+    table = result.table()
+    best = _best(table)
+    names = _scalars(result)
+    page = ReportPage(
+        title=f"Batch of {table['session'].nunique() if len(table) else 0} sessions",
+        subtitle=str(result.folder.parent),
+        verdict=_verdict(result, table, best, names),
+        warnings=_warnings(result, table),
+        tables=_tables(result, table, best, names),
+        figures=[_picture(result, best, names)] if len(best) and names else [],
+        provenance={
+            "command": command,
+            "versions": ", ".join(f"{name} {v}" for name, v in versions().items()),
+        },
+    )
+    return render_report(page)
+
+
+def _best(table: pd.DataFrame) -> pd.DataFrame:
+    """Of every session and coil the most probable hypothesis."""
+    if not len(table):
+        return table
+    groups = [table["session"], table["coil"].fillna("")]
+    return table.loc[table.groupby(groups, sort=False)["log_evidence"].idxmax()]
+
+
+def _scalars(result: BatchResult) -> list[str]:
+    """Parameters that all jobs share, in the order of the rig."""
+    records = result.records()
+    common = set.intersection(*(set(record["parameters"]) for record in records)) if records else set()
+    return [name for name in (records[0]["parameters"] if records else ()) if name in common][
+        :MOST_PARAMETERS
+    ]
+
+
+def _scatter(best: pd.DataFrame, name: str) -> float:
+    """Chi-square per degree of freedom of one parameter across sessions: 1 where they agree within their intervals."""
+    centre, sd = best[name].to_numpy(), best[f"{name}.sd"].to_numpy()
+    if len(centre) < 2 or not (sd > 0.0).all():
+        return float("nan")
+    return float((((centre - _mean(centre, sd)) / sd) ** 2).sum() / (len(centre) - 1))
+
+
+def _mean(centre: np.ndarray, sd: np.ndarray) -> float:
+    """Weighted by the intervals; where one has no width, as for a loop count that is certain, the plain mean."""
+    return float(np.average(centre, weights=sd**-2.0) if (sd > 0.0).all() else centre.mean())
+
+
+def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    n_sampled = int(table["is_sampled"].sum()) if len(table) else 0
+    failures = f", {len(result.failed)} failed" if result.failed else ""
+    sentences = [f"{len(table)} fits, {n_sampled} of them sampled{failures}."]
+    if len(best) > 1:
+        apart = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
+        words = shown(names)
+        sentences.append(
+            "Sessions differ by more than their intervals in "
+            + ", ".join(words[name].words for name in apart)
+            + "."
+            if apart
+            else "Every parameter agrees across sessions within its intervals."
+        )
+    if len(best) and table["hypothesis"].nunique() > 1:
+        counts = best["hypothesis"].value_counts()
+        sentences.append("Most probable: " + ", ".join(f"{name} in {n}" for name, n in counts.items()) + ".")
+    return sentences
+
+
+def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
+    found = [f"{_short(what)}: {why}" for what, why in result.failed.items()]
+    if len(table):
+        found += [
+            f"{job} did not converge; its intervals are provisional."
+            for job in table["job"][~table["is_converged"]]
+        ]
+    return found
+
+
+def _tables(
+    result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]
+) -> list[Table]:
+    del result
+    tables = []
+    if len(best) > 1 and names:
+        words = shown(names)
+        rows = []
+        for name in names:
+            show, sd = words[name], best[f"{name}.sd"].to_numpy()
+            mean = _mean(best[name].to_numpy(), sd)
+            scatter = float(best[name].std()) * show.factor
+            ratio = _scatter(best, name)
+            rows.append(
+                [
+                    show.words,
+                    with_sd(mean * show.factor, scatter),
+                    f"{float(np.median(sd)) * show.factor:.2g}",
+                    show.unit or "1",
+                    f"{ratio:.2f}" if np.isfinite(ratio) else "—",
+                ]
+            )
+        header = [
+            "parameter",
+            "mean ± scatter",
+            "median sd of one session",
+            "unit",
+            "χ² per degree of freedom",
+        ]
+        says = "A χ² well above 1 says that sessions differ by more than their own uncertainty."
+        tables.append(Table("Across sessions", header, rows, says))
+    rows = [
+        [
+            _short(str(row["session"])) + (f", {row['coil']}" if row["coil"] else ""),
+            str(row["hypothesis"]),
+            f"{row['log_evidence']:.1f}",
+            f"{row['probability']:.1%}",
+            f"{row['calibration_rmse_T'] * 1e6:.4g} µT",
+            f"{row['validation_rmse_T'] * 1e6:.4g} µT" if pd.notna(row["validation_rmse_T"]) else "—",
+            "sampled" if row["is_sampled"] else "Laplace",
+        ]
+        for _, row in table.iterrows()
+    ]
+    header = [
+        "session",
+        "hypothesis",
+        "log evidence",
+        "probability",
+        "error of the fit",
+        "of validation",
+        "intervals",
+    ]
+    tables.append(Table("Fits", header, rows, "Errors are the rms of the vector."))
+    return tables
+
+
+def _picture(result: BatchResult, best: pd.DataFrame, names: Sequence[str]) -> Picture:
+    arrays = result.dataset().sel(job=best["job"].to_list(), parameter=list(names))
+    labels = [
+        _short(str(s)) + (f" {c}" if c else "") for s, c in zip(best["session"], best["coil"], strict=True)
+    ]
+    figure = plots.across_sessions(
+        names,
+        arrays["median"].to_numpy(),
+        arrays["ci90"].to_numpy(),
+        labels,
+        best["is_sampled"].to_numpy(dtype=bool),
+    )
+    says = "Median and 90 % interval of each session; blue was sampled, grey is Laplace; the line is the mean of all."
+    return Picture("Parameters, session by session", says, figure)
+
+
+def _short(path: str) -> str:
+    return Path(path).stem

@@ -1,0 +1,127 @@
+"""What a batch found: a table of all fits, the probabilities of the hypotheses, posteriors to open."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from estimator.batch.work import POSTERIOR, RESULT
+from estimator.calibration import SUMMARY, Calibration, write_text
+from estimator.errors import InvalidInput
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """The results of a batch on disk.
+
+    Attributes:
+        folder: With one folder for each job.
+        names: Of the jobs that were fitted.
+        failed: Why there is no result, by session or job.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    failed: dict[str, str]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Content of every `result.json`; where the posterior was sampled, its parameters."""
+        return [_record(self.folder / name) for name in self.names]
+
+    def table(self) -> pd.DataFrame:
+        """One row for each job, its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %)."""
+        rows = []
+        for name, record in zip(self.names, self.records(), strict=True):
+            row = {
+                "job": name,
+                "session": record["session"],
+                "coil": record["coil"],
+                "hypothesis": record["hypothesis"],
+                "log_evidence": record["log_evidence"],
+                "is_sampled": record["is_sampled"],
+                "is_converged": record["is_converged"],
+                "calibration_rmse_T": record["vector_rmse_T"]["calibration"],
+                "validation_rmse_T": record["vector_rmse_T"]["validation"],
+            }
+            for key, p in record["parameters"].items():
+                low, high = p["ci90"]
+                row |= {key: p["median"], f"{key}.sd": p["sd"], f"{key}.low": low, f"{key}.high": high}
+            rows.append(row)
+        table = pd.DataFrame(rows)
+        if len(table):
+            at = table.columns.get_loc("log_evidence")
+            assert isinstance(at, int)
+            table.insert(at + 1, "probability", probabilities(table))
+        return table
+
+    def save_table(self, folder: Path) -> None:
+        """Write the table as `summary.csv`, with all digits, and as `summary.parquet`."""
+        table = self.table()
+        write_text(folder / "summary.csv", table.to_csv(index=False, lineterminator="\n"))
+        partial = folder / "summary.parquet.partial"
+        table.to_parquet(partial, index=False)
+        partial.replace(folder / "summary.parquet")
+
+    def dataset(self) -> xr.Dataset:
+        """Medians, standard deviations and intervals of all parameters over job and parameter; NaN where a job has not got one."""
+        records = self.records()
+        names = sorted({name for record in records for name in record["parameters"]})
+        absent = {"median": np.nan, "sd": np.nan, "ci90": [np.nan, np.nan]}
+        found = [[record["parameters"].get(name, absent) for name in names] for record in records]
+        shape = (len(records), len(names))
+        columns = {
+            key: np.array([[p[key] for p in row] for row in found], dtype=float) for key in ("median", "sd")
+        }
+        ends = np.array([[p["ci90"] for p in row] for row in found], dtype=float).reshape(*shape, 2)
+        return xr.Dataset(
+            {
+                **{key: (("job", "parameter"), values.reshape(shape)) for key, values in columns.items()},
+                "ci90": (("job", "parameter", "end"), ends),
+            },
+            {
+                "job": list(self.names),
+                "parameter": names,
+                "end": ["low", "high"],
+                "session": ("job", [record["session"] for record in records]),
+                "hypothesis": ("job", [record["hypothesis"] for record in records]),
+            },
+        )
+
+    def calibration(self, name: str) -> Calibration:
+        """The sampled posterior of a job; `xarray.open_datatree` opens its `posterior.zarr` as ArviZ groups.
+
+        Raises:
+            InvalidInput: It was not sampled.
+        """
+        if not (self.folder / name / POSTERIOR / SUMMARY).exists():
+            raise InvalidInput(f"posterior of job {name!r} must have been sampled; it was not")
+        return Calibration.load(self.folder / name / POSTERIOR)
+
+
+def probabilities(table: pd.DataFrame) -> pd.Series[float]:
+    """Of each hypothesis among those that compete for the same session and coil, all equally likely before."""
+    groups = [table["session"], table["coil"].fillna("")]
+    best = table["log_evidence"].groupby(groups).transform("max")
+    weight = (table["log_evidence"] - best).map(math.exp)
+    return weight / weight.groupby(groups).transform("sum")
+
+
+def _record(place: Path) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads((place / RESULT).read_text(encoding="utf-8"))
+    summary = place / POSTERIOR / SUMMARY
+    record["is_sampled"] = summary.exists()
+    if record["is_sampled"]:
+        sampled = json.loads(summary.read_text(encoding="utf-8"))
+        record["parameters"] = {
+            name: {key: p[key] for key in ("median", "sd", "ci90", "unit")}
+            for name, p in sampled["parameters"].items()
+        }
+        record["is_converged"] = sampled["is_converged"]
+    return record

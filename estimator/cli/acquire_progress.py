@@ -1,0 +1,85 @@
+"""Shows how far an acquisition is: a bar with the time left on a terminal, plain lines in a pipe; always on standard error."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as Bar
+
+from estimator.acquire import Progress
+
+LINE_EVERY_S = 5.0
+
+
+class StopReporter:
+    """Told of each stop."""
+
+    def __init__(self, n_stops: int) -> None:
+        self._said_s = -math.inf
+        self._bar: Bar | None = None
+        if sys.stderr.isatty():
+            columns = (
+                TextColumn("stop"),
+                MofNCompleteColumn(),
+                BarColumn(),
+                TextColumn("{task.description}"),
+            )
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=n_stops)
+
+    def __enter__(self) -> StopReporter:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        """Show one stop."""
+        left = f"{duration(progress.left_s)} left"
+        if self._bar is not None:
+            fields = "  ".join(f"{name} {_shown(field)}" for name, field in progress.stop.field_T.items())
+            self._bar.update(self._task, completed=progress.n_done, description=f"{left}  {fields}")
+            if not progress.stop.is_settled:
+                self._bar.console.print(_unsettled(progress.n_done))
+            return
+        if not progress.stop.is_settled:
+            click.echo(_unsettled(progress.n_done), err=True)
+        now_s = time.monotonic()
+        if now_s - self._said_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
+            click.echo(f"stop {progress.n_done} of {progress.n_stops}, {left}", err=True)
+            self._said_s = now_s
+
+
+def duration(time_s: float) -> str:
+    """A time in words.
+
+    Examples:
+        >>> duration(42.4), duration(125.0), duration(7300.0)
+        ('42 s', '2 min 5 s', '2 h 1 min')
+    """
+    whole_s = round(time_s)
+    if whole_s < 60:
+        return f"{whole_s} s"
+    if whole_s < 3600:
+        return f"{whole_s // 60} min {whole_s % 60} s"
+    return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"
+
+
+def _shown(field_T: Sequence[float]) -> str:
+    return " ".join(f"{1e3 * value_T:+.3f}" for value_T in field_T) + " mT"
+
+
+def _unsettled(number: int) -> str:
+    return f"coilcal: the field at stop {number} had not settled; it is marked so in the journal"

@@ -1,0 +1,171 @@
+"""What `coilcal live` shows: a screen that is redrawn on a terminal, plain lines in a pipe; always on standard error."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import click
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from estimator.diagnosis.watch import Alarm
+from estimator.plots.style import shown, to_digit_of, with_sd
+from estimator.refresh import Refreshed
+from estimator.stream import Estimate
+
+LINE_EVERY_S = 5.0
+SILENT_S = 20.0  # without a stop, somebody should look
+MOST_ALARMS = 8
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """All that is known at a moment.
+
+    Attributes:
+        name: Of the session.
+        n_stops: In the plan; 0 where nobody knows.
+        records: Stops so far, as the journal holds them.
+        n_new: Stops that the last update took in; more than one where they came faster than it could follow.
+        silent_s: Since the last stop came.
+        estimate: None before the first reading.
+        alarms: All so far.
+        refreshed: The last posterior and verdict from the background.
+        is_refreshing: Whether the next one is on its way.
+    """
+
+    name: str
+    n_stops: int
+    records: Sequence[Mapping[str, Any]]
+    n_new: int
+    silent_s: float
+    estimate: Estimate | None
+    alarms: Sequence[Alarm]
+    refreshed: Refreshed | None
+    is_refreshing: bool
+
+    @property
+    def progress(self) -> str:
+        """Where the measurement is, and how the estimate keeps up."""
+        of = f" of {self.n_stops}" if self.n_stops else ""
+        words = f"stop {len(self.records)}{of}"
+        if self.estimate is not None:
+            words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
+        if self.n_new > 1:
+            words += f" for {self.n_new} stops at once"
+        if self.silent_s > SILENT_S:
+            words += f"; NO STOP FOR {self.silent_s:.0f} s"
+        return words
+
+    @property
+    def verdict(self) -> str:
+        """Of the last diagnosis, with the reading from which on the residuals are off."""
+        if self.refreshed is None:
+            return "diagnosis: not yet"
+        words = f"diagnosis: {self.refreshed.words}"
+        lasting = [alarm.since for alarm in self.alarms if alarm.since < alarm.at]
+        return f"{words}; residuals are off since reading {min(lasting)}" if lasting else words
+
+
+def device_states(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Each instrument and what it last said."""
+    found = []
+    for name, field_T in record["field_T"].items():
+        numbers = " ".join("over range" if b is None else f"{1e3 * b:+.3f}" for b in field_T)
+        scatter_T = max((sd for sd in record["sd_T"].get(name, []) if sd is not None), default=math.nan)
+        settled = "settled" if record["is_settled"] else "STILL CHANGING"
+        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}"))
+    found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
+    for name, motion in record["motion"].items():
+        found.append((name, ", ".join(f"{number:+.4f}" for number in motion)))
+    return found
+
+
+def screen(state: LiveState) -> RenderableType:
+    """The whole view."""
+    # Texts, not strings: in a string rich would take coil_heating[coil1] for a style.
+    parts: list[RenderableType] = [Text(f"{state.name}  {state.progress}", style="bold")]
+    if state.records:
+        devices = Table(box=None, show_header=False, padding=(0, 2))
+        for name, words in device_states(state.records[-1]):
+            devices.add_row(Text(name), Text(words))
+        parts.append(Panel(devices, title="instruments", title_align="left"))
+    if state.estimate is not None:
+        parts.append(Panel(_parameters(state), title="estimate", title_align="left"))
+    alarms = "\n".join(alarm.words for alarm in state.alarms[-MOST_ALARMS:])
+    style = "bold red" if alarms else ""
+    parts.append(
+        Panel(Text(alarms or "none", style), title=f"alarms: {len(state.alarms)}", title_align="left")
+    )
+    parts.append(Text(state.verdict + (" (the next is being made)" if state.is_refreshing else "")))
+    return Group(*parts)
+
+
+def _parameters(state: LiveState) -> Table:
+    assert state.estimate is not None
+    table = Table(box=None, padding=(0, 2))
+    known = state.refreshed
+    posterior = f"90 % of the posterior after {known.n_readings}" if known else "90 % of the posterior"
+    for heading in ("parameter", "now", "90 % width", posterior):
+        table.add_column(heading)
+    intervals = state.estimate.intervals
+    for name, show in shown(list(intervals)).items():
+        one, factor = intervals[name], show.factor
+        ends = known.ci90.get(name) if known else None
+        interval = (
+            f"{to_digit_of(one.sd * factor, ends[0] * factor)} to {to_digit_of(one.sd * factor, ends[1] * factor)}"
+            if ends
+            else "not yet"
+        )
+        width = f"{factor * (one.high - one.low):.2g} {show.unit}"
+        table.add_row(
+            show.words, f"{with_sd(one.value * factor, one.sd * factor)} {show.unit}", width, interval
+        )
+    return table
+
+
+class LiveView:
+    """Shows each state."""
+
+    def __init__(self) -> None:
+        self._said_s = -math.inf
+        self._n_alarms = 0
+        self._verdict = ""
+        self._screen: Live | None = None
+        if sys.stderr.isatty():
+            self._screen = Live(console=Console(stderr=True), refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> LiveView:
+        if self._screen is not None:
+            self._screen.start()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._screen is not None:
+            self._screen.stop()
+
+    def __call__(self, state: LiveState) -> None:
+        """Show one state; in a pipe each alarm and each verdict once, and how far it is now and then."""
+        if self._screen is not None:
+            self._screen.update(screen(state))
+            return
+        for alarm in state.alarms[self._n_alarms :]:
+            click.echo(f"alarm: {alarm.words}", err=True)
+        self._n_alarms = len(state.alarms)
+        if state.refreshed is not None and state.verdict != self._verdict:
+            self._verdict = state.verdict
+            click.echo(state.verdict, err=True)
+        if state.n_new and time.monotonic() - self._said_s >= LINE_EVERY_S:
+            self._said_s = time.monotonic()
+            click.echo(state.progress, err=True)

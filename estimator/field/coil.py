@@ -1,0 +1,31 @@
+"""Field of a coil by the sum that its rig file asks for: the right one, or the paper's as it is printed."""
+
+from __future__ import annotations
+
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.field.literal import literal_field_per_ampere
+from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.rig import Coil, FieldSum
+
+
+def coil_field_per_ampere(
+    coil: Coil,
+    points_coil_m: Float[Tensor, "*#batch point 3"],
+    winding: Winding,
+    rule: Rule,
+    is_compiled: bool = False,
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of one ampere in the coil frame, in T/A.
+
+    Args:
+        coil: Its `field_sum` chooses.
+        points_coil_m: Points in the coil frame, outside the winding.
+        winding: Geometry.
+        rule: Nodes that stand for the loops.
+        is_compiled: Sum with compiled code, which only the right sum has; no derivatives then.
+    """
+    if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
+        return literal_field_per_ampere(points_coil_m, winding, rule)
+    return winding_field_per_ampere(points_coil_m, winding, rule, is_compiled)

@@ -1,0 +1,116 @@
+"""A session that is being measured: a journal with a record for each stop, until it is whole and becomes arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from estimator.config import rig_state
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.journal import Record
+
+GROWING = "coilcal growing session"
+SCHEMA_VERSION = 1
+
+Numbers = Sequence[float]
+
+
+@dataclass(frozen=True)
+class StopRecord:
+    """What was read at one stop; numbers that are not known are None in the journal.
+
+    Attributes:
+        time_s: When the field was read, on average, since the session began.
+        current_A: Commanded current of each coil.
+        motion: Per mover the six numbers of its columns, as measured.
+        field_T: Mean of each component by sensor; NaN where it was out of range.
+        is_validation: Kept out of the fit.
+        repeat: Number of the visit.
+        measured_A: What the supplies measured meanwhile, by coil.
+        sd_T: Scatter of the single readings, by sensor.
+        n_readings: That were averaged.
+        is_settled: Whether the field had come to rest.
+        delay_s: How late the readings of instruments with clocks of their own arrive.
+    """
+
+    time_s: float
+    current_A: Numbers
+    motion: Mapping[str, Numbers]
+    field_T: Mapping[str, Numbers]
+    is_validation: bool
+    repeat: int
+    measured_A: Mapping[str, float] = field(default_factory=dict)
+    sd_T: Mapping[str, Numbers] = field(default_factory=dict)
+    n_readings: int = 1
+    is_settled: bool = True
+    delay_s: Mapping[str, float] = field(default_factory=dict)
+
+    def record(self) -> Record:
+        """For the journal."""
+        return {
+            **asdict(self),
+            **{key: {n: _nulls(v) for n, v in getattr(self, key).items()} for key in ("field_T", "sd_T")},
+        }
+
+
+def new_header(
+    rig: Rig, source: str, plan: str, references: Mapping[str, Numbers], n_stops: int = 0
+) -> Record:
+    """First record of a session.
+
+    Args:
+        rig: That is measured.
+        source: Where the readings come from, in words.
+        plan: Digest of the stops to visit, by which a resumed run knows that they are the same.
+        references: Per mover base_from_flange where displacements are zero, as six numbers.
+        n_stops: That the plan has; 0 where nobody knows.
+    """
+    now = datetime.now(UTC)
+    return {
+        "kind": GROWING,
+        "schema_version": SCHEMA_VERSION,
+        "created": now.isoformat(timespec="seconds"),
+        "begin_s": now.timestamp(),
+        "source": source,
+        "rig": rig_state(rig),
+        "rig_hash": rig.hash,
+        "plan": plan,
+        "n_stops": n_stops,
+        "references": {name: list(pose) for name, pose in references.items()},
+    }
+
+
+def observations_of(records: Sequence[Mapping[str, Any]], rig: Rig) -> Observations:
+    """Readings of some stops, one row for each sensor that was read."""
+    rows = [(one, i) for one in records for i, s in enumerate(rig.sensors) if s.name in one["field_T"]]
+
+    def column(values: list[Any], width: int = 0) -> Tensor:
+        shape = (len(rows), width) if width else (len(rows),)
+        return torch.tensor(values, dtype=torch.float64).reshape(shape)
+
+    fields = [_numbers(one["field_T"][rig.sensors[i].name]) for one, i in rows]
+    return Observations(
+        column([one["time_s"] for one, _ in rows]),
+        torch.tensor([i for _, i in rows], dtype=torch.int64),
+        column([one["current_A"] for one, _ in rows], len(rig.coils)),
+        {mover.name: column([one["motion"][mover.name] for one, _ in rows], 6) for mover in rig.movers},
+        column(fields, 3),
+        torch.tensor([one["is_validation"] for one, _ in rows], dtype=torch.bool),
+        torch.tensor([one["repeat"] for one, _ in rows], dtype=torch.int64),
+        {},
+    )
+
+
+def _nulls(values: Numbers) -> list[float | None]:
+    return [None if math.isnan(value) else float(value) for value in values]
+
+
+def _numbers(values: Sequence[float | None]) -> list[float]:
+    return [math.nan if value is None else value for value in values]

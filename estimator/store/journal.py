@@ -1,0 +1,203 @@
+"""A journal: records that are on the disk before anybody hears of them, one line each, in a file that only grows.
+
+A line is its CRC-32, and JSON that holds its number. What a crash tears is the last line, which nobody was told of: it is dropped. Any
+other line that does not fit is damage. One process writes, held by a lock that the system takes away when the process ends; any
+number may read meanwhile.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeAlias
+
+from estimator.errors import CorruptStore, InvalidInput, reason
+
+JOURNAL = "journal.jsonl"
+
+Record: TypeAlias = dict[str, Any]
+
+
+class Journal:
+    """The writer; leaving its `with` block lets another one in.
+
+    Attributes:
+        header: First record, which says what the others belong to.
+        records: All others, in order.
+
+    Examples:
+        >>> import tempfile
+        >>> folder = Path(tempfile.mkdtemp()) / "session.zarr"
+        >>> with Journal.create(folder, {"rig": "small"}) as journal:
+        ...     journal.append({"field_T": 0.1})
+        >>> read_journal(folder)
+        ({'rig': 'small'}, [{'field_T': 0.1}])
+    """
+
+    def __init__(self, descriptor: int, path: Path) -> None:
+        self._descriptor, self._path = descriptor, path
+        self.header: Record = {}
+        self.records: list[Record] = []
+        self._end = 0
+
+    @classmethod
+    def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
+        """Begin a journal in a folder that is not there yet.
+
+        Raises:
+            InvalidInput: It is there, or cannot be written.
+        """
+        folder = folder.absolute()
+        begun = folder.with_name(folder.name + ".begun")
+        path = begun / JOURNAL
+        try:
+            shutil.rmtree(begun, ignore_errors=True)
+            begun.mkdir(parents=True)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        except OSError as error:
+            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
+        journal = cls(descriptor, folder / JOURNAL)
+        try:
+            journal._lock()
+            journal._write(header)
+            sync(begun)
+            begun.rename(folder)  # now there is a session, and it has a header
+            sync(folder.parent)
+        except OSError as error:
+            journal.close()
+            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
+        except BaseException:
+            journal.close()
+            raise
+        journal.header = dict(header)
+        return journal
+
+    @classmethod
+    def resume(cls, folder: Path) -> Journal:
+        """Go on with a journal; a torn last line is cut off.
+
+        Raises:
+            InvalidInput: Another process writes it, or there is none.
+            CorruptStore: A line is damaged.
+        """
+        path = folder / JOURNAL
+        try:
+            descriptor = os.open(path, os.O_RDWR)
+        except OSError as error:
+            raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
+        journal = cls(descriptor, path)
+        try:
+            journal._lock()
+            entries, journal._end = _parsed(path)
+            journal.header, *journal.records = entries
+            os.ftruncate(descriptor, journal._end)
+        except BaseException:
+            journal.close()
+            raise
+        return journal
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Write a record; once this returns, it is on the disk.
+
+        Raises:
+            InvalidInput: It cannot be written, and the journal is as it was.
+        """
+        self._write(record)
+        self.records.append(dict(record))
+
+    def close(self) -> None:
+        """Let another writer in; a second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InvalidInput(
+                f"session must be written by one process at a time; another writes {self._path.parent}"
+            ) from error
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        line = _line(len(self.records) + bool(self.header), record)
+        try:
+            done = 0
+            while done < len(line):
+                done += os.pwrite(self._descriptor, line[done:], self._end + done)
+            os.fsync(self._descriptor)
+        except OSError as error:
+            os.ftruncate(self._descriptor, self._end)
+            raise InvalidInput(
+                f"session must be writable; {self._path.parent} is not: {reason(error)}"
+            ) from error
+        self._end += len(line)
+
+
+def read_journal(folder: Path) -> tuple[Record, list[Record]]:
+    """Header and records of a journal, which may grow meanwhile.
+
+    Raises:
+        CorruptStore: A line is damaged.
+    """
+    (header, *records), _ = _parsed(folder / JOURNAL)
+    return header, records
+
+
+def _line(number: int, record: Mapping[str, Any]) -> bytes:
+    text = json.dumps({"n": number, **record}, allow_nan=False).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def _parsed(path: Path) -> tuple[list[Record], int]:
+    """All records of a journal, the header among them, and where they end."""
+    entries, size = parsed_lines(path.read_bytes(), 0, path)
+    if not entries:
+        raise CorruptStore(f"session must begin with its header; {path} holds none")
+    return entries, size
+
+
+def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Record], int]:
+    """Records of whole lines, and the length of these; what follows the last line feed is torn, or being written.
+
+    Args:
+        data: Of a journal, from the beginning of a line.
+        first: Number of that line.
+        path: For messages.
+    Raises:
+        CorruptStore: A line is damaged.
+    """
+    *lines, _ = data.split(b"\n")
+    entries = []
+    for number, line in enumerate(lines, start=first):
+        checksum, _, text = line.partition(b" ")
+        if checksum != b"%08x" % zlib.crc32(text):
+            raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
+        record = json.loads(text)
+        if record.pop("n") != number:
+            raise CorruptStore(f"session must hold all its lines; line {number + 1} of {path} is another one")
+        entries.append(record)
+    return entries, sum(len(line) + 1 for line in lines)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,188 @@
+"""A batch over small sessions: every one fitted, a bad one told, nothing done twice, and the same whatever is stacked with what."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import LocalCluster
+
+from estimator import SamplerSettings
+from estimator.batch import batch
+from estimator.batch.jobs import jobs_of, stacks
+from estimator.batch.page import overview
+from estimator.batch.result import BatchResult
+from estimator.batch.work import fit
+from estimator.config import rig_from_text
+from estimator.errors import InvalidInput
+from estimator.plan import Plan, load_plan
+from estimator.rig import Rig
+from estimator.simulate import simulate
+from estimator.store.session import Session
+from tests.estimator.conftest import TWO_COILS
+
+HYPOTHESES = ("plain", "axis_gain")
+
+
+@pytest.fixture(scope="module")
+def sessions(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("sessions")
+    paths = [folder / f"day{i}.zarr" for i in range(3)]
+    for i, path in enumerate(paths):
+        Session(small_rig, simulate(small_rig, small_plan, small_truth, seed=i), f"day {i}").save(path)
+    return paths
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local:
+        yield local.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def found(sessions: list[Path], address: str, tmp_path_factory) -> BatchResult:
+    out = tmp_path_factory.mktemp("batch")
+    bad = out / "bad.zarr"
+    bad.mkdir()
+    return batch(
+        [*sessions, bad],
+        out=out,
+        hypotheses=HYPOTHESES,
+        has_posterior=False,
+        scheduler=address,
+    )
+
+
+def test_all_sessions_are_fitted_under_all_hypotheses_and_the_bad_one_is_told(found, sessions):
+    table = found.table()
+    assert len(table) == 6
+    assert set(table["session"]) == {str(path) for path in sessions}
+    assert next(iter(found.failed.values())).startswith("session must be a folder that coilcal import")
+    assert table.groupby("session")["probability"].sum().to_numpy() == pytest.approx(np.ones(3))
+    assert table["is_converged"].any()
+
+
+def test_clean_sessions_prefer_the_plain_rig(found):
+    table = found.table()
+    assert (table[table["hypothesis"] == "plain"]["probability"] > 0.5).all()
+
+
+def test_leaders_are_sampled_and_their_posterior_is_what_the_table_shows(sessions, address, tmp_path):
+    settings = SamplerSettings(n_walkers=16, target_ess=50.0, largest_rhat=1.2)
+    result = batch(sessions[:1], out=tmp_path, settings=settings, scheduler=address)
+    (row,) = result.table().to_dict("records")
+    assert row["is_sampled"]
+    draws = result.calibration(row["job"]).draws["coil1.radius_m"]
+    assert row["coil1.radius_m"] == pytest.approx(float(np.median(draws)))
+    with pytest.raises(InvalidInput, match="must have been sampled"):
+        result.calibration("another")
+
+
+def test_truth_lies_within_four_standard_deviations(found, small_truth):
+    arrays = found.dataset()
+    plain = arrays.sel(job=arrays["hypothesis"] == "plain")
+    for name, value in small_truth.items():
+        if name in plain["parameter"]:
+            one = plain.sel(parameter=name)
+            assert (abs(one["median"] - value) < 4.0 * one["sd"]).all(), name
+
+
+def test_what_is_finished_is_not_done_again(found, sessions, address):
+    before = {name: (found.folder / name / "result.json").stat().st_mtime_ns for name in found.names}
+    told: list[str] = []
+    again = batch(
+        sessions,
+        out=found.folder.parent,
+        hypotheses=HYPOTHESES,
+        has_posterior=False,
+        scheduler=address,
+        tell=lambda done, total, words: told.append(words),
+    )
+    assert set(told) == {"done before"}
+    assert {name: (again.folder / name / "result.json").stat().st_mtime_ns for name in again.names} == before
+
+
+def test_unfinished_rest_of_a_stack_gets_the_same_numbers(found, sessions, tmp_path):
+    jobs = [job for path in sessions for job in jobs_of(str(path), "", HYPOTHESES, False, 0)]
+    assert {job.name for job in jobs} == set(found.names)
+    stack = next(iter(stacks(jobs, 8000, 64)))
+    assert len(stack) == 3
+    (tmp_path / stack[0].name).mkdir()
+    (tmp_path / stack[0].name / "result.json").write_text("{}")
+    assert fit(stack, str(tmp_path)) == {}
+    assert (tmp_path / stack[0].name / "result.json").read_text() == "{}"
+    for job in stack[1:]:
+        old, new = (
+            json.loads((where / job.name / "result.json").read_text()) for where in (found.folder, tmp_path)
+        )
+        assert old == new
+
+
+def test_a_session_fitted_alone_agrees_with_the_stack(found, sessions, tmp_path):
+    (job,) = jobs_of(str(sessions[1]), "", ("plain",), False, 0)
+    fit([job], str(tmp_path))
+    old, new = (
+        json.loads((where / job.name / "result.json").read_text()) for where in (found.folder, tmp_path)
+    )
+    assert new["log_evidence"] == pytest.approx(old["log_evidence"], abs=1e-3)
+    for name, p in new["parameters"].items():
+        assert abs(p["median"] - old["parameters"][name]["median"]) < 0.02 * p["sd"]
+
+
+def test_each_coil_is_calibrated_from_readings_in_which_it_alone_has_current(tmp_path):
+    rig = rig_from_text(TWO_COILS)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    truth = {name: value for name, value in rig.nominal_values().items() if rig.parameters[name].tie is None}
+    observations = simulate(rig, load_plan(tmp_path / "plan.yaml", rig), truth, seed=1)
+    Session(rig, observations, "two coils").save(tmp_path / "both.zarr")
+    jobs = jobs_of(str(tmp_path / "both.zarr"), "", ("plain",), True, 0)
+    assert [job.coil for job in jobs] == ["coil1", "coil2"]
+    n_first = int((observations.current_A[:, 1] == 0.0).sum())
+    assert jobs[0].n_readings == n_first
+    only_one = observations.rows(observations.current_A[:, 1] == 0.0)
+    Session(rig, only_one, "one coil").save(tmp_path / "one.zarr")
+    with pytest.raises(InvalidInput, match="coil2 must carry current alone in some reading; it never does"):
+        jobs_of(str(tmp_path / "one.zarr"), "", ("plain",), True, 0)
+
+
+def test_page_says_how_many_fits_and_what_failed(found):
+    page = overview(found, "coilcal batch")
+    assert "6 fits, 0 of them sampled, 1 failed" in page
+    assert "session must be a folder" in page
+    assert "Parameters, session by session" in page
+
+
+def test_table_is_written_with_all_digits(found, tmp_path):
+    import pandas as pd
+
+    found.save_table(tmp_path)
+    table = found.table()
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "summary.parquet"), table)
+    read = pd.read_csv(tmp_path / "summary.csv")
+    assert read["coil1.radius_m"].to_numpy() == pytest.approx(table["coil1.radius_m"].to_numpy(), rel=1e-15)
+
+
+def test_no_session_and_an_unknown_cause_are_refused(sessions, tmp_path, address):
+    with pytest.raises(InvalidInput, match="sessions must be at least one"):
+        batch([], out=tmp_path)
+    result = batch(
+        sessions[:1], out=tmp_path, hypotheses=("gremlins",), scheduler=address, has_posterior=False
+    )
+    assert not result.names
+    assert "gremlins" in next(iter(result.failed.values()))
+
+
+PLAN = """\
+schema_version: 1
+name: one coil after the other
+poses:
+  calibration:
+    arm1: {x_mm: {from: 0, to: 20, count: 3}, y_mm: 0, z_mm: 0}
+    arm2: {q0_deg: 0, q1_deg: -90, q2_deg: -90, q3_deg: 0, q4_deg: 90, q5_deg: 0}
+currents_A: [{coil1: 1}, {coil2: 1}]
+order: raster
+settle_s: 0.1
+"""

@@ -1,0 +1,101 @@
+"""Calls on workers: one that dies is replaced, a call that kills them all is given up, a scheduler that comes back is used again."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from distributed import LocalCluster
+
+from estimator.batch.engine import Cluster, cluster
+from estimator.errors import InvalidInput
+from tests.estimator.batch.calls import deadly, deadly_once, double, refuse, slowly
+
+
+def results(where: Cluster, calls) -> dict[object, object]:
+    found: dict[object, object] = {}
+    where.run(calls, found.__setitem__)
+    return found
+
+
+def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
+    with (
+        LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local,
+        cluster(None, local.scheduler_address) as where,
+    ):
+        found = results(where, {"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))})
+    assert found["a"] == 4
+    assert found["c"] == 8
+    assert str(found["b"]) == "ValueError: 3 is refused"
+
+
+def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path: Path):
+    with cluster(2, None) as where:
+        calls = {i: (deadly_once, (str(tmp_path / "flag"), i)) for i in range(6)}
+        assert results(where, calls) == {i: 2 * i for i in range(6)}
+        assert (tmp_path / "flag").exists()
+        assert str(results(where, {"x": (deadly, ())})["x"]) == "4 workers died on it"
+
+
+def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    first = started(address, port)
+    try:
+        with cluster(None, address) as where:
+            heard: dict[object, object] = {}
+            replaced: list[subprocess.Popen[bytes]] = []
+
+            def hear(name: object, result: object) -> None:
+                heard[name] = result
+                if not replaced:
+                    stop(first)
+                    replaced.extend(started(address, port))
+
+            try:
+                where.run({i: (slowly, (i,)) for i in range(3)}, hear)
+            finally:
+                stop(replaced)
+        assert heard == {0: 0, 1: 2, 2: 4}
+    finally:
+        stop(first)
+
+
+def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("estimator.batch.engine.PATIENCE_S", 1)
+    with (
+        pytest.raises(InvalidInput, match="scheduler must answer within 1 s; tcp://127.0.0.1:1 did not"),
+        cluster(None, "tcp://127.0.0.1:1"),
+    ):
+        pass
+    with pytest.raises(InvalidInput, match="workers must not be given"), cluster(2, "tcp://127.0.0.1:1"):
+        pass
+
+
+def started(address: str, port: int) -> list[subprocess.Popen[bytes]]:
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", str(port), "--no-dashboard"]
+    worker = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        address,
+        "--nthreads",
+        "1",
+        "--no-nanny",
+        "--no-dashboard",
+    ]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    return [subprocess.Popen(command, **quiet) for command in (dask, worker)]
+
+
+def stop(processes: list[subprocess.Popen[bytes]]) -> None:
+    for process in processes:
+        process.kill()
+        process.wait()

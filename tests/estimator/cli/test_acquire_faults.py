@@ -1,0 +1,114 @@
+"""An instrument that fails in mid measurement: no current, a session that goes on, and one sentence that says what it was."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import Result
+
+from drivers.protocols import FlangePose
+from drivers.simulated.faults import Fault
+from drivers.simulated.rig import SimulatedRig
+from drivers.simulated.world import CoilCircuit
+from estimator.cli.rig_simulator import default_devices
+from estimator.rig import Rig
+from estimator.store.journal import JOURNAL
+from estimator.store.session import is_growing, load_session
+from tests.drivers.fields import along_z
+from tests.drivers.rig import free_host
+
+Run = Callable[..., Result]
+PLAN = """\
+schema_version: 1
+name: to and fro
+settle_s: 0.02
+poses: {calibration: {arm1: {x_mm: {from: -20, to: 20, count: 3}}}}
+currents_A: [{coil1: 1}, {coil1: -1}]
+repeats: 4
+"""
+N_STOPS = 24
+
+
+@pytest.fixture
+def running(tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
+    section = default_devices(small_rig)
+    home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
+    circuits = [CoilCircuit(2.0, 0.01)]
+    with SimulatedRig(
+        section, {"hall": along_z}, circuits=circuits, homes=[home], first_host=free_host()
+    ) as rig:
+        (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
+        (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
+        (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": rig.section}), encoding="utf-8")
+        yield rig
+
+
+def fails_after(rig: SimulatedRig, out: Path, n_stops: int, device: str, fault: Fault) -> threading.Thread:
+    def wait_and_fail() -> None:
+        deadline_s = time.monotonic() + 30.0
+        while time.monotonic() < deadline_s:
+            if (out / JOURNAL).exists() and (out / JOURNAL).read_bytes().count(b"\n") > n_stops:
+                rig.simulators[device].faults.fault = fault
+                return
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=wait_and_fail)
+    thread.start()
+    return thread
+
+
+def acquire(run: Run, folder: Path) -> Result:
+    files = (folder / "rig.yaml", folder / "plan.yaml", "--devices", folder / "devices.yaml")
+    return run("acquire", *files, "--out", folder / "session.zarr")
+
+
+@pytest.mark.parametrize(
+    ("device", "fault", "word"),
+    [
+        ("hall", Fault.GARBAGE, "hall failed: "),
+        ("arm1", Fault.PROTECTIVE_STOP, "protective stop"),
+        ("arm1", Fault.EMERGENCY_STOP, "emergency"),
+    ],
+)
+def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
+    run: Run, running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, word: str
+) -> None:
+    out = tmp_path / "session.zarr"
+    failing = fails_after(running, out, 3, device, fault)
+    result = acquire(run, tmp_path)
+    failing.join()
+    assert result.exit_code == 5, result.stderr
+    (sentence,) = [line for line in result.stderr.splitlines() if line.startswith("coilcal: ")]
+    assert word in sentence
+    assert sentence.endswith("; arms and currents were brought to rest")
+    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
+    assert not running.world.is_moving(0)
+    assert is_growing(out)
+    n_before = len(load_session(out).observations)
+    assert 3 <= n_before < N_STOPS
+    if device == "hall":
+        running.simulators[device].faults.fault = Fault.NONE
+        result = acquire(run, tmp_path)
+        assert result.exit_code == 0, result.stderr
+        assert f"{n_before} of {N_STOPS} stops were visited before" in result.stderr
+        assert len(load_session(out).observations) == N_STOPS
+
+
+@pytest.mark.parametrize(("device", "fault"), [("coil1", Fault.DROP), ("arm1", Fault.MUTE)])
+def test_what_cannot_be_reached_is_not_known_to_be_at_rest(
+    run: Run, running: SimulatedRig, tmp_path: Path, device: str, fault: Fault
+) -> None:
+    failing = fails_after(running, tmp_path / "session.zarr", 3, device, fault)
+    result = acquire(run, tmp_path)
+    failing.join()
+    assert result.exit_code == 5
+    (sentence,) = [line for line in result.stderr.splitlines() if line.startswith("coilcal: ")]
+    assert f"{device} failed: " in sentence
+    assert f"; {device} is not known to be at rest: " in sentence
+    assert is_growing(tmp_path / "session.zarr")
+    assert (abs(running.world.snapshot().currents_A[0]) < 1e-3) is (device == "arm1")

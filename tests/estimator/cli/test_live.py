@@ -1,0 +1,125 @@
+"""`coilcal live`: follows a session while it grows, says what it knows, and leaves the measurement alone."""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from rich.console import Console
+
+from estimator.cli.live_view import LiveState, screen
+from estimator.diagnosis.watch import Alarm
+from estimator.plan import Plan
+from estimator.records import Observations
+from estimator.refresh import Refreshed
+from estimator.rig import Rig
+from estimator.simulate import simulate
+from estimator.store.growing import StopRecord, new_header
+from estimator.store.journal import Journal
+from estimator.store.session import seal
+from estimator.stream import Stream
+
+Run = Callable[..., Result]
+N_STOPS = 108
+
+
+def records(readings: Observations, from_row: int, gain: float) -> list[StopRecord]:
+    """Stops that a measurement would write; from some row on, the field is weaker."""
+    found = []
+    for row in range(len(readings)):
+        field_T = readings.field_sensor_T[row] * (gain if row >= from_row else 1.0)
+        motion = {"arm1": readings.motion["arm1"][row].tolist()}
+        found.append(
+            StopRecord(
+                float(row),
+                readings.current_A[row].tolist(),
+                motion,
+                {"hall": field_T.tolist()},
+                False,
+                0,
+                {"coil1": 2.998},
+                {"hall": [1e-6, 2e-6, 3e-6]},
+            )
+        )
+    return found
+
+
+@pytest.fixture
+def stops(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> list[StopRecord]:
+    readings = simulate(small_rig, replace(small_plan, repeats=4), small_truth, seed=4).calibration
+    return records(readings, 80, 0.97)
+
+
+@pytest.fixture
+def growing(tmp_path: Path, small_rig: Rig, stops: list[StopRecord]) -> Iterator[Path]:
+    """A session that begins late, grows in another thread, and ends."""
+    path = tmp_path / "session.zarr"
+
+    def write() -> None:
+        time.sleep(0.3)
+        with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
+            for one in stops:
+                journal.append(one.record())
+                time.sleep(0.02)
+        seal(path)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    yield path
+    writer.join()
+
+
+def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growing: Path) -> None:
+    result = run("live", growing, "--no-refresh", "--json", "--wait", "20")
+    assert result.exit_code == 0, result.stderr
+    said = json.loads(result.stdout)
+    assert (said["stops"], said["readings"], said["refreshed"]) == (N_STOPS, N_STOPS, None)
+    assert said["parameters"]["coil1.radius_m"]["low"] < 0.0518
+    assert said["alarms"][0]["since"] == pytest.approx(81, abs=6)
+    assert f"alarm: {said['alarms'][0]['words']}" in result.stderr
+    assert f"of {N_STOPS}, estimate after " in result.stderr
+
+
+def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
+    result = run("live", tmp_path / "none", "--wait", "0")
+    assert result.exit_code == 2
+    assert "must be one that coilcal acquire writes or wrote" in result.stderr
+
+
+def shown(state: LiveState) -> str:
+    console = Console(width=140, record=True, file=io.StringIO())
+    console.print(screen(state))
+    return console.export_text()
+
+
+def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
+    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopRecord]
+) -> None:
+    empty = LiveState("session.zarr", 0, (), 0, 0.0, None, (), None, False)
+    assert "stop 0" in shown(empty)
+    assert "diagnosis: not yet" in shown(empty)
+    stream = Stream(small_rig)
+    readings = simulate(small_rig, small_plan, small_truth, seed=4).calibration
+    estimate = replace(stream.update(readings), took_s=0.012)
+    alarm = Alarm("hall", "x", 21, 27, 2.0)
+    known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
+    record = replace(stops[0], field_T={"hall": [float("nan"), 1e-3, 2e-3]}, is_settled=False).record()
+    text = shown(LiveState("session.zarr", 108, [record] * 27, 3, 42.0, estimate, (alarm,), known, True))
+    for words in (
+        "stop 27 of 108, estimate after 12 ms for 3 stops at once; NO STOP FOR 42 s",
+        "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING",
+        "+2.9980 A",
+        "90 % of the posterior after 20",
+        "51.10 to 52.20",
+        "alarms: 1",
+        "hall: x is off by +2.0 sigma since reading 21 (noticed at 27)",
+        "diagnosis: named: coil_heating[coil1] (after 20 readings); residuals are off since reading 21 (the next is being made)",
+    ):
+        assert words in text

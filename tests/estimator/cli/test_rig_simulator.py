@@ -1,0 +1,89 @@
+"""`coilcal rig-simulator`: runs as a program of its own, and leaves no process behind however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import Result
+
+from drivers.open import check_devices, open_devices
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
+START_S, END_S = 60.0, 20.0
+
+Run = Callable[..., Result]
+
+
+def start(rig: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+    """The simulator, once its instruments answer."""
+    call = [*PROGRAM, "rig-simulator", str(rig), "--out", str(out), *more]
+    program = subprocess.Popen(call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline_s = time.monotonic() + START_S
+    while not out.exists():
+        assert program.poll() is None, program.stderr and program.stderr.read()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    return program
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def all_end(pids: list[int]) -> bool:
+    deadline_s = time.monotonic() + END_S
+    while time.monotonic() < deadline_s:
+        if not any(Path(f"/proc/{pid}").exists() for pid in pids):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@pytest.fixture
+def rig_path(tmp_path: Path, rig_text: str) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(rig_text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def program(rig_path: Path) -> Iterator[subprocess.Popen[str]]:
+    running = start(rig_path, rig_path.with_name("devices.yaml"))
+    yield running
+    running.kill()
+    running.communicate()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_its_instruments_end_with_it(
+    program: subprocess.Popen[str], rig_path: Path, how: signal.Signals
+) -> None:
+    simulators = children(program.pid)
+    section = yaml.safe_load(rig_path.with_name("devices.yaml").read_text())["devices"]
+    assert len(simulators) >= len(section) == 3
+    with open_devices(section) as devices:
+        report = check_devices(devices)
+    assert not any(text.startswith("FAULT") for text in report.values())
+    os.kill(program.pid, how)
+    said = program.communicate(timeout=END_S)
+    assert all_end(simulators)
+    assert "Traceback" not in said[1]
+    assert yaml.safe_load(said[0])["devices"] == section
+
+
+def test_what_cannot_be_hidden_is_refused_before_anything_runs(run: Run, rig_path: Path) -> None:
+    result = run("rig-simulator", rig_path, "--hide", "coil_heating=1e-3")
+    assert result.exit_code == 2
+    assert "coil_heating[coil1] depends on which currents flowed before" in result.stderr
+    result = run("rig-simulator", rig_path, "--hide", "axis_gian=1e-3")
+    assert result.exit_code == 2
+    assert "the closest is axis_gain" in result.stderr

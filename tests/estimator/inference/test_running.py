@@ -1,0 +1,67 @@
+"""The running fit is the fit: reading by reading it ends where Levenberg-Marquardt over all readings ends."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.chain import Chain
+from estimator.inference.likelihood import LogPosterior
+from estimator.inference.polish import polish
+from estimator.inference.running import RunningFit
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.session import Session
+
+
+def followed(rig: Rig, observations: Observations, n_each: int) -> RunningFit:
+    running = RunningFit(rig)
+    for end in range(n_each, len(observations) + 1, n_each):
+        running.update(observations.rows(torch.arange(end)).alone, n_each)
+    return running
+
+
+@pytest.mark.parametrize("n_each", [1, 9])
+def test_it_ends_within_a_twentieth_of_a_standard_deviation_of_the_fit_of_all(
+    small_session: Session, n_each: int
+) -> None:
+    rig, observations = small_session.rig, small_session.observations.calibration.alone
+    running = followed(rig, observations, n_each)
+    posterior = LogPosterior(running.coordinates, Chain.build(rig, observations), observations)
+    fit = polish(posterior, running.coordinates.start()[None])
+    sd = running.covariance.diagonal().sqrt()
+    assert float(((running.vector - fit.vector[0]) / sd).abs().max()) < 0.05
+    assert torch.allclose(
+        running.precision, fit.precision[0], rtol=0.02, atol=0.02 * float(fit.precision.max()) ** 0.5
+    )
+    assert running.n_fits < len(observations) // 2
+
+
+def test_before_the_first_reading_it_is_the_prior(small_rig: Rig) -> None:
+    running = RunningFit(small_rig)
+    width = running.covariance.diagonal().sqrt() / running.coordinates.scale
+    assert bool((width > 0.3).all())
+    assert bool((width < 3.0).all())
+
+
+def test_what_is_new_about_readings_is_noise_of_the_size_it_says(small_session: Session) -> None:
+    observations = small_session.observations.calibration.alone
+    running = RunningFit(small_session.rig)
+    running.update(observations.rows(torch.arange(7)).alone, 7)
+    white = []
+    for end in range(8, len(observations) + 1):
+        new = running.update(observations.rows(torch.arange(end)).alone, 1)
+        factor = torch.linalg.cholesky(new.covariance_T2)
+        white.append(torch.linalg.solve_triangular(factor, new.difference_T[:, None], upper=False)[:, 0])
+    standard = torch.cat(white)
+    assert len(standard) == 60
+    assert abs(float(standard.mean())) < 0.4
+    assert 0.75 < float(standard.std()) < 1.25
+
+
+def test_a_better_start_is_taken_and_a_worse_one_is_not(small_session: Session) -> None:
+    observations = small_session.observations.calibration.alone
+    running = followed(small_session.rig, observations, 9)
+    best = running.vector
+    running.refit(observations, running.coordinates.start())
+    assert torch.allclose(running.vector, best, rtol=1e-4, atol=1e-6)

@@ -1,0 +1,74 @@
+"""A reader of a session that grows gets every record once, in order, whatever the instant at which it looks."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.rig import Rig
+from estimator.store.follow import Follower
+from estimator.store.growing import new_header
+from estimator.store.journal import JOURNAL, Journal
+from estimator.store.session import seal
+from tests.estimator.store.test_growing import stop
+
+
+@pytest.fixture
+def folder(tmp_path: Path, small_rig: Rig) -> Path:
+    path = tmp_path / "session.zarr"
+    Journal.create(path, new_header(small_rig, "a test", "plan", {}, 7)).close()
+    return path
+
+
+def test_every_record_is_handed_out_once_while_another_thread_writes(folder: Path, small_rig: Rig) -> None:
+    follower = Follower(folder)
+    assert (follower.rig.hash, follower.header["n_stops"]) == (small_rig.hash, 7)
+
+    def write() -> None:
+        with Journal.resume(folder) as journal:
+            for number in range(100):
+                journal.append(stop(number).record())
+        seal(folder)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    times = []
+    while not (has_ended := follower.has_ended) or not writer.is_alive():
+        times += [record["time_s"] for record in follower.records()]
+        if has_ended:
+            break
+    writer.join()
+    assert times == list(range(100))
+    assert follower.n_read == 100
+    assert Follower(folder).records()[-1]["time_s"] == 99.0  # of a whole session, too
+
+
+def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
+    follower = Follower(folder)
+    with Journal.resume(folder) as journal:
+        journal.append(stop(0).record())
+    whole = (folder / JOURNAL).read_bytes()
+    (folder / JOURNAL).write_bytes(whole[:-9])
+    assert follower.records() == []
+    (folder / JOURNAL).write_bytes(whole)
+    assert len(follower.records()) == 1
+    assert follower.records() == []
+
+
+def test_damage_is_found_when_it_is_read(folder: Path) -> None:
+    follower = Follower(folder)
+    with Journal.resume(folder) as journal:
+        journal.append(stop(0).record())
+    data = bytearray((folder / JOURNAL).read_bytes())
+    data[-20] ^= 1
+    (folder / JOURNAL).write_bytes(data)
+    with pytest.raises(CorruptStore, match="line 2 of"):
+        follower.records()
+
+
+def test_what_has_no_journal_cannot_be_followed(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="which has no journal"):
+        Follower(tmp_path)

@@ -1,0 +1,204 @@
+"""A session that grows: what was acknowledged is there after any crash, damage is found, one process writes."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.rig import Rig
+from estimator.store.growing import StopRecord, new_header
+from estimator.store.journal import JOURNAL, Journal, read_journal
+from estimator.store.session import is_growing, load_session, seal
+
+ROOT = Path(__file__).parents[3]
+
+
+def stop(number: int, field_T: tuple[float, float, float] = (1e-3, 2e-3, 3e-3)) -> StopRecord:
+    motion = {"arm1": [0.001 * number, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    return StopRecord(float(number), [3.0], motion, {"hall": field_T}, number % 2 == 1, 0, {"coil1": 2.999})
+
+
+@pytest.fixture
+def folder(tmp_path: Path, small_rig: Rig) -> Path:
+    path = tmp_path / "session.zarr"
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for number in range(3):
+            journal.append(stop(number, (1e-3, math.nan, 3e-3)).record())
+    return path
+
+
+def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Path, small_rig: Rig) -> None:
+    assert is_growing(folder)
+    growing = load_session(folder)
+    assert (growing.rig.hash, growing.source, len(growing.observations)) == (small_rig.hash, "a test", 3)
+    with Journal.resume(folder) as journal:
+        journal.append(stop(3).record())
+        sealed = seal(folder)
+    assert not is_growing(folder)
+    again = load_session(folder)
+    assert again.hash == sealed.hash != growing.hash
+    assert again.observations.is_validation.tolist() == [False, True, False, True]
+    assert again.observations.motion["arm1"][:, 0].tolist() == [0.0, 0.001, 0.002, 0.003]
+    assert torch.isnan(again.observations.field_sensor_T).sum() == 3
+    assert read_journal(folder)[1][0]["measured_A"] == {"coil1": 2.999}
+
+
+def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path) -> None:
+    path = folder / JOURNAL
+    whole = path.read_bytes()
+    last = whole.rstrip(b"\n").rfind(b"\n") + 1
+    for cut in range(last, len(whole)):
+        path.write_bytes(whole[:cut])
+        assert len(load_session(folder).observations) == 2
+    with Journal.resume(folder) as journal:
+        journal.append(stop(2, (1e-3, math.nan, 3e-3)).record())
+    assert path.read_bytes() == whole
+
+
+def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
+    path = folder / JOURNAL
+    whole = path.read_bytes()
+    draw = random.Random(1)
+    for _ in range(200):
+        place = draw.randrange(len(whole) - 1)
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << draw.randrange(8)
+        path.write_bytes(flipped)
+        with pytest.raises(CorruptStore):
+            load_session(folder)
+
+
+def test_a_line_that_is_missing_or_doubled_is_found(folder: Path) -> None:
+    path = folder / JOURNAL
+    lines = path.read_bytes().splitlines(keepends=True)
+    for changed in ([lines[0], *lines[2:]], [*lines, lines[-1]], lines[1:], []):
+        path.write_bytes(b"".join(changed))
+        with pytest.raises(CorruptStore):
+            load_session(folder)
+
+
+def test_a_second_writer_is_refused_and_may_write_after_the_first(folder: Path) -> None:
+    with Journal.resume(folder), pytest.raises(InvalidInput, match="one process at a time"):
+        Journal.resume(folder)
+    Journal.resume(folder).close()
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = (folder / JOURNAL).read_bytes()
+    write = os.pwrite
+
+    def full(descriptor: int, data: bytes, place: int) -> int:
+        if len(data) > 20:
+            return write(descriptor, data[:20], place)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with Journal.resume(folder) as journal:
+        monkeypatch.setattr(os, "pwrite", lambda d, data, place: full(d, data[:40], place))
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
+            journal.append(stop(3).record())
+        monkeypatch.undo()
+        assert (folder / JOURNAL).read_bytes() == whole
+        journal.append(stop(3).record())
+    assert len(load_session(folder).observations) == 4
+
+
+def test_what_exists_is_not_begun_again(folder: Path) -> None:
+    with pytest.raises(InvalidInput, match="output must be writable"):
+        Journal.create(folder, {"kind": "other"})
+
+
+def write_until_killed(folder: Path, said: int) -> None:
+    """Body of a process that acknowledges each record once it is written."""
+    try:
+        with Journal.resume(folder) as journal:
+            while True:
+                journal.append({"value": len(journal.records)})
+                os.write(said, b"%d\n" % len(journal.records))
+    finally:
+        os._exit(1)
+
+
+def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tmp_path: Path) -> None:
+    folder = tmp_path / "session.zarr"
+    Journal.create(folder, {"kind": "test"}).close()
+    draw = random.Random(2)
+    for _ in range(50):
+        heard, said = os.pipe()
+        writer = os.fork()
+        if writer == 0:
+            write_until_killed(folder, said)
+        os.close(said)
+        time.sleep(0.03 * draw.random())
+        os.kill(writer, signal.SIGKILL)
+        os.waitpid(writer, 0)
+        with os.fdopen(heard, encoding="ascii") as pipe:
+            acknowledged = [int(line) for line in pipe.read().split("\n")[:-1]]
+        values = [record["value"] for record in read_journal(folder)[1]]
+        assert values == list(range(len(values)))
+        assert len(values) >= max(acknowledged, default=0)
+    assert len(values) > 50
+
+
+def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_whole(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(BaseException):
+        pass
+
+    rename, hashes = Path.rename, set()
+
+    def killed_after(n_renames: int) -> bool:
+        left = [n_renames]
+
+        def until_killed(self: Path, target: Path) -> Path:
+            if not left[0]:
+                raise Killed
+            left[0] -= 1
+            return rename(self, target)
+
+        monkeypatch.setattr(Path, "rename", until_killed)
+        try:
+            seal(folder)
+        except Killed:
+            return True
+        finally:
+            monkeypatch.undo()
+        return False
+
+    n_renames = 0
+    while killed_after(n_renames):
+        assert is_growing(folder)
+        hashes.add(load_session(folder).hash)
+        n_renames += 1
+    assert n_renames > 5
+    assert not is_growing(folder)
+    assert hashes == {load_session(folder).hash}
+    assert len(read_journal(folder)[1]) == 3
+
+
+def test_killed_before_its_header_is_written_a_session_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "session.zarr"
+
+    def killed(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Journal.create(folder, {"kind": "test"})
+    assert not folder.exists()
+    Journal.create(folder, {"kind": "test"}).close()
+    assert [path.name for path in tmp_path.iterdir()] == ["session.zarr"]

@@ -1,0 +1,312 @@
+"""Stops are visited in order, written down before anybody is told, and no current flows afterwards, however it ends."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from drivers.errors import DeviceFault
+from drivers.protocols import ReadingFlag
+from estimator.acquire import Progress, acquire, references_of
+from estimator.config import load_rig
+from estimator.errors import InvalidInput
+from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.plan import Plan, load_plan
+from estimator.records import Observations
+from estimator.rig import Rig
+from estimator.store.growing import new_header
+from estimator.store.journal import Journal, read_journal
+from estimator.store.session import load_session, seal
+from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
+
+PACE = Pace(0.0, 4, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
+PLAN = """\
+schema_version: 1
+name: three stops
+settle_s: 0.01
+stops:
+- {arm1: {x_mm: 10}, current_A: {coil1: 3}}
+- {arm1: {x_mm: 10}, current_A: {coil1: -3}}
+- {arm1: {x_mm: 10, y_mm: -20}, current_A: {coil1: -3}}
+"""
+
+
+class Scripted(MemorySensor):
+    """Says what a list holds, the last for ever."""
+
+    def __init__(self, *values: Any) -> None:
+        super().__init__()
+        self.values = list(values)
+
+    def read_field_T(self, *, timeout_s: float) -> Any:
+        self.obey("read", timeout_s=timeout_s)
+        value = self.values.pop(0) if len(self.values) > 1 else self.values[0]
+        return self.counter.reading(*value) if isinstance(value[0], tuple) else self.counter.reading(value)
+
+
+def rig_of_devices(sensor: MemorySensor | None = None) -> Any:
+    return SimpleNamespace(
+        sensors={"hall": sensor or MemorySensor()},
+        sources={"coil1": MemorySource()},
+        arms={"arm1": MemoryArm()},
+    )
+
+
+@pytest.fixture
+def stops(small_rig: Rig, tmp_path: Path) -> Observations:
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    return stops_of(load_plan(path, small_rig), small_rig, seed=0)
+
+
+def begun(folder: Path, rig: Rig, stops: Observations, devices: Any) -> Journal:
+    return Journal.create(folder, new_header(rig, "a test", digest_of(stops), references_of(rig, devices)))
+
+
+def test_a_plan_is_visited_and_nothing_is_sent_twice(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    folder = tmp_path / "session.zarr"
+    told: list[Progress] = []
+
+    def on_stop(progress: Progress) -> None:
+        assert len(read_journal(folder)[1]) == progress.n_done  # on the disk before it is said
+        told.append(progress)
+
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, on_stop)
+        seal(folder)
+    x_m, y_m, z_m = HOME.position_m
+    ways = [(x_m + 0.01, y_m, z_m), (x_m + 0.01, y_m - 0.02, z_m), (x_m, y_m, z_m)]
+    moves = [command[1] for command in devices.arms["arm1"].told]
+    assert moves == [pytest.approx(way) for way in ways]
+    assert devices.sources["coil1"].told == [("set", 3.0), ("set", -3.0), ("off",)]
+    readings = load_session(folder).observations
+    assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
+    assert torch.allclose(readings.motion["arm1"], stops.motion["arm1"], atol=1e-12)
+    assert bool((readings.time_s.diff() > 0.0).all())
+    assert [(p.n_done, p.n_stops) for p in told] == [(1, 3), (2, 3), (3, 3)]
+    assert told[-1].left_s == 0.0 < told[0].left_s
+
+
+@pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])
+def test_however_it_ends_the_current_goes_off_and_the_next_run_goes_on(
+    tmp_path: Path, small_rig: Rig, stops: Observations, error: BaseException
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def fail(progress: Progress) -> None:
+        if progress.n_done == 2:
+            raise error
+
+    with begun(folder, small_rig, stops, devices) as journal, pytest.raises(type(error)):
+        acquire(stops, small_rig, devices, journal, PACE, fail)
+    assert devices.sources["coil1"].current_A == 0.0
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    again = rig_of_devices()
+    again.arms["arm1"].pose = devices.arms["arm1"].pose  # it was left where it stood
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, again, journal, PACE)
+    readings = load_session(folder).observations
+    assert torch.allclose(readings.motion["arm1"], stops.motion["arm1"], atol=1e-12)
+    assert bool((readings.time_s.diff() > 0.0).all())
+    assert again.sources["coil1"].told == [("set", -3.0), ("off",)]
+
+
+def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not_on_it(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def fill_disk(progress: Progress) -> None:
+        assert progress.n_done == 1  # nobody hears of the second
+        monkeypatch.setattr(os, "pwrite", full)
+
+    with (
+        begun(folder, small_rig, stops, devices) as journal,
+        pytest.raises(InvalidInput, match="No space left on device"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE, fill_disk)
+    monkeypatch.undo()
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    assert len(load_session(folder).observations) == 1
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_times_go_on_whatever_is_done_to_the_clock_of_the_computer(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() + step_s)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+    time_s = load_session(folder).observations.time_s
+    assert bool((time_s.diff() > 0.0).all())
+
+
+def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
+    tmp_path: Path, small_rig: Rig, stops: Observations, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Stuck(MemorySource):
+        def output_off(self, *, timeout_s: float) -> None:
+            raise DeviceFault("stuck")
+
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Stuck()
+    with (
+        begun(tmp_path / "a", small_rig, stops, devices) as journal,
+        pytest.raises(DeviceFault, match="stuck"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE)
+    devices.sensors["hall"].fault = "dead"
+    with (
+        begun(tmp_path / "b", small_rig, stops, devices) as journal,
+        pytest.raises(DeviceFault, match="dead"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE)
+    assert caplog.text.count("coil1 is not known to be off: stuck") == 2
+
+
+def first_record(
+    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 4
+) -> dict[str, Any]:
+    devices = rig_of_devices(sensor)
+    with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0])), rig, devices, journal, replace(PACE, n_readings=n_readings))
+        return journal.records[0]
+
+
+def test_readings_are_averaged_without_those_that_repeat(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    values = [
+        (0.0, 0.0, 1e-3),
+        (0.0, 0.0, 3e-3),
+        ((9.0, 9.0, 9.0), ReadingFlag.STALE),
+        (0.0, 0.0, 1e-3),
+        (0.0, 0.0, 3e-3),
+    ]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*values))
+    assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
+    assert record["sd_T"]["hall"][2] == pytest.approx(2e-3 / math.sqrt(3))
+    assert record["is_settled"]
+
+
+def test_a_stop_is_dated_by_the_clock_of_its_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Late(MemorySensor):
+        """Hands its readings over 20 ms after it took them, but the first at once; its clock runs since 1970."""
+
+        n_read = 0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            now_s = time.monotonic()
+            taken_s = now_s if self.n_read == 1 else now_s - 0.02
+            return self.counter.reading((0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=taken_s + 1e9)
+
+    record = first_record(tmp_path, small_rig, stops, Late(), n_readings=10)
+    assert record["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
+    again = first_record(tmp_path / "again", small_rig, stops, MemorySensor())
+    assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
+
+
+@pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
+def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_m: float, is_same: bool
+) -> None:
+    class Trembling(MemoryArm):
+        n_read = 0
+
+        def read_pose(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            x_m, y_m, z_m = self.pose.position_m
+            return self.counter.reading(replace(self.pose, position_m=(x_m + step_m * self.n_read, y_m, z_m)))
+
+    devices = rig_of_devices()
+    devices.arms["arm1"] = Trembling()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = (record["motion"]["arm1"] for record in journal.records)
+    assert (first == second) is is_same
+    assert second != third
+
+
+def test_a_field_that_settles_late_is_waited_for(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    falling = [(0.0, 0.0, 1e-3 * 2.0**-i) for i in range(20)]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*falling, (0.0, 0.0, 0.0)), 12)
+    assert record["is_settled"]
+    assert record["field_T"]["hall"][2] < 1e-8
+
+
+def test_a_field_that_never_settles_is_marked(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    rising = [(0.0, 0.0, 1e-6 * i) for i in range(200000)]
+    assert not first_record(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
+
+
+def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
+    record = first_record(tmp_path, small_rig, stops, Scripted(over))
+    assert record["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
+
+
+def test_an_overload_without_a_component_takes_all_three(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    record = first_record(tmp_path, small_rig, stops, Scripted(((1e-3, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)))
+    assert record["field_T"]["hall"] == [None, None, None]
+
+
+def test_a_plan_without_its_instruments_is_refused(small_rig: Rig, stops: Observations) -> None:
+    every = {"sensors": {"hall"}, "sources": {"coil1"}, "arms": {"arm1"}}
+    check_instruments(stops, small_rig, every)
+    for kind, name in (("sources", "coil1"), ("arms", "arm1")):
+        with pytest.raises(InvalidInput, match=f"one for {name}, which the plan uses"):
+            check_instruments(stops, small_rig, {**every, kind: set()})
+    with pytest.raises(InvalidInput, match="must have a sensor"):
+        check_instruments(stops, small_rig, {**every, "sensors": set()})
+
+
+def test_one_reading_cannot_tell_whether_the_field_has_settled() -> None:
+    with pytest.raises(InvalidInput, match="pace.n_readings must be at least 2"):
+        Pace(0.0, 1, 1.0, {}, {})
+
+
+def test_times_count_ways_ramps_and_readings(small_rig: Rig, stops: Observations) -> None:
+    pace = Pace(1.0, 10, 5.0, {"arm1": 0.01}, {"coil1": 2.0})
+    # ways of 0, 0 and 20 mm at 10 mm/s, ramps of 3, 6 and 0 A at 2 A/s, ten readings of 20 ms
+    assert durations_s(stops, small_rig, pace) == pytest.approx([0.3 + 1.5 + 1.2, 3.0 + 1.2, 0.3 + 2.0 + 1.2])
+
+
+def test_a_stop_is_one_row_however_many_sensors_there_are(small_plan: Plan, small_rig: Rig) -> None:
+    assert len(stops_of(small_plan, small_rig, 0)) == 27 + 9
+    mice = load_rig("configs/mice_ssu_e1_cc_e2.yaml")
+    pose = {"mapper": torch.zeros(6).numpy()}
+    plan = Plan("two", (), (), (), "raster", 1, 1.0, ((pose, {"E1": 1.0}), (pose, {"E1": 2.0})))
+    assert stops_of(plan, mice, 0).current_A[:, 0].tolist() == [1.0, 2.0]
+
+
+def test_stops_have_a_digest_that_changes_with_them(small_plan: Plan, small_rig: Rig) -> None:
+    stops = stops_of(small_plan, small_rig, 0)
+    assert digest_of(stops) == digest_of(stops_of(small_plan, small_rig, 1))  # this plan has a fixed order
+    assert digest_of(stops) != digest_of(stops.rows(torch.arange(len(stops) - 1)))

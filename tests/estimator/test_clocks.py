@@ -1,0 +1,30 @@
+"""Clocks of instruments: offset and delay, through drift and through being set."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from estimator.clocks import WINDOW, DeviceClock
+
+
+def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drifts() -> None:
+    draw = random.Random(1)
+    clock = DeviceClock()
+    for number in range(20 * WINDOW):
+        taken_s = 0.01 * number
+        device_s = 1e9 + taken_s * (1.0 + 50e-6)
+        clock.add(taken_s + 0.002 + draw.expovariate(1.0 / 0.005), device_s)
+        if number > 20:
+            assert clock.on_host_s(device_s) == pytest.approx(taken_s + 0.002, abs=2e-3)
+    assert clock.delay_s == pytest.approx(0.005, abs=0.002)
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_clock_that_is_set_is_believed_from_then_on(step_s: float) -> None:
+    clock = DeviceClock()
+    clock.add(10.0, 0.0)
+    clock.add(11.0, 1.0 + step_s)
+    assert clock.on_host_s(1.0 + step_s) == pytest.approx(11.0)
+    assert clock.delay_s == 0.0
