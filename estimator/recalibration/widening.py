@@ -63,7 +63,7 @@ def _entry(parameter: Parameter, first: Prior, median: float, sd: float) -> dict
 def _replace(tree: dict[str, Any], parameter: Parameter, entry: dict[str, Any]) -> None:
     """Put an entry in SI in the place of a parameter's, whatever unit that was written in."""
     body, *blocks, key = parameter.name.split(".")
-    (node,) = (tree[kind][body] for kind in HOLDERS if body in (tree.get(kind) or {}))
+    (node,) = (tree[kind][body] for kind in HOLDERS if body in tree.get(kind, {}))
     for block in blocks:
         node = node[block]
     entries = {key if _is_same(written, key) else written: value for written, value in node.items()}

@@ -60,7 +60,7 @@ def test_quantities_of_causes_and_noise_are_widened_too(
 
 def test_what_anchors_share_becomes_each_sensor_s_own(small_calibration: Calibration, rig_text: str) -> None:
     shared = "hall: &probe {noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}}\n  other: *probe"
-    rig = rig_from_text(rig_text.replace("hall:\n    noise_uT: 5", shared) + "effects:\n")
+    rig = rig_from_text(rig_text.replace("hall:\n    noise_uT: 5", shared))
     record = {p.name: {"median": p.value, "sd": 0.0} for p in rig.free}
     record["hall.noise_T"], record["other.noise_T"] = {"median": 6e-6, "sd": 0.0}, {"median": 7e-6, "sd": 0.0}
     known = Calibration(
