@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 
 import click
 from apscheduler.executors.debug import DebugExecutor
+from apscheduler.jobstores.base import JobLookupError
 from apscheduler.schedulers.blocking import BlockingScheduler
 
 from estimator.errors import CoilcalError, InvalidInput
@@ -65,6 +66,8 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
         coalesce=True,
         misfire_grace_time=None,
     )
-    with suppress(KeyboardInterrupt):
+    with suppress(
+        KeyboardInterrupt, JobLookupError
+    ):  # where the job itself was interrupted, it is missed afterwards
         scheduler.start()
     click.echo("coilcal: stopped", err=True)

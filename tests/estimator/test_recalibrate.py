@@ -1,9 +1,9 @@
-"""Half a year of a simulated rig through the job: every conclusion, what it leaves, and that it can be repeated."""
+"""A season of a simulated rig through the job: every conclusion, what it leaves, and that it can be repeated."""
 
 from __future__ import annotations
 
+import importlib
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,124 +11,148 @@ from pathlib import Path
 import pytest
 
 from estimator.calibration import Calibration
+from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.plan import Plan
 from estimator.recalibrate import HISTORY, _since, recalibrate, roll_back
-from estimator.recalibration.judgement import judge
+from estimator.recalibration.judgement import Conclusion, Judgement, judge
 from estimator.registry import Entry, Registry
 from estimator.rig import Rig
 from estimator.simulate import simulate
 from estimator.store.session import Session, load_session
 
 DRIFT_T = 20e-6
+recalibrate_module = importlib.import_module(
+    "estimator.recalibrate"
+)  # the package has a function of that name
 
 
-@pytest.fixture(scope="module")
+def visit(session: Session, folder: Path, name: str, month: int) -> None:
+    created = f"2026-{month:02d}-01T09:00:00+00:00"
+    replace(session, created=created).save(folder / f"{name}.zarr")
+
+
+@pytest.fixture
 def inbox(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], tmp_path_factory: pytest.TempPathFactory
+    small_session: Session, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], tmp_path: Path
 ) -> Path:
-    folder = tmp_path_factory.mktemp("inbox")
+    """Four months, under names that do not sort by time."""
+    folder = tmp_path / "inbox"
 
-    def visit(name: str, seed: int, month: int, hidden: Mapping[str, float] | None = None) -> None:
-        readings = simulate(small_rig, small_plan, small_truth, seed, hidden)
-        session = Session(
-            small_rig, readings, f"simulated, seed {seed}", f"2026-{month:02d}-01T09:00:00+00:00"
-        )
-        session.save(folder / f"{name}.zarr")
+    def simulated(seed: int, hidden: Mapping[str, float] | None = None) -> Session:
+        return replace(small_session, observations=simulate(small_rig, small_plan, small_truth, seed, hidden))
 
-    # Names that do not sort by time: readings do.
-    visit("z_first", 1, 1)
-    visit("y_same", 2, 2)
-    visit("x_damaged", 3, 3)
-    visit("w_drift", 4, 4, {"background_field.x_T": DRIFT_T})
+    visit(small_session, folder, "z_first", 1)
+    visit(simulated(2), folder, "y_same", 2)
+    visit(simulated(3), folder, "x_damaged", 3)
+    visit(simulated(4, {"background_field.x_T": DRIFT_T}), folder, "w_drift", 4)
     chunk = next((folder / "x_damaged.zarr" / "field_sensor_T").rglob("c/*/*"))
     chunk.write_bytes(chunk.read_bytes()[:-5])
     return folder
 
 
-@pytest.fixture(scope="module")
-def done(
-    inbox: Path, small_rig: Rig, small_settings: SamplerSettings, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    registry = tmp_path_factory.mktemp("recalibrate") / "registry"
-    recalibrate(small_rig, inbox, registry, seed=1, settings=small_settings)
-    return registry
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch, small_calibration: Calibration) -> None:
+    """A judge that calls the first session an update and every later one unchanged."""
+
+    def judged(session: Session, rig: Rig, current: Calibration | None, **_: object) -> Judgement:
+        if current is None:
+            return Judgement(Conclusion.UPDATED, "first calibration", small_calibration)
+        return Judgement(Conclusion.UNCHANGED, "agrees", agrees=True)
+
+    monkeypatch.setattr(recalibrate_module, "judge", judged)
 
 
-def test_sessions_are_taken_in_the_order_of_their_readings(done: Path) -> None:
+def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
+    inbox: Path, small_rig: Rig, small_settings: SamplerSettings, tmp_path: Path
+) -> None:
+    registry = Registry(tmp_path / "registry")
+    recalibrate(small_rig, inbox, registry.folder, seed=1, settings=small_settings)
+    first, same, drift, damaged = registry.entries()
     # Nobody knows when damaged readings were taken; their files were written last.
-    names = [Path(entry.session).stem for entry in Registry(done).entries()]
+    names = [Path(entry.session).stem for entry in (first, same, drift, damaged)]
     assert names == ["z_first", "y_same", "w_drift", "x_damaged"]
 
-
-def test_first_session_makes_the_first_version(done: Path) -> None:
-    first = Registry(done).entries()[0]
     assert (first.conclusion, first.made, first.reason) == ("updated", 1, "first calibration")
 
-
-def test_a_session_that_agrees_changes_nothing(done: Path) -> None:
-    same = Registry(done).entries()[1]
     assert (same.conclusion, same.version, same.made, same.agrees) == ("unchanged", 1, None, True)
     assert same.checks["p_value"] > 0.001
     assert set(same.estimate) == {"coil1.radius_m", "coil1.axial_loops", "coil1.world_from_coil0.z_m"}
 
-
-def test_a_damaged_session_is_rejected(done: Path) -> None:
-    damaged = Registry(done).entries()[3]
-    assert (damaged.conclusion, damaged.version, damaged.made) == ("rejected", 2, None)
-    assert damaged.reason.startswith("the session cannot be read: ")
-
-
-def test_a_drift_is_named_with_its_size_and_since_when_and_the_rig_is_extended(done: Path) -> None:
-    drift = Registry(done).entries()[2]
     assert (drift.conclusion, drift.made, drift.since) == ("drifted", 2, "2026-04-01T09:00:00+00:00")
     (cause,) = drift.causes
-    names = {cause["name"], *(other["name"] for other in cause["alternatives"])}
-    assert names <= {"background_field", "sensor_offset"}  # twins under a fixed sensor
+    named = {cause["name"], *(other["name"] for other in cause["alternatives"])}
+    assert named <= {"background_field", "sensor_offset"}  # twins under a fixed sensor
     lower, upper = cause["parameters"]["x_T"]["ci90"]
     assert abs(0.5 * (lower + upper)) == pytest.approx(DRIFT_T, rel=0.3)
     assert drift.checks["elpd_difference"] > 2.0 * drift.checks["elpd_se"]
-    extended = Registry(done).calibration()
+    extended = registry.calibration()
     assert [one.name for one in extended.rig.effects] == [cause["name"]]
     assert extended.record["is_converged"]
 
+    assert (damaged.conclusion, damaged.version, damaged.made) == ("rejected", 2, None)
+    assert damaged.reason.startswith("the session cannot be read: ")
 
-def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(
-    done: Path, inbox: Path, small_rig: Rig, small_settings: SamplerSettings, tmp_path: Path
-) -> None:
-    registry = shutil.copytree(done, tmp_path / "registry", symlinks=True)
-    before = {path: path.stat().st_mtime_ns for path in inbox.rglob("*")}
-    assert recalibrate(small_rig, inbox, registry, seed=1, settings=small_settings) == []
-    assert {path: path.stat().st_mtime_ns for path in inbox.rglob("*")} == before
-    assert len(Registry(registry).entries()) == 4
-
-
-def test_rolling_back_makes_an_earlier_version_current_and_says_so_on_the_page(
-    done: Path, tmp_path: Path
-) -> None:
-    registry = shutil.copytree(done, tmp_path / "registry", symlinks=True)
-    assert roll_back(registry, 1).version == 1
-    assert Registry(registry).current == 1
-    assert "Version 1 is in use" in (registry / HISTORY).read_text(encoding="utf-8")
-
-
-def test_page_names_the_drift(done: Path) -> None:
-    page = (done / HISTORY).read_text(encoding="utf-8")
+    page = (registry.folder / HISTORY).read_text(encoding="utf-8")
     assert "Version 2 is in use" in page
     assert "Drift since 2026-04-01" in page
-    assert "the session cannot be read" in page.lower()
 
 
-def test_another_rig_and_a_missing_inbox_are_refused_before_anything_is_logged(
-    done: Path, inbox: Path, small_rig: Rig, two_coils_text: str, tmp_path: Path
+@pytest.mark.usefixtures("told")
+def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(
+    inbox: Path, small_rig: Rig, tmp_path: Path
 ) -> None:
-    from estimator.config import rig_from_text
+    before = {path: path.stat().st_mtime_ns for path in inbox.rglob("*")}
+    assert len(recalibrate(small_rig, inbox, tmp_path / "registry")) == 4
+    assert recalibrate(small_rig, inbox, tmp_path / "registry") == []
+    assert {path: path.stat().st_mtime_ns for path in inbox.rglob("*")} == before
+    assert len(Registry(tmp_path / "registry").entries()) == 4
 
+
+@pytest.mark.usefixtures("told")
+def test_a_job_that_ended_between_two_sessions_goes_on_with_the_next(
+    inbox: Path, small_rig: Rig, tmp_path: Path
+) -> None:
+    def end(entry: Entry) -> None:
+        raise KeyboardInterrupt
+
+    for n in range(1, 5):
+        with pytest.raises(KeyboardInterrupt):
+            recalibrate(small_rig, inbox, tmp_path / "registry", on_entry=end)
+        assert len(Registry(tmp_path / "registry").entries()) == n
+    assert recalibrate(small_rig, inbox, tmp_path / "registry", on_entry=end) == []
+
+
+@pytest.mark.usefixtures("told")
+def test_rolling_back_is_on_the_page_and_log_lines_are_plain_json(
+    inbox: Path, small_rig: Rig, small_calibration: Calibration, tmp_path: Path
+) -> None:
+    registry = Registry(tmp_path / "registry")
+    recalibrate(small_rig, inbox, registry.folder)
+    with registry.writing():
+        registry.commit(
+            Entry("updated", "again", "b.zarr", "b", "2026-05-01T09:00:00+00:00"), small_calibration
+        )
+    assert roll_back(registry.folder, 1).version == 1
+    assert registry.current == 1
+    assert "Version 1 is in use" in (registry.folder / HISTORY).read_text(encoding="utf-8")
+    lines = (registry.folder / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(lines[0])["hash"] == load_session(inbox / "z_first.zarr").hash
+    assert json.loads(lines[-1])["conclusion"] == "rolled_back"
+
+
+@pytest.mark.usefixtures("told")
+def test_another_rig_and_a_missing_inbox_are_refused_before_anything_is_logged(
+    inbox: Path, small_rig: Rig, two_coils_text: str, tmp_path: Path
+) -> None:
+    registry = tmp_path / "registry"
+    recalibrate(small_rig, inbox, registry)
     with pytest.raises(InvalidInput, match="must name the coils, sensors and movers of the registry"):
-        recalibrate(rig_from_text(two_coils_text), inbox, done)
+        recalibrate(rig_from_text(two_coils_text), inbox, registry)
     with pytest.raises(InvalidInput, match="inbox must be a folder of sessions"):
-        recalibrate(small_rig, tmp_path / "none", tmp_path / "registry")
+        recalibrate(small_rig, tmp_path / "none", registry)
+    assert len(Registry(registry).entries()) == 4
 
 
 def test_a_coil_mounted_anew_updates_the_calibration(
@@ -178,10 +202,3 @@ def test_a_drift_began_with_the_first_session_in_a_row_that_disagreed(
     entries: list[Entry], since: str
 ) -> None:
     assert _since(entries, "9") == since
-
-
-def test_log_lines_are_plain_json(done: Path, inbox: Path) -> None:
-    lines = (done / "log.jsonl").read_text(encoding="utf-8").splitlines()
-    assert [json.loads(line)["hash"] for line in lines[:2]] == [
-        load_session(inbox / f"{name}.zarr").hash for name in ("z_first", "y_same")
-    ]
