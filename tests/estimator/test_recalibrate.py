@@ -56,7 +56,7 @@ def inbox(
 def told(monkeypatch: pytest.MonkeyPatch, small_calibration: Calibration) -> None:
     """A judge that calls the first session an update and every later one unchanged."""
 
-    def judged(session: Session, rig: Rig, current: Calibration | None, **_: object) -> Judgement:
+    def judged(_session: Session, _rig: Rig, current: Calibration | None, **_: object) -> Judgement:
         if current is None:
             return Judgement(Conclusion.UPDATED, "first calibration", small_calibration)
         return Judgement(Conclusion.UNCHANGED, "agrees", agrees=True)
@@ -114,7 +114,7 @@ def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(
 def test_a_job_that_ended_between_two_sessions_goes_on_with_the_next(
     inbox: Path, small_rig: Rig, tmp_path: Path
 ) -> None:
-    def end(entry: Entry) -> None:
+    def end(_: Entry) -> None:
         raise KeyboardInterrupt
 
     for n in range(1, 5):
