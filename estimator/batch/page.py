@@ -76,7 +76,8 @@ def _mean(centre: np.ndarray, sd: np.ndarray) -> float:
 def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[str]:
     n_sampled = int(table["is_sampled"].sum()) if len(table) else 0
     failures = f", {len(result.failed)} failed" if result.failed else ""
-    sentences = [f"{len(table)} fits, {n_sampled} of them sampled{failures}."]
+    fits = "1 fit" if len(table) == 1 else f"{len(table)} fits"
+    sentences = [f"{fits}, {n_sampled} of them sampled{failures}."]
     if len(best) > 1:
         apart = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
         words = shown(names)

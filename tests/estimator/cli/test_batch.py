@@ -1,0 +1,45 @@
+"""`coilcal batch` from the outside: a page and a table, a sentence for each bad session, and what happens without Dask."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from distributed import LocalCluster
+
+from estimator.cli.main import main
+from estimator.store.session import Session
+
+
+def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, tmp_path: Path):
+    small_session.save(tmp_path / "good.zarr")
+    (tmp_path / "bad.zarr").mkdir()
+    out = tmp_path / "out"
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local:
+        arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
+        options = ["--out", str(out), "--posterior", "none", "--json", "--scheduler", local.scheduler_address]
+        result = CliRunner().invoke(main, ["batch", *arguments, *options])
+    assert result.exit_code == 2
+    found = json.loads(result.stdout)
+    assert (found["fits"], found["sampled"]) == (1, 0)
+    assert list(found["failed"]) == [str(tmp_path / "bad.zarr")]
+    assert "bad.zarr: session must be a folder" in result.stderr
+    assert (
+        (out / "summary.csv").read_text().startswith("job,session,coil,hypothesis,log_evidence,probability")
+    )
+    assert "1 fit, 0 of them sampled, 1 failed" in (out / "overview.html").read_text()
+
+
+def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setitem(sys.modules, "dask", None)
+    for name in [name for name in sys.modules if name.startswith("estimator.batch")]:
+        monkeypatch.delitem(sys.modules, name)
+    result = CliRunner().invoke(main, ["batch", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert (
+        "coilcal batch needs dask: install coilcal with its extra, pip install 'coilcal[batch]'"
+        in result.stderr
+    )
