@@ -172,7 +172,7 @@ def test_a_coil_mounted_anew_updates_the_calibration(
     assert z["median"] == pytest.approx(-0.0405, abs=4.0 * z["sd"])
 
 
-@pytest.mark.parametrize("factor", [-1.0, 1000.0])
+@pytest.mark.parametrize("factor", [pytest.param(-1.0, marks=pytest.mark.slow), 1000.0])
 def test_mistakes_of_the_record_are_rejected(
     small_calibration: Calibration, small_rig: Rig, small_session: Session, factor: float
 ) -> None:
