@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real storms streams bench bench-live bench-batch figures
+.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real storms streams bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -56,6 +56,9 @@ streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of
 
 bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
 	$(BIN)/python scripts/benchmark_live.py
+
+bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
+	$(BIN)/python scripts/benchmark_diagnose.py
 
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
 	$(BIN)/python scripts/benchmark_batch.py
