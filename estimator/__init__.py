@@ -9,6 +9,8 @@ Examples:
     125
 """
 
+from typing import TYPE_CHECKING, Any
+
 from estimator.calibrate import Stage, calibrate
 from estimator.calibration import Calibration
 from estimator.config import load_rig
@@ -28,6 +30,9 @@ from estimator.store.session import Session, load_session
 from estimator.stream import Estimate, Stream
 from estimator.superposition import Superposition, superposition
 from estimator.system import System, SystemField
+
+if TYPE_CHECKING:
+    from estimator.batching import batch
 
 __all__ = [
     "Calibration",
@@ -49,6 +54,7 @@ __all__ = [
     "Superposition",
     "System",
     "SystemField",
+    "batch",
     "block_split",
     "calibrate",
     "design",
@@ -62,3 +68,12 @@ __all__ = [
     "simulate",
     "superposition",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`batch` comes with Dask, which is an extra and slow to import: only where it is asked for."""
+    if name == "batch":
+        from estimator.batching import batch
+
+        return batch
+    raise AttributeError(f"module 'estimator' has no attribute {name!r}")

@@ -11,8 +11,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from estimator import SamplerSettings, Session, load_plan, load_rig, simulate
-from estimator.batch import batch
+from estimator import SamplerSettings, Session, batch, load_plan, load_rig, simulate
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 

@@ -17,9 +17,9 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from estimator import Observations, Rig, Session, draw_truth, load_plan, load_rig, simulate
-from estimator.batch.engine import cluster
-from estimator.batch.jobs import jobs_of
-from estimator.batch.work import MORE_STARTS, fit
+from estimator.batching.engine import cluster
+from estimator.batching.jobs import jobs_of
+from estimator.batching.work import MORE_STARTS, fit
 from estimator.inference.stacked import stacked_fits
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"

@@ -28,7 +28,7 @@ REAL_TIME = (
         HERE / f"estimator/cli/test_{name}.py"
         for name in ("acquire", "acquire_faults", "devices", "live", "rig_simulator")
     ),
-    HERE / "estimator/batch/test_engine.py",
+    HERE / "estimator/batching/test_engine.py",
 )
 
 

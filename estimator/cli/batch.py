@@ -76,8 +76,8 @@ def batch_command(
     Exit code 2 if a session failed; all others are calibrated nevertheless.
     """
     try:
-        from estimator.batch import batch
-        from estimator.batch.page import overview
+        from estimator.batching import batch
+        from estimator.batching.page import overview
     except ModuleNotFoundError as error:
         raise InvalidInput(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"

@@ -31,6 +31,7 @@ NAMES = [
     "Superposition",
     "System",
     "SystemField",
+    "batch",
     "block_split",
     "calibrate",
     "design",
@@ -47,6 +48,7 @@ NAMES = [
 SIGNATURES = {
     "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, on_stage",
     "recalibrate": "rig, inbox, registry, seed, settings, on_entry",
+    "batch": "sessions, out, rig, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, tell",
     "roll_back": "registry, version",
     "simulate": "rig, plan, truth, seed, hidden",
     "draw_truth": "rig, seed",

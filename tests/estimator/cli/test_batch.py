@@ -18,7 +18,9 @@ def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, t
     small_session.save(tmp_path / "good.zarr")
     (tmp_path / "bad.zarr").mkdir()
     out = tmp_path / "out"
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local:
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as local:
         arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
         options = ["--out", str(out), "--posterior", "none", "--json", "--scheduler", local.scheduler_address]
         result = CliRunner().invoke(main, ["batch", *arguments, *options])
@@ -35,7 +37,7 @@ def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, t
 
 def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setitem(sys.modules, "dask", None)
-    for name in [name for name in sys.modules if name.startswith("estimator.batch")]:
+    for name in [name for name in sys.modules if name.startswith("estimator.batching")]:
         monkeypatch.delitem(sys.modules, name)
     result = CliRunner().invoke(main, ["batch", str(tmp_path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 2

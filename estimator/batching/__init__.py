@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from estimator.batch.engine import cluster
-from estimator.batch.jobs import PLAIN, Job, stacks
-from estimator.batch.result import BatchResult
-from estimator.batch.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, sampled
+from estimator.batching.engine import cluster
+from estimator.batching.jobs import PLAIN, Job, stacks
+from estimator.batching.result import BatchResult
+from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, sampled
 from estimator.calibration import SUMMARY
 from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from estimator import plots
-from estimator.batch.result import BatchResult
+from estimator.batching.result import BatchResult
 from estimator.calibrate import versions
 from estimator.plots.style import shown, with_sd
 from estimator.report import Picture, ReportPage, Table, render_report
@@ -123,7 +123,7 @@ def _tables(
                     with_sd(mean * show.factor, scatter),
                     f"{float(np.median(sd)) * show.factor:.2g}",
                     show.unit or "1",
-                    f"{ratio:.2f}" if np.isfinite(ratio) else "—",
+                    f"{ratio:.3g}" if np.isfinite(ratio) else "—",
                 ]
             )
         header = [

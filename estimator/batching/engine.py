@@ -98,9 +98,7 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
         if scheduler is None:
             n = workers or len(os.sched_getaffinity(0))
             with (
-                LocalCluster(
-                    n_workers=n, threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None
-                ) as local,
+                LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local,
                 Client(local, set_as_default=False) as client,
             ):
                 yield Cluster(client, local.scheduler_address)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from estimator.batch.work import POSTERIOR, RESULT
+from estimator.batching.work import POSTERIOR, RESULT
 from estimator.calibration import SUMMARY, Calibration, write_text
 from estimator.errors import InvalidInput
 

@@ -11,11 +11,11 @@ import pytest
 from distributed import LocalCluster
 
 from estimator import SamplerSettings
-from estimator.batch import batch
-from estimator.batch.jobs import jobs_of, stacks
-from estimator.batch.page import overview
-from estimator.batch.result import BatchResult
-from estimator.batch.work import fit
+from estimator.batching import batch
+from estimator.batching.jobs import jobs_of, stacks
+from estimator.batching.page import overview
+from estimator.batching.result import BatchResult
+from estimator.batching.work import fit
 from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
 from estimator.plan import Plan, load_plan
@@ -38,7 +38,9 @@ def sessions(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], tm
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local:
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as local:
         yield local.scheduler_address
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from estimator.batch.jobs import Job, jobs_of, readings_and_rig
+from estimator.batching.jobs import Job, jobs_of, readings_and_rig
 from estimator.calibrate import calibrate, versions
 from estimator.calibration import SUMMARY, write_text
 from estimator.chain import Chain

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from distributed import LocalCluster
 
-from estimator.batch.engine import Cluster, cluster
+from estimator.batching.engine import Cluster, cluster
 from estimator.errors import InvalidInput
-from tests.estimator.batch.calls import deadly, deadly_once, double, refuse, slowly
+from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly
 
 
 def results(where: Cluster, calls) -> dict[object, object]:
@@ -24,7 +24,7 @@ def results(where: Cluster, calls) -> dict[object, object]:
 
 def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
     with (
-        LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local,
+        LocalCluster(n_workers=1, processes=False, dashboard_address="127.0.0.1:0") as local,
         cluster(None, local.scheduler_address) as where,
     ):
         found = results(where, {"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))})
@@ -68,7 +68,7 @@ def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
 
 
 def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("estimator.batch.engine.PATIENCE_S", 1)
+    monkeypatch.setattr("estimator.batching.engine.PATIENCE_S", 1)
     with (
         pytest.raises(InvalidInput, match="scheduler must answer within 1 s; tcp://127.0.0.1:1 did not"),
         cluster(None, "tcp://127.0.0.1:1"),
@@ -79,7 +79,15 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.Mo
 
 
 def started(address: str, port: int) -> list[subprocess.Popen[bytes]]:
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", str(port), "--no-dashboard"]
+    dask = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--port",
+        str(port),
+        "--dashboard-address",
+        "127.0.0.1:0",
+    ]
     worker = [
         sys.executable,
         "-m",
