@@ -148,7 +148,7 @@ class _Trail:
 
     def _with_pair(self, fit: Fit, stop: Step) -> Fit | None:
         """Two causes more that earn their place together, and beside each other; None where no pair does."""
-        pool = [c for c in self.pool if c.cause not in fit.rig.effects]
+        pool = [c for c in self.pool if c.cause not in (*fit.rig.effects, *self.dropped)]
         n = len({c.cause for c in pool})
         ranked = pairs(fit, pool)
         if not ranked or len(self.own(fit)) + 2 > MOST_CAUSES:
