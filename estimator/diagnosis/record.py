@@ -26,6 +26,7 @@ from estimator.rig import Cause, Rig
 MOST_FITS = 6
 MOST_FAULTS = 3
 MOST_READINGS = 100  # for the comparison of all starts
+MOST_LOST_ON_FEW = 3.0  # log evidence on these readings, against no mistake, of one that is worth a fit to all
 LOG_PRIOR_FAULT = math.log(1e-3)
 EXPECTED_NOISE, EXPECTED_VALUE = (
     2.5,
@@ -88,7 +89,7 @@ def _is_as_expected(fit: Fit) -> bool:
 
 
 def _faults(base: Fit) -> list[Fit]:
-    """Full fits of the mistakes that look best on a few readings."""
+    """Full fits of the mistakes that look best on a few readings, and follow those no worse than the rig as it is."""
     scene = base.posterior.chain.scene
     observations = scene.observations
     some = torch.linspace(0, len(observations) - 1, min(MOST_READINGS, len(observations))).round().long()
@@ -104,7 +105,10 @@ def _faults(base: Fit) -> list[Fit]:
     ]
     ranked.sort(key=lambda pair: -pair[0])
     rules = base.posterior.chain.rules
-    fits = [fit_rig(rig, observations, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
+    least = fit_rig(base.rig, few, base.values, rules).log_evidence - MOST_LOST_ON_FEW
+    trials = [fit_rig(rig, few, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
+    better = [trial for trial in trials if _is_mistake(trial) and trial.log_evidence > least]
+    fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in better]
     return [fit for fit in fits if _is_mistake(fit)]
 
 
