@@ -101,9 +101,9 @@ class Chain:
         widths = [values.shape[1] for values in columns.values()]
         parts = distinct[:, 1 + 6 * len(rig.movers) :].split(widths, dim=1) if widths else ()
         columns = dict(zip(columns, parts, strict=True))
-        leaks = any(isinstance(use.effect, CurrentEffect) for use in uses_of(rig, Effect))
+        leaking = {use.place for use in uses_of(rig, CurrentEffect)}
         powered = {
-            coil.name: place[(observations.current_A[:, i] != 0.0) | leaks].unique()
+            coil.name: place[(observations.current_A[:, i] != 0.0) | (coil.name in leaking)].unique()
             for i, coil in enumerate(rig.coils)
         }
         sensor = distinct[:, 0].to(torch.int64)
@@ -174,18 +174,42 @@ class Chain:
 
     def _true_field(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
-        displaced = uses_of(self.rig, ElementEffect)
         gain = self._gain(values)[..., None]
+        displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
         if not displaced:
             return gain * self._field_at(values, None)
+        has_elements = torch.isin(self.scene.sensor, torch.tensor(displaced))
+        if has_elements.all():
+            return gain * self._at_elements(values)
+        apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
+        one, other = self._part(apart)._at_elements(values), self._part(together)._field_at(values, None)
+        batch = torch.broadcast_shapes(one.shape[:-2], other.shape[:-2])
+        both = torch.cat((one.expand(*batch, -1, 3), other.expand(*batch, -1, 3)), dim=-2)
+        return gain * both[..., torch.argsort(torch.cat((apart, together))), :]
+
+    def _at_elements(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+        """Field in the sensor's frame, each component where its element sits."""
         elements_m: Tensor | None = None
-        for use in displaced:
+        for use in uses_of(self.rig, ElementEffect):
             offset_m = use.effect.apply(use.theta(values))[..., None, :]  # batch, element, place, axis
             offset_m = offset_m * (self.sensor == use.index(self.rig.sensors))[:, None]
             elements_m = offset_m if elements_m is None else elements_m + offset_m
         assert elements_m is not None
         components = [self._field_at(values, elements_m[..., i, :, :])[..., i] for i in range(3)]
-        return gain * torch.stack(torch.broadcast_tensors(*components), dim=-1)
+        return torch.stack(torch.broadcast_tensors(*components), dim=-1)
+
+    def _part(self, readings: Int[Tensor, " part"]) -> Chain:
+        """The chain of some of the readings."""
+        used, place = torch.unique(self.place[readings], return_inverse=True)
+        return replace(
+            self,
+            scene=Scene(self.rig, self.scene.observations.rows(readings)),
+            place=place,
+            sensor=self.sensor[used],
+            flange={name: poses.rows(used) for name, poses in self.flange.items()},
+            columns={label: whole[used] for label, whole in self.columns.items()},
+            powered={name: torch.isin(used, rows).nonzero().flatten() for name, rows in self.powered.items()},
+        )
 
     def _field_at(
         self, values: Values, offset_m: Float[Tensor, "*#batch place 3"] | None

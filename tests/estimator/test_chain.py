@@ -311,6 +311,29 @@ def test_every_reading_belongs_to_its_own_sensor():
         torch.testing.assert_close(field[i], expected[0], rtol=1e-10, atol=1e-18)
 
 
+def test_displaced_elements_of_one_sensor_and_a_leaking_supply_concern_theirs_alone():
+    sensors = {
+        "a": "a: {noise_uT: 1, world_from_sensor: {x_mm: 8}}",
+        "b": "b: {noise_uT: 1, carried_by: stage, flange_from_sensor: {y_mm: 11, ry_deg: 50}}",
+    }
+    room = "background_field[room]: {x_T: 40.0e-6, y_T: 0, z_T: -1.0e-5}\n  current_offset[coil2]: {offset_A: 0.03}"
+    places_m = {f"{e}_at_{a}_m": 1e-4 * (3 * i - j) for i, e in enumerate("xyz") for j, a in enumerate("xyz")}
+    elements = f"element_displacement[b]: {{{', '.join(f'{key}: {at:.4f}' for key, at in places_m.items())}}}"
+
+    def with_effects(names: str, effects: str) -> Rig:
+        plain = rig(TWO_COILS, "\n".join(sensors[name] for name in names), STAGE)
+        return rig_from_text(plain.text + f"effects:\n  {effects}\n")
+
+    poses, which = random_poses(4, seed=8), [1, 0, 1, 0]
+    current_A = [[1.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 2.0]]
+    both = with_effects("ab", f"{room}\n  {elements}")
+    field = predict(both, readings(current_A, {"stage": poses}, which))
+    for i, sensor in enumerate(which):
+        alone = with_effects("ab"[sensor], room if sensor == 0 else f"{room}\n  {elements}")
+        expected = predict(alone, readings([current_A[i]], {"stage": poses[i][None]}))
+        torch.testing.assert_close(field[i], expected[0], rtol=1e-10, atol=1e-18)
+
+
 FREE = f"""
 coil1: {{radius_mm: {{prior: {{normal: {{mean: 51, sd: 1}}}}}}, wire_radius_mm: {{prior: {{normal: {{mean: 0.49, sd: 0.01}}}}}},
   axial_loops: {{prior: {{normal: {{mean: 12, sd: 1}}}}}}, radial_loops: {{prior: {{normal: {{mean: 8, sd: 0.5}}}}}},
