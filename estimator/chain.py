@@ -176,18 +176,21 @@ class Chain:
         """Field at the sensor's elements, in the sensor's frame."""
         gain = self._gain(values)[..., None]
         displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
+        world_from_sensor = self.world_from_sensor(torch.arange(len(self.sensor)), values)
         if not displaced:
-            return gain * self._field_at(values, None)
+            return gain * self._field_at(values, world_from_sensor)
         has_elements = torch.isin(self.scene.sensor, torch.tensor(displaced))
         if has_elements.all():
-            return gain * self._at_elements(values)
+            return gain * self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
-        one, other = self._part(apart)._at_elements(values), self._part(together)._field_at(values, None)
+        part, rest = self._part(apart), self._part(together)
+        one = part._at_elements(values, world_from_sensor.rows(self.place[apart].unique()))
+        other = rest._field_at(values, world_from_sensor.rows(self.place[together].unique()))
         batch = torch.broadcast_shapes(one.shape[:-2], other.shape[:-2])
         both = torch.cat((one.expand(*batch, -1, 3), other.expand(*batch, -1, 3)), dim=-2)
         return gain * both[..., torch.argsort(torch.cat((apart, together))), :]
 
-    def _at_elements(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+    def _at_elements(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, each component where its element sits."""
         elements_m: Tensor | None = None
         for use in uses_of(self.rig, ElementEffect):
@@ -195,7 +198,10 @@ class Chain:
             offset_m = offset_m * (self.sensor == use.index(self.rig.sensors))[:, None]
             elements_m = offset_m if elements_m is None else elements_m + offset_m
         assert elements_m is not None
-        components = [self._field_at(values, elements_m[..., i, :, :])[..., i] for i in range(3)]
+        components = [
+            self._field_at(values, _shifted(world_from_sensor, elements_m[..., i, :, :]))[..., i]
+            for i in range(3)
+        ]
         return torch.stack(torch.broadcast_tensors(*components), dim=-1)
 
     def _part(self, readings: Int[Tensor, " part"]) -> Chain:
@@ -211,47 +217,34 @@ class Chain:
             powered={name: torch.isin(used, rows).nonzero().flatten() for name, rows in self.powered.items()},
         )
 
-    def _field_at(
-        self, values: Values, offset_m: Float[Tensor, "*#batch place 3"] | None
-    ) -> Float[Tensor, "*batch reading 3"]:
-        """Field in the sensor's frame, at a point off its origin where one is given."""
+    def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
+        """Field in the sensor's frame, at its origin."""
         total = torch.zeros(len(self.scene), 3, dtype=self.scene.current_A.dtype)
         delivered_A = self.delivered_A(values)
-        everywhere = torch.arange(len(self.sensor))
-        world_from_sensor: Transform | None = None
-        if uses_of(self.rig, RoomEffect):
-            world_from_sensor = self.world_from_sensor(everywhere, values)
-            for use in uses_of(self.rig, RoomEffect):
-                constant_T = use.effect.constant_T(use.theta(values), self.scene)
-                if constant_T is not None:
-                    rotation = world_from_sensor.rotation
-                    of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
-                    total = total + (of_reading.mT @ constant_T[..., None])[..., 0]
+        for use in uses_of(self.rig, RoomEffect):
+            constant_T = use.effect.constant_T(use.theta(values), self.scene)
+            if constant_T is not None:
+                rotation = world_from_sensor.rotation
+                of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
+                total = total + (of_reading.mT @ constant_T[..., None])[..., 0]
         for i, coil in enumerate(self.rig.coils):
-            if coil.name not in self.rules or not len(self.powered[coil.name]):
+            rows = self.powered[coil.name]
+            if coil.name not in self.rules or not len(rows):
                 continue
-            current_A = delivered_A[..., i]
-            for rows, per_unit, drive in self._sources(coil, values, offset_m, current_A, world_from_sensor):
+            for per_unit, drive in self._sources(
+                coil, values, world_from_sensor.rows(rows), delivered_A[..., i]
+            ):
                 field = self._everywhere(per_unit, rows)
                 total = total + drive[..., None] * field[..., self.place, :]
         return total
 
     def _sources(
-        self,
-        coil: Coil,
-        values: Values,
-        offset_m: Tensor | None,
-        current_A: Tensor,
-        world_from_sensor: Transform | None,
-    ) -> list[tuple[Tensor, Tensor, Tensor]]:
-        """What the coil's current makes: rows of poses, field in the sensor frame per unit of drive, and the drive."""
-        rows = self.powered[coil.name]
-        coil_from_sensor = self._in_coil(coil, rows, values)
-        points_m = (
-            coil_from_sensor.translation_m
-            if offset_m is None
-            else coil_from_sensor.apply(offset_m[..., rows, :])
-        )
+        self, coil: Coil, values: Values, world_from_sensor: Transform, current_A: Tensor
+    ) -> list[tuple[Tensor, Tensor]]:
+        """What the coil's current makes where it is powered: field in the sensor frame per unit of drive, and the drive."""
+        world_from_coil = self._world_from_body(coil, "coil", self.powered[coil.name], values)
+        coil_from_sensor = world_from_coil.inverse() @ world_from_sensor
+        points_m = coil_from_sensor.translation_m
         winding = winding_of(self.rig, coil, values)
         rule = self.rules[coil.name]
         field = coil_field_per_ampere(coil, points_m, winding, rule, self.is_compiled)
@@ -263,31 +256,17 @@ class Chain:
             if drive is current_A:
                 field = field + more
             else:
-                found.append((rows, coil_from_sensor.unrotate(more), drive))
+                found.append((coil_from_sensor.unrotate(more), drive))
         field = coil_from_sensor.unrotate(field)
-        if world_from_sensor is not None:
-            of_rows = world_from_sensor.rows(rows)
-            points_world_m = (
-                of_rows.translation_m if offset_m is None else of_rows.apply(offset_m[..., rows, :])
-            )
-            field = field + of_rows.unrotate(self._answer(coil, values, rows, points_world_m, points_m))
-        return [(rows, field, current_A), *found]
-
-    def _answer(
-        self, coil: Coil, values: Values, rows: Tensor, points_world_m: Tensor, points_coil_m: Tensor
-    ) -> Tensor:
-        """What iron in the room answers to one ampere in the coil, in the world frame."""
-        answer = torch.zeros_like(points_coil_m)
-        winding = winding_of(self.rig, coil, values)
-        world_from_coil = self._world_from_body(coil, "coil", rows, values)
-        per_ampere = CoilInRoom(coil, world_from_coil, winding, self.rules[coil.name])
+        per_ampere = CoilInRoom(coil, world_from_coil, winding, rule)
+        points_m, _ = torch.broadcast_tensors(
+            world_from_sensor.translation_m, points_m
+        )  # either may stand still
         for answering in uses_of(self.rig, RoomEffect):
-            response = answering.effect.response(
-                per_ampere, points_world_m + answer * 0.0, answering.theta(values)
-            )
-            if response is not None:
-                answer = answer + response
-        return answer
+            answer = answering.effect.response(per_ampere, points_m, answering.theta(values))
+            if answer is not None:
+                field = field + world_from_sensor.unrotate(answer)
+        return [(field, current_A), *found]
 
     def _everywhere(self, field: Tensor, rows: Tensor) -> Tensor:
         """Field at the rows of some poses as one at all poses; of a coil and a sensor that are both fixed, one row stands for all."""
@@ -309,9 +288,9 @@ class Chain:
         return coil_from_sensor.translation_m, coil_from_sensor.rotation.mT
 
     def _in_coil(self, coil: Coil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
-        """coil_from_sensor at distinct poses."""
-        coil_from_world = self._world_from_body(coil, "coil", rows, values).inverse()
-        return coil_from_world @ self.world_from_sensor(rows, values)
+        """coil_from_sensor at distinct poses; one row where both stay where they are."""
+        world_from_coil = self._world_from_body(coil, "coil", rows, values)
+        return world_from_coil.inverse() @ self.world_from_sensor(rows, values)
 
     def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """Pose of the sensor in the room at distinct poses."""
@@ -434,6 +413,11 @@ def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding:
     for use in uses_of(rig, WindingEffect, coil.name):
         winding = use.effect.apply(winding, use.theta(values))
     return winding
+
+
+def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
+    """The same orientation at points off the origin of the body, given in its frame."""
+    return Transform(pose.rotation, pose.apply(offset_m))
 
 
 def _sharing_rotation(poses: Transform) -> Transform:
