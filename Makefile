@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper coverage hidden real diagnose-real storms streams bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden real diagnose-real storms streams bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -34,6 +34,9 @@ slow: $(INSTALLED)        # statistics with bounds that can fail
 
 paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; minutes
 	$(BIN)/python scripts/reproduce_paper.py --out out/paper
+
+two-arms: $(INSTALLED)    # coils calibrated one at a time, both on, judged by magpylib; a quarter of an hour
+	$(BIN)/python scripts/two_arms.py
 
 coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
 	$(BIN)/python scripts/coverage_study.py --repeats 200 --first-seed 2000 --out out/coverage.jsonl

@@ -7,7 +7,7 @@ parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -34,6 +34,7 @@ from estimator.effects.scene import Scene
 from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import coil_field_per_ampere
+from estimator.field.first_order import with_cheap_slope
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -45,6 +46,8 @@ from estimator.frames import Transform
 from estimator.motion import base_from_motion, pose_of
 from estimator.records import Observations
 from estimator.rig import Body, Coil, MotionKind, Rig
+
+WINDING_KEYS = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class Chain:
         powered: Per coil the distinct poses where it ever carries current.
         rules: Per coil the quadrature rule.
         is_compiled: Sum with compiled code, for long sampling; no derivatives then.
+        has_cheap_slope: First derivatives through few directions, for fits of many parameters; no second derivatives then.
     """
 
     rig: Rig
@@ -75,6 +79,7 @@ class Chain:
     powered: dict[str, Int[Tensor, " rows"]]
     rules: dict[str, Rule]
     is_compiled: bool = False
+    has_cheap_slope: bool = False
 
     @classmethod
     def build(cls, rig: Rig, observations: Observations, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
@@ -247,7 +252,7 @@ class Chain:
         points_m = coil_from_sensor.translation_m
         winding = winding_of(self.rig, coil, values)
         rule = self.rules[coil.name]
-        field = coil_field_per_ampere(coil, points_m, winding, rule, self.is_compiled)
+        field = self._coil_field(coil, points_m, winding)
         found = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
             theta = use.theta(values)
@@ -258,7 +263,7 @@ class Chain:
             else:
                 found.append((coil_from_sensor.unrotate(more), drive))
         field = coil_from_sensor.unrotate(field)
-        per_ampere = CoilInRoom(coil, world_from_coil, winding, rule)
+        per_ampere = CoilInRoom(world_from_coil, lambda at_m: self._coil_field(coil, at_m, winding))
         points_m, _ = torch.broadcast_tensors(
             world_from_sensor.translation_m, points_m
         )  # either may stand still
@@ -267,6 +272,21 @@ class Chain:
             if answer is not None:
                 field = field + world_from_sensor.unrotate(answer)
         return [(field, current_A), *found]
+
+    def _coil_field(
+        self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding
+    ) -> Float[Tensor, "*batch point 3"]:
+        """Field of one ampere in the coil frame, by the coil's rule."""
+
+        def per_ampere(points_m: Tensor, of: Winding) -> Tensor:
+            return coil_field_per_ampere(coil, points_m, of, self.rules[coil.name], self.is_compiled)
+
+        if not self.has_cheap_slope:
+            return per_ampere(points_coil_m, winding)
+        is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
+            self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS
+        )
+        return with_cheap_slope(per_ampere, points_coil_m, winding, is_fixed)
 
     def _everywhere(self, field: Tensor, rows: Tensor) -> Tensor:
         """Field at the rows of some poses as one at all poses; of a coil and a sensor that are both fixed, one row stands for all."""
@@ -324,18 +344,21 @@ class Chain:
 
 @dataclass(frozen=True)
 class CoilInRoom(PerAmpere):
-    """One coil as seen from the room, at every distinct pose."""
+    """One coil as seen from the room, at every distinct pose.
 
-    coil: Coil
+    Attributes:
+        world_from_coil: Its pose.
+        field_per_ampere: At points of the coil frame.
+    """
+
     world_from_coil: Transform
-    winding: Winding
-    rule: Rule
+    field_per_ampere: Callable[[Tensor], Tensor]
 
     def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
         """Field per ampere in the world frame at one point per pose."""
-        points_coil_m = self.world_from_coil.inverse().apply(points_m)
-        field = coil_field_per_ampere(self.coil, points_coil_m, self.winding, self.rule)
-        return self.world_from_coil.rotate(field)
+        return self.world_from_coil.rotate(
+            self.field_per_ampere(self.world_from_coil.inverse().apply(points_m))
+        )
 
 
 def _columns(rig: Rig, scene: Scene) -> dict[str, Tensor]:
@@ -408,8 +431,8 @@ def _mount(
 
 def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding:
     """The coil's winding at these values."""
-    keys = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
-    winding = Winding(*torch.broadcast_tensors(*(values[f"{coil.name}.{key}"] for key in keys)))
+    numbers = (values[f"{coil.name}.{key}"] for key in WINDING_KEYS)
+    winding = Winding(*torch.broadcast_tensors(*numbers))
     for use in uses_of(rig, WindingEffect, coil.name):
         winding = use.effect.apply(winding, use.theta(values))
     return winding

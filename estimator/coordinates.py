@@ -214,7 +214,7 @@ class Coordinates:
         axes: dict[str, float] = {}
         for coil in self.rig.coils:
             if not any(
-                self._depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
+                self.rig.depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
             ):
                 continue
             for block in ("world_from_coil", "world_from_coil0", "flange_from_coil"):
@@ -233,10 +233,6 @@ class Coordinates:
                     if name in self._column and abs(a) > 1e-9
                 }
         return axes
-
-    def _depends_on_data(self, name: str) -> bool:
-        parameter = self.rig.parameters[name]
-        return self._depends_on_data(parameter.tie.to) if parameter.tie else parameter.is_free
 
     def _natural_mix(self) -> np.ndarray:
         """Rows that turn (log R_w, log N_a, log N_r) into (log thickness, log turns, log length) where all three are free."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -101,9 +102,9 @@ class RoomField:
             winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
             world_from_coil = self._world_from_coil(coil, values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
-            per_ampere = coil_field_per_ampere(coil, points_coil_m, winding, rule)
+            per_ampere = partial(coil_field_per_ampere, coil, winding=winding, rule=rule)
             own_A = delivered_A[..., i]
-            field = own_A[..., None, None] * per_ampere
+            field = own_A[..., None, None] * per_ampere(points_coil_m)
             for use in uses_of(self.rig, SourceEffect, coil.name):
                 theta = use.theta(values)
                 drive = use.effect.drive(own_A[..., None], theta)[..., None]
@@ -111,9 +112,7 @@ class RoomField:
             field = world_from_coil.rotate(field)
             for answering in uses_of(self.rig, RoomEffect):
                 theta = answering.theta(values)
-                answer = answering.effect.response(
-                    CoilInRoom(coil, world_from_coil, winding, rule), points_m, theta
-                )
+                answer = answering.effect.response(CoilInRoom(world_from_coil, per_ampere), points_m, theta)
                 if answer is not None:
                     field = field + own_A[..., None, None] * answer
             total = total + field

@@ -153,6 +153,11 @@ class Rig:
             parameters[name] = replace(parameters[name], value=value)
         return replace(self, parameters=parameters)
 
+    def depends_on_data(self, name: str) -> bool:
+        """Whether a parameter is free, or tied to one that is."""
+        parameter = self.parameters[name]
+        return self.depends_on_data(parameter.tie.to) if parameter.tie else parameter.is_free
+
     def with_fixed(self, names: Iterable[str]) -> Rig:
         """The same rig with some parameters fixed at their nominal values."""
         fixed = {name: replace(self.parameters[name], prior=None) for name in names}

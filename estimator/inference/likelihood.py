@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 
 import torch
@@ -69,6 +70,13 @@ class LogPosterior:
         ends = (".noise_T", ".gain", ".current_gain")
         names = self.coordinates.names
         return torch.tensor([not (name.endswith(ends) or name.startswith(tuple(cheap))) for name in names])
+
+    @cached_property
+    def for_slopes(self) -> LogPosterior:
+        """The same density with predictions whose first derivatives are cheap, and whose second ones are missing."""
+        other = copy(self)
+        other.chain = replace(self.chain, has_cheap_slope=True)
+        return other
 
     def measured_components(
         self, field_T: Float[Tensor, "*batch reading 3"]

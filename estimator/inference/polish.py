@@ -137,7 +137,7 @@ def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -
 
     def predicted_and_log_sigma(some: Tensor, others: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
         whole = join(torch.cat((some, others))[back], counts)
-        return posterior.predicted(whole), torch.log(posterior.component_sigma_T(whole))
+        return posterior.for_slopes.predicted(whole), torch.log(posterior.component_sigma_T(whole))
 
     continuous, counts = vector[:, :n], vector[:, n:]
     parts = [

@@ -54,3 +54,24 @@ def perfect_readings_T(
     counts = [round(truth[f"coil1.{key}_loops"]) for key in ("axial", "radial")]
     field_coil_T = coil_field_T(points_coil_m, *winding, *counts, current_A)
     return field_coil_T @ rotation.T
+
+
+def displaced_coil_field_T(
+    truth: Mapping[str, float], coil: str, turn_rad: np.ndarray, shift_m: np.ndarray, points_m: np.ndarray
+) -> np.ndarray:
+    """Field per ampere in the room of one of several coils, displaced without turning (paper, eq 14-22).
+
+    Args:
+        truth: Winding and pose of the coil under coilcal's parameter names.
+        coil: Its name.
+        turn_rad: Rotation vector of its nominal orientation, which small tilts about its own axes follow.
+        shift_m: Displacement in the end-effector frame, which is parallel to the coil's.
+        points_m: In the room.
+    """
+    pose = f"{coil}.world_from_coil0"
+    tilt_rad = [truth[f"{pose}.tilt_x_rad"], truth[f"{pose}.tilt_y_rad"], 0.0]
+    rotation = Rotation.from_rotvec(turn_rad) * Rotation.from_rotvec(tilt_rad)
+    position_m = np.array([truth[f"{pose}.{axis}_m"] for axis in "xyz"]) + rotation.apply(shift_m)
+    winding = [truth[f"{coil}.{key}"] for key in ("radius_m", "wire_radius_m")]
+    counts = [round(truth[f"{coil}.{key}_loops"]) for key in ("axial", "radial")]
+    return rotation.apply(coil_field_T(rotation.inv().apply(points_m - position_m), *winding, *counts, 1.0))

@@ -1,0 +1,74 @@
+"""The cheap first derivative against the plain one, in everything that reaches a coil's field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.func import jacfwd
+
+from estimator.chain import Chain
+from estimator.config import rig_from_text
+from estimator.coordinates import Coordinates
+from estimator.records import Observations
+
+RIG = """
+schema_version: 1
+name: a free winding, a fixed one, and iron
+movers: {stage: {motion: pose}}
+coils:
+  coil1:
+    radius_mm: {prior: {normal: {mean: 51, sd: 1}}}
+    wire_radius_mm: {prior: {normal: {mean: 0.49, sd: 0.01, lower: 0.2}}}
+    axial_loops: {prior: {normal: {mean: 12, sd: 1, lower: 1}}}
+    radial_loops: {prior: {normal: {mean: 8, sd: 0.5, lower: 1}}}
+    world_from_coil: {z_mm: {prior: {normal: {mean: -40, sd: 2}}}, tilt_x_deg: {prior: {normal: {mean: 0, sd: 2}}}}
+  coil2: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4, world_from_coil: {x_mm: 90, ry_deg: -90}}
+sensors:
+  a: {noise_uT: 20, carried_by: stage, flange_from_sensor: {z_mm: {prior: {normal: {mean: 5, sd: 1}}}}}
+  b: {noise_uT: 20, carried_by: stage, flange_from_sensor: {y_mm: 9}}
+effects:
+  iron_body[room]:
+    volume_m3: {prior: {normal: {mean: 2.0e-6, sd: 1.0e-6}}}
+    x_m: {prior: {normal: {mean: 0.09, sd: 0.02}}}
+    y_m: 0.05
+    z_m: 0.06
+  element_displacement[b]:
+    {x_at_x_m: 0, x_at_y_m: 3.0e-4, x_at_z_m: 0, y_at_x_m: 0, y_at_y_m: {prior: {normal: {mean: 0, sd: 5.0e-4}}}, y_at_z_m: 0,
+    z_at_x_m: 0, z_at_y_m: 0, z_at_z_m: -4.0e-4}
+"""
+
+
+@pytest.mark.parametrize(
+    "radius", ["{prior: {normal: {mean: 51, sd: 1}}}", "51"], ids=["free", "fixed radius"]
+)
+def test_cheap_slope_has_the_value_and_the_derivatives_of_the_plain_field(radius):
+    rig = rig_from_text(
+        RIG.replace("radius_mm: {prior: {normal: {mean: 51, sd: 1}}}", f"radius_mm: {radius}")
+    )
+    random = np.random.default_rng(3)
+    motion = np.concatenate((random.uniform(-0.02, 0.02, (8, 3)), random.normal(size=(8, 3))), axis=1)
+    n = len(motion)
+    observations = Observations(
+        time_s=torch.arange(n, dtype=torch.float64),
+        sensor=torch.arange(n) % 2,
+        current_A=torch.tensor([[1.0, 0.0], [1.0, 0.5], [0.0, 2.0], [-1.0, 0.0]] * 2, dtype=torch.float64),
+        motion={"stage": torch.from_numpy(motion)},
+        field_sensor_T=torch.full((n, 3), torch.nan, dtype=torch.float64),
+        is_validation=torch.zeros(n, dtype=torch.bool),
+        repeat=torch.zeros(n, dtype=torch.int64),
+        temperature_C={},
+    )
+    coordinates = Coordinates(rig)
+    plain = Chain.build(rig, observations)
+    cheap = replace(plain, has_cheap_slope=True)
+    at = coordinates.sample_prior(random, 1)[0]
+    values = [chain.predict(coordinates.values(at)) for chain in (plain, cheap)]
+    torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
+    slopes = [jacfwd(lambda v, c=chain: c.predict(coordinates.values(v)))(at) for chain in (plain, cheap)]
+    assert (
+        slopes[0].flatten(0, 1).norm(dim=0)[torch.tensor([".noise" not in n for n in coordinates.names])] > 0
+    ).all()
+    torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-10, atol=1e-12 * float(slopes[0].abs().max()))
