@@ -69,7 +69,7 @@ class Kind:
 
 KINDS = {
     "the coil heats up, its supply at its limit": Kind("coil_heating", ("loss_per_A2",), 2e-3),
-    "an ageing supply": Kind("current_gain", ("excess",), 0.01, is_growing=True),
+    "an ageing supply": Kind("current_gain", ("excess",), 0.02, is_growing=True),
     "a bumped sensor": Kind("sensor_misplaced[hall_turned]", ("x_m", "y_m", "z_m"), 1e-3),
     "a sensor whose zero drifts": Kind("offset_drift[hall]", ("x_T_per_h", "y_T_per_h", "z_T_per_h"), 300e-6),
     "a sensor with a new zero": Kind("sensor_offset[hall_turned]", ("x_T", "y_T", "z_T"), 60e-6),
