@@ -19,7 +19,7 @@ from estimator.rig import Rig
 from estimator.simulate import simulate
 from estimator.store.session import Session
 
-SETTINGS = SamplerSettings(n_walkers=16, target_ess=50.0, largest_rhat=1.2)
+SETTINGS = SamplerSettings(n_walkers=16, target_ess=10.0, largest_rhat=2.0, check_every=20)
 
 
 @pytest.fixture(scope="module")
