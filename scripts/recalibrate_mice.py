@@ -1,8 +1,8 @@
 """A real repeat: MICE run06, a quick look at coil M1, then run07, its full map, through `recalibrate`; what it concludes, and why.
 
 `make recalibrate-mice` runs it; it needs the maps of a public repository in the folder named by COILCAL_DATA (see the README). Of the full
-map it takes some of the readings, drawn at random, for a diagnosis of all 11514 takes long; `--readings 0` takes all. What it printed is in
-docs/results.md.
+map it takes some of the readings, drawn at random, for a diagnosis of all 11514 takes long; `--readings 0` takes all. Run again after an
+interruption, it goes on with the run that was not concluded.
 """
 
 from __future__ import annotations
