@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden real diagnose-real storms streams bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden real diagnose-real storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -50,8 +50,17 @@ real: $(INSTALLED)        # measured coils below COILCAL_DATA
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
 
-storms: $(INSTALLED)     # a measurement killed at 50 random instants
-	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py
+storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
+	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py tests/estimator/cli/test_recalibrate_storm.py
+
+batch-kills: $(INSTALLED) # 200 sessions with workers and client killed, byte by byte those of the batch that was let alone; half an hour
+	$(BIN)/python scripts/batch_kill_study.py --out out/batch_kills
+
+recalibrate-years: $(INSTALLED)   # 20 years of weekly sessions, a cause from week 20 on; hours, continues where it was interrupted
+	$(BIN)/python scripts/recalibrate_years.py --out out/years
+
+recalibrate-mice: $(INSTALLED)    # run06 and run07 of the measured solenoid, below COILCAL_DATA
+	$(BIN)/python scripts/recalibrate_mice.py --out out/recalibrate_mice
 
 streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of 500 Hz RTDE beside six busy processes, none lost
 	COILCAL_SENIS_S=600 $(RUN) pytest -m slow tests/drivers/hall/test_senis_stream.py

@@ -109,7 +109,7 @@ def batch(
             where.run(
                 {name: (sampled, (job, str(folder), chosen)) for name, job in waiting.items()}, run.sampled
             )
-    return BatchResult(folder, result.names, run.failed)
+    return BatchResult(folder, result.names, run.failed, run.n_new)
 
 
 class _Run:
@@ -117,7 +117,7 @@ class _Run:
 
     def __init__(self, folder: Path, tell: Callable[[int, int, str], None], failed: dict[str, str]) -> None:
         self.folder, self.tell, self.failed = folder, tell, failed
-        self.done = self.total = 0
+        self.done = self.total = self.n_new = 0
 
     def begin(self, total: int, done: int) -> None:
         """A new stage, of which some may have been done before."""
@@ -136,14 +136,19 @@ class _Run:
         self.failed[what] = str(why)
         self.tell(self.done, self.total, f"{what} failed: {why}")
 
+    def gained(self, number: int, words: str) -> None:
+        """Fits or posteriors that are there now."""
+        self.done += number
+        self.n_new += number
+        self.tell(self.done, self.total, words)
+
     def fitted(self, open_stacks: list[list[Job]]) -> Callable[[Any, Any], None]:
         """What to do when a stack comes back."""
 
         def came(i: Any, failed: Any) -> None:
             stack = open_stacks[i]
             broken = {job.name: failed for job in stack} if isinstance(failed, Exception) else failed
-            self.done += len(stack) - len(broken)
-            self.tell(self.done, self.total, "fitted")
+            self.gained(len(stack) - len(broken), "fitted")
             for name, why in broken.items():
                 self.fail(name, why)
 
@@ -152,8 +157,7 @@ class _Run:
     def sampled(self, name: Any, failed: Any) -> None:
         """What to do when a posterior comes back."""
         if failed is None:
-            self.done += 1
-            self.tell(self.done, self.total, f"{name} sampled")
+            self.gained(1, f"{name} sampled")
         else:
             self.fail(name, failed)
 

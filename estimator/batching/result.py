@@ -25,11 +25,13 @@ class BatchResult:
         folder: With one folder for each job.
         names: Of the jobs that were fitted.
         failed: Why there is no result, by session or job.
+        n_new: Fits and posteriors that were made by this call; the others were there before.
     """
 
     folder: Path
     names: tuple[str, ...]
     failed: dict[str, str]
+    n_new: int = 0
 
     def records(self) -> list[dict[str, Any]]:
         """Content of every `result.json`; where the posterior was sampled, its parameters."""

@@ -102,12 +102,18 @@ def batch_command(
     found = {
         "fits": len(result.names),
         "sampled": int(result.table()["is_sampled"].sum()) if result.names else 0,
+        "new": result.n_new,
         "failed": result.failed,
         "table": str(out / "summary.csv"),
         "page": str(out / "overview.html"),
     }
     lines = [
-        f"{found['fits']} fits, {found['sampled']} of them sampled",
+        f"{found['fits']} fits, {found['sampled']} of them sampled; "
+        + (
+            f"{result.n_new} fits and posteriors are new"
+            if result.n_new
+            else "all there before, nothing was left to do"
+        ),
         f"table: {found['table']}",
         f"page: {found['page']}",
     ]

@@ -2,6 +2,15 @@
 
 A refit must be able to follow what may have changed since the last calibration, and nothing else: a winding stays as it is, while
 anything mounted may have been mounted anew. What no refit within these priors can follow is left for a diagnosis to name.
+
+Rig files know independent priors, but a posterior is not independent: it knows the field of a winding far better than its radius or its
+loops. Priors as wide as each number's own interval would leave the field free by per cents, and a supply that sags would pass for a
+winding with half a loop less. So the centre is the point that predicts best, and the widths are those of the product of normals that is
+closest to the posterior in Kullback-Leibler divergence: of each number, what the others leave open. Along what n numbers determine together
+that product is sqrt(n) times as wide as the posterior.
+
+References: Bishop, Pattern Recognition and Machine Learning (2006), section 10.1.2 (factorised normals have the inverse of the precision's
+diagonal for variances).
 """
 
 from __future__ import annotations
@@ -10,19 +19,23 @@ import json
 import math
 from typing import Any
 
+import numpy as np
 import yaml
 
 from estimator.calibration import Calibration
 from estimator.config import rig_from_text
+from estimator.effects import EFFECTS
 from estimator.parameters import LogNormal, Parameter, Prior
 from estimator.rig import POSE_KEYS, Rig
 from estimator.units import split_unit
 
-POSTERIOR_SDS = (
-    3.0  # of the last posterior, which is narrower than the truth where the model is not quite right
-)
-SHARE = 0.1  # of the first prior's width: what ageing may do to a winding or a sensor between two sessions
+EXPANSION = 3e-4  # of a winding's lengths: copper by 20 K
+LOOPS = 0.01  # a winding keeps its loops; its leads are part of one
+SHARE = 0.1  # of the first prior's width: what ageing may do to a sensor or a supply between two sessions
 SHARE_OF_POSE = 1.0  # a body that is mounted anew stands where it could have stood before the first session
+SHARE_OF_CAUSE = 1.0  # a cause that has begun may go on
+LENGTHS = ("radius_m", "wire_radius_m", "axial_pitch_m", "radial_pitch_m")
+LEAST_SHARE_LEFT = 1e-9  # of a variance: numbers that follow from others by rounding
 HOLDERS = ("movers", "coils", "sensors", "effects")  # the sections with parameters
 NOTE = "# Priors: the last calibration's posterior, widened by coilcal recalibrate."
 
@@ -30,7 +43,7 @@ NOTE = "# Priors: the last calibration's posterior, widened by coilcal recalibra
 def widened_rig(calibration: Calibration, described: Rig) -> Rig:
     """The rig of a calibration with its posterior, widened, for a prior.
 
-    Each prior is centred at the posterior's median, with sd = sqrt((2 sd of the posterior)^2 + (share of the first prior's sd)^2).
+    Each prior is centred at the posterior's best point, with sd = hypot(what the other numbers leave open of it, what may have changed).
 
     Args:
         calibration: The version that is current.
@@ -38,26 +51,58 @@ def widened_rig(calibration: Calibration, described: Rig) -> Rig:
     """
     rig = calibration.rig
     tree = json.loads(json.dumps(yaml.safe_load(rig.text)))  # what anchors share becomes each body's own
+    left = _left_sd(calibration)
     for parameter in rig.free:
         first = described.parameters.get(parameter.name, parameter).prior or parameter.prior
-        own = calibration.record["parameters"][parameter.name]
+        best = calibration.best[parameter.name]
         assert first is not None
-        _replace(tree, parameter, _entry(parameter, first, own["median"], own["sd"]))
+        change = _change(parameter, first, best)
+        _replace(tree, parameter, _entry(first, best, math.hypot(left[parameter.name], change)))
     return rig_from_text(NOTE + "\n" + yaml.safe_dump(tree, sort_keys=False, width=130), f"rig {rig.name!r}")
 
 
-def _entry(parameter: Parameter, first: Prior, median: float, sd: float) -> dict[str, Any]:
-    """One number in the notation of rig files, in SI."""
+def _left_sd(calibration: Calibration) -> dict[str, float]:
+    """Of each free parameter, where the others are known; poses, which may change, are not counted among these."""
+    found: dict[str, float] = {}
+    groups = ([p.name for p in calibration.rig.free if _is_pose(p) == is_pose] for is_pose in (False, True))
+    for names in groups:
+        draws = np.array([calibration.draws[name].ravel() for name in names]).reshape(len(names), -1)
+        sd = draws.std(axis=1)
+        scaled = (draws - draws.mean(axis=1, keepdims=True)) / np.where(sd > 0.0, sd, 1.0)[:, None]
+        correlation = scaled @ scaled.T / draws.shape[1] + LEAST_SHARE_LEFT * np.eye(len(names))
+        share = 1.0 / np.sqrt(np.diag(np.linalg.inv(correlation)))
+        found |= dict(zip(names, (sd * share).tolist(), strict=True))
+    return found
+
+
+def _change(parameter: Parameter, first: Prior, best: float) -> float:
+    """Standard deviation of what may have changed between two sessions; of the logarithm times the value where the prior is log-normal."""
     body, _, key = parameter.name.rpartition(".")
-    share = SHARE_OF_POSE if key in POSE_KEYS and "[" not in body else SHARE
+    if parameter.is_count:
+        return LOOPS
+    if key in LENGTHS:
+        return EXPANSION * best
+    share = SHARE_OF_POSE if _is_pose(parameter) else SHARE_OF_CAUSE if _is_of_cause(body) else SHARE
+    return share * (first.relative_sd * best if isinstance(first, LogNormal) else first.sd)
+
+
+def _is_pose(parameter: Parameter) -> bool:
+    body, _, key = parameter.name.rpartition(".")
+    return key in POSE_KEYS and not _is_of_cause(body)
+
+
+def _is_of_cause(body: str) -> bool:
+    return body.partition("[")[0] in EFFECTS
+
+
+def _entry(first: Prior, centre: float, sd: float) -> dict[str, Any]:
+    """One number in the notation of rig files, in SI."""
     bounds = {key: end for key in ("lower", "upper") if math.isfinite(end := getattr(first, key))}
     if isinstance(first, LogNormal):
-        relative_sd = math.hypot(POSTERIOR_SDS * sd / median, share * first.relative_sd)
-        prior = {"log_normal": {"median": median, "relative_sd": relative_sd, **bounds}}
+        prior = {"log_normal": {"median": centre, "relative_sd": sd / centre, **bounds}}
     else:
-        width = math.hypot(POSTERIOR_SDS * sd, share * first.sd)
-        prior = {"normal": {"mean": median, "sd": width, **bounds}}
-    return {"value": median, "prior": prior}
+        prior = {"normal": {"mean": centre, "sd": sd, **bounds}}
+    return {"value": centre, "prior": prior}
 
 
 def _replace(tree: dict[str, Any], parameter: Parameter, entry: dict[str, Any]) -> None:
