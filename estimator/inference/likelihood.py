@@ -19,6 +19,8 @@ from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
 from estimator.records import Observations
 
+FEW_COORDINATES = 16  # that move the field: their derivatives are taken one by one in no more time
+
 
 class LogPosterior:
     """Log posterior density over coordinates, batched over walkers, starts or hypotheses.
@@ -73,7 +75,9 @@ class LogPosterior:
 
     @cached_property
     def for_slopes(self) -> LogPosterior:
-        """The same density with predictions whose first derivatives are cheap, and whose second ones are missing."""
+        """The same density with predictions whose first derivatives are cheap in many coordinates, and whose second ones are missing."""
+        if int(self.moves_field.sum()) <= FEW_COORDINATES:
+            return self
         other = copy(self)
         other.chain = replace(self.chain, has_cheap_slope=True)
         return other
