@@ -41,9 +41,8 @@ class OnChannel(ClosesItself):
     def _identity(self, deadline: Deadline) -> str:
         """What the instrument says of itself."""
 
-    @abstractmethod
     def _set_up(self, deadline: Deadline) -> None:
-        """Make all settings."""
+        """Make all settings; an instrument that needs none leaves it at this."""
 
     @contextmanager
     def _ready(self, timeout_s: float) -> Iterator[Deadline]:

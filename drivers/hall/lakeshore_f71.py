@@ -14,7 +14,7 @@ from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ascii_text, number, over_range
+from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -25,6 +25,9 @@ SAMPLE_S = 0.01
 """Base of the buffer's clock; a point of the buffer averages a whole number of samples."""
 
 READ_BUFFER = ":FETC:BUFF:DC?;:STAT:OPER:COND?"
+READ_TEMPERATURE = ":FETC:TEMP?"
+"""Of the probe, in degrees Celsius; a probe without a thermometer has no number."""
+
 CLEAR_BUFFER = ":FETC:BUFF:CLE"
 """As in the NICOS driver. A full buffer takes seconds over the serial line, so what nobody wants is not read."""
 
@@ -108,12 +111,19 @@ def decode_buffer(text: str) -> list[BufferPoint]:
 
 
 class LakeShoreF71(HallSensor):
-    """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point."""
+    """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point; its probe is a `Thermometer`."""
 
     def __init__(self, port: Port, *, range_T: float | None = None, n_averaged: int = 1) -> None:
         super().__init__(port)
         self._range_T, self._n_averaged = range_T, n_averaged
         self._last_time_s: float | None = None
+        self._temperatures = ReadingCounter()
+
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """See `Thermometer.read_temperature_K`."""
+        with self._ready(timeout_s) as deadline:
+            (answer,) = self._ask(READ_TEMPERATURE, 1, deadline)
+            return self._temperatures.reading(number(answer, "a temperature of the F71") + ICE_POINT_K)
 
     def _identity(self, deadline: Deadline) -> str:
         return self._ask("*IDN?", 1, deadline)[0]

@@ -14,7 +14,7 @@ from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import over_range
+from drivers.readings import ICE_POINT_K, ReadingCounter, over_range
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -32,7 +32,7 @@ _QUIET_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of the stream, in the units of the instrument."""
+    """One packet of the stream, in the units of the instrument; its temperature is taken to be in degrees Celsius."""
 
     field: Vector
     temperature: float
@@ -90,7 +90,7 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
 
 
 class Senis3MH6(HallSensor):
-    """A `FieldSensor` that streams; a packet lost on the way shows as bytes that fit into no packet."""
+    """A `FieldSensor` and `Thermometer` that streams; a packet lost on the way shows as bytes that fit into no packet."""
 
     def __init__(
         self,
@@ -122,6 +122,17 @@ class Senis3MH6(HallSensor):
         self._full_scale_T, self._tesla_per_unit = full_scale_T, tesla_per_unit
         self._has_streamed = False
         self._rest = b""
+        self._last_packet: Packet | None = None
+        self._temperatures = ReadingCounter()
+
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """See `Thermometer.read_temperature_K`: that of the last packet read; the first call waits for one."""
+        with self._ready(timeout_s) as deadline:
+            while self._last_packet is None:
+                self._receive(deadline)
+            return self._temperatures.reading(
+                self._last_packet.temperature + ICE_POINT_K, host_monotonic_s=self._channel.arrived_s
+            )
 
     def close(self) -> None:
         """See `Device.close`; ends the stream, for one that nobody reads fills the buffers of the port."""
@@ -178,6 +189,8 @@ class Senis3MH6(HallSensor):
         packets, n_skipped, self._rest = split_packets(self._rest + self._channel.read_some(deadline))
         if n_skipped:
             self._counter.note_loss()
+        if packets:
+            self._last_packet = packets[-1]
         return packets
 
     def _reading(self, packet: Packet, arrived_s: float) -> Reading[Vector]:

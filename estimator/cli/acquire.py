@@ -13,7 +13,8 @@ import click
 import torch
 
 from drivers.interlock import sigterm_as_exception
-from drivers.open import DeviceSet, RigLimits, limits_of
+from drivers.limits_section import RigLimits, limits_of
+from drivers.open import DeviceSet
 from estimator.acquire import ANSWER_S, acquire, references_of
 from estimator.cli.acquire_progress import StopReporter, duration
 from estimator.cli.instruments import Bench, devices_option

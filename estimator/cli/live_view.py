@@ -85,6 +85,8 @@ def device_states(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         settled = "settled" if record["is_settled"] else "STILL CHANGING"
         found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}"))
     found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
+    for name, celsius in record.get("temperature_C", {}).items():
+        found.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
     for name, motion in record["motion"].items():
         found.append((name, ", ".join(f"{number:+.4f}" for number in motion)))
     return found

@@ -19,6 +19,7 @@ from estimator.rig import Rig
 from estimator.simulate import perfect_readings
 from estimator.simulated_field import NOT_OF_THE_MOMENT, SimulatedField, flange, simulated_rig
 
+REFERENCE_K = 293.15
 HOME = ((0.3, 0.1, 0.2), (0.4, 2.0, -0.3))
 BASE_FRAME = """\
   arm1:
@@ -42,7 +43,8 @@ def moment_of(rig: Rig, readings: Observations, row: int) -> Snapshot:
         there = flange_to_reach(mover, readings.motion[mover.name][row : row + 1], flange(HOME))
         vector = vector_from_rotation(there.rotation)[0]
         poses.append(FlangePose(tuple(there.translation_m[0].tolist()), tuple(vector.tolist())))
-    return Snapshot(0.0, tuple(readings.current_A[row].tolist()), tuple(poses))
+    coils_K = (REFERENCE_K,) * len(rig.coils)
+    return Snapshot(0.0, tuple(readings.current_A[row].tolist()), tuple(poses), coils_K, REFERENCE_K)
 
 
 def some_readings(rig: Rig) -> Observations:
@@ -117,7 +119,7 @@ def test_noise_has_the_width_of_the_truth_and_comes_back_with_its_seed(small_rig
     real = simulated_rig(small_rig, {"hall.noise_T": 1e-5}, {})
     field = SimulatedField(real, "hall", ("coil1",), {"arm1": HOME}, 7)
     same = pickle.loads(pickle.dumps(field))
-    off = Snapshot(0.0, (0.0,), (FlangePose(*HOME),))
+    off = Snapshot(0.0, (0.0,), (FlangePose(*HOME),), (REFERENCE_K,), REFERENCE_K)
     samples = torch.tensor([field(off) for _ in range(400)])
     assert samples.std() == pytest.approx(1e-5, rel=0.1)
     assert torch.equal(samples, torch.tensor([same(off) for _ in range(400)]))
