@@ -103,6 +103,25 @@ def test_a_hidden_gain_shows_and_a_drift_grows_with_time(small_rig: Rig) -> None
     assert drifting(replace(moment, time_s=7200.0))[0] == pytest.approx(x_T + 2e-5)
 
 
+def test_a_warm_coil_carries_less_and_a_warm_sensor_reads_otherwise(small_rig: Rig) -> None:
+    readings = some_readings(small_rig)
+    moment = moment_of(small_rig, readings, 1)
+    warm = replace(moment, coil_temperatures_K=(REFERENCE_K + 10.0,), room_temperature_K=REFERENCE_K + 2.0)
+    there_T = field_of(small_rig)(moment)
+    assert field_of(small_rig)(warm) == pytest.approx(there_T)
+    heating = field_of(small_rig, {"coil_heating.loss_per_K": 4e-3})
+    assert heating(moment) == pytest.approx(there_T)
+    assert heating(warm) == pytest.approx([0.96 * component_T for component_T in there_T])
+    drifting = field_of(small_rig, {"temperature_drift.gain_per_K": 1e-3})
+    assert drifting(warm) == pytest.approx([1.002 * component_T for component_T in there_T])
+
+
+@pytest.mark.parametrize("quantity", ["loss_per_A2", "tau_h"])
+def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: str) -> None:
+    with pytest.raises(InvalidInput, match="coil_heating.* must be given by loss_per_K in a running rig"):
+        simulated_rig(small_rig, {}, {f"coil_heating[coil1].{quantity}": 1.0})
+
+
 @pytest.mark.parametrize("cause", NOT_OF_THE_MOMENT)
 def test_a_cause_that_no_moment_shows_is_refused(small_rig: Rig, cause: str) -> None:
     with pytest.raises(InvalidInput, match=f"{cause}.* depends on "):
