@@ -109,6 +109,7 @@ class _Live:
         """For the view."""
         return LiveState(
             self._path.name,
+            self._rig.movers,
             int(self._follower.header.get("n_stops", 0)),
             self._records,
             self._n_new,
