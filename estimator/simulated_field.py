@@ -36,7 +36,7 @@ NOT_OF_THE_MOMENT = {
 
 TIME_STEP_S = 1.0  # to which drifts are followed
 TEMPERATURE_STEP_K = 0.05
-REFERENCE_C = 20.0  # at which coils and sensors are what the rig file says
+REFERENCE_C = 22.0  # of the simulated room, in which coils and sensors are what the rig file says
 SPREAD_M = 0.05  # of the poses that stand for a session, where a cause asks for its extent
 
 Flange = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -133,18 +133,16 @@ class SimulatedField:
             reached = motion_reached(self.rig.mover(mover), here, flange(self.homes[mover]), nothing)
             motion[mover] = reached.expand(2, 6)
         time_s = math.floor(moment.time_s / TIME_STEP_S) * TIME_STEP_S
-        there_K = {
-            **dict(zip(self.coils, moment.coil_temperatures_K, strict=True)),
-            self.sensor: moment.room_temperature_K,
-        }
-        # Causes count kelvins from the mean of the session: the first reading is mirrored, so that this is the reference.
-        celsius = {name: t_K - ICE_POINT_K for name, t_K in there_K.items()}
-        temperature_C = {
-            name: torch.tensor([2.0 * REFERENCE_C - now_C, now_C], dtype=torch.float64)
-            for name, now_C in celsius.items()
-        }
         readings = _observations(self.rig, [0.0, time_s], self._index, row_A, motion)
-        return replace(readings, temperature_C=temperature_C)
+        return replace(readings, temperature_C=self._temperature_C(moment))
+
+    def _temperature_C(self, moment: Moment) -> dict[str, torch.Tensor]:
+        """Of both readings; causes count kelvins of coils from the coolest of a session and those of sensors from its mean."""
+        room_C = moment.room_temperature_K - ICE_POINT_K
+        pairs = {self.sensor: (2.0 * REFERENCE_C - room_C, room_C)}
+        for name, coil_K in zip(self.coils, moment.coil_temperatures_K, strict=True):
+            pairs[name] = (REFERENCE_C, max(REFERENCE_C, coil_K - ICE_POINT_K))
+        return {name: torch.tensor(pair, dtype=torch.float64) for name, pair in pairs.items()}
 
 
 def simulated_rig(

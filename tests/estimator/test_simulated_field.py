@@ -19,7 +19,7 @@ from estimator.rig import Rig
 from estimator.simulate import perfect_readings
 from estimator.simulated_field import NOT_OF_THE_MOMENT, SimulatedField, flange, simulated_rig
 
-REFERENCE_K = 293.15
+REFERENCE_K = 295.15
 HOME = ((0.3, 0.1, 0.2), (0.4, 2.0, -0.3))
 BASE_FRAME = """\
   arm1:
