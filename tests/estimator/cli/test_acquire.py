@@ -242,3 +242,5 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "named", found["causes"]
     assert [cause["name"] for cause in found["causes"]] == ["coil_heating"]
+    low, high = found["causes"][0]["parameters"]["loss_per_K"]["ci90"]
+    assert low - 0.001 < 0.004 < high + 0.001
