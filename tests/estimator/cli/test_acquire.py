@@ -117,7 +117,7 @@ def gone_on(run: Run, folder: Path, out: Path) -> Result:
 def is_off(folder: Path) -> bool:
     """Whether no current flows."""
     section = yaml.safe_load((folder / "devices.yaml").read_text())["devices"]
-    with open_devices({"coil1": section["coil1"]}) as devices:
+    with open_devices({name: section[name] for name in ("coil1", "warmth")}) as devices:
         return abs(devices.sources["coil1"].read_current_A(timeout_s=2.0).value) < 1e-3
 
 
