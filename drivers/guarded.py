@@ -9,7 +9,7 @@ from drivers.deadline import Deadline
 from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
 from drivers.interlock import Interlock
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Vector
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Thermometer, Vector
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits, check_current, check_motion, check_temperature
 
 _OFF_S, _STOP_S = 10.0, 3.0
@@ -83,6 +83,16 @@ class GuardedSource(ClosesItself):
         """See `CurrentSource.read_current_A`; trips where the coil is too hot, or by its currents must be."""
         with self._interlock.guard(self._name):
             return self._read(timeout_s)
+
+    @property
+    def has_thermometer(self) -> bool:
+        """Whether the temperature of the coil is checked."""
+        return self._read_temperature_K is not None
+
+    def check_temperature(self) -> None:
+        """Trip where the coil is too hot, or its thermometer fails; sends nothing to the source."""
+        with self._interlock.guard(self._name):
+            self._check_temperature()
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; allowed at any time."""
@@ -187,3 +197,15 @@ class GuardedSensor(ClosesItself):
     def close(self) -> None:
         """See `Device.close`."""
         self._sensor.close()
+
+
+class GuardedThermometer:
+    """A `Thermometer` whose faults bring the rig to rest: a coil that nobody can feel may be burning."""
+
+    def __init__(self, thermometer: Thermometer, interlock: Interlock, *, name: str) -> None:
+        self._thermometer, self._interlock, self._name = thermometer, interlock, name
+
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """See `Thermometer.read_temperature_K`."""
+        with self._interlock.guard(self._name):
+            return self._thermometer.read_temperature_K(timeout_s=timeout_s)

@@ -14,6 +14,8 @@ from drivers.errors import Refused
 
 _LOG = logging.getLogger(__name__)
 
+_LONGEST_ACTION_S = 30.0
+
 
 class Interlock:
     """Joins the devices of a rig; once tripped it refuses every command until it is reset.
@@ -28,18 +30,20 @@ class Interlock:
         self.not_at_rest: list[str] = []
         self._actions: dict[str, Callable[[], None]] = {}
         self._lock = threading.Lock()
+        self._has_acted = threading.Event()
 
     def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
         """Register what brings a device to rest; called from a thread of its own, and more than once if need be."""
         self._actions[name] = bring_to_rest
 
     def require_no_trip(self) -> None:
-        """Refuse a command after a fault.
+        """Refuse a command after a fault, once the rig has been brought to rest: nobody is to get in the way of that.
 
         Raises:
             Refused: The rig has tripped.
         """
         if self.reason is not None:
+            self._has_acted.wait(_LONGEST_ACTION_S)
             raise Refused(
                 f"the rig must be reset before it goes on; it was brought to rest because {self.reason}"
             )
@@ -47,15 +51,20 @@ class Interlock:
     def trip(self, reason: str) -> None:
         """Bring all devices to rest, at the same time, and wait for it; only the first reason is kept."""
         with self._lock:
-            if self.reason is not None:
-                return
-            self.reason = reason
+            is_first = self.reason is None
+            self.reason = self.reason or reason
+        if not is_first:
+            self._has_acted.wait(_LONGEST_ACTION_S)
+            return
         _LOG.error("bringing the rig to rest because %s", reason)
         threads = [threading.Thread(target=self._bring_to_rest, args=item) for item in self._actions.items()]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        try:
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+        finally:
+            self._has_acted.set()
 
     def reset(self) -> None:
         """Allow commands again, after somebody has looked.
@@ -70,6 +79,7 @@ class Interlock:
         if self.not_at_rest:
             raise Refused(f"all devices must be at rest; {'; '.join(self.not_at_rest)}")
         self.reason = None
+        self._has_acted.clear()
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:

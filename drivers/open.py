@@ -8,6 +8,7 @@ conversation takes the place of the instrument; with `record`, one is written. A
       # sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30
       # sensor: senis_3mh6, serial: /dev/ttyUSB0, rate_Hz: 1000, range_number: 1, full_scale_mT: 100
       # sensor: metrolab_thm1176, usbtmc: /dev/usbtmc0, range_mT: 100, averaged_samples: 100
+      # own_temperature: true    # where its probe has a thermometer (F71, 3MH6): it is recorded with each reading
       coil1:
         supply: kepco_bop         # or korad_ka3005p, scpi
         serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025
@@ -18,6 +19,7 @@ conversation takes the place of the instrument; with `record`, one is written. A
         slew_A_per_s: 10
         continuous_A: 3           # more is allowed until the coil is as warm as by this
         thermal_time_constant_min: 5
+        highest_temperature_C: 80    # optional; a thermometer below must feel this coil
       arm1:
         arm: ur3e                 # or ur3
         host: 192.168.0.10
@@ -25,6 +27,7 @@ conversation takes the place of the instrument; with `record`, one is written. A
         workspace_high_mm: [500, 300, 500]
         highest_speed_mm_per_s: 100
         joint_low_deg: [-180, -180, -150, -180, -180, -360]    # with joint_high_deg; both may be left out
+      warmth: {thermometer: lakeshore_224, tcp: 192.168.0.14, inputs: {coil1: A, hall: C1}}    # which input feels what
 """
 
 from __future__ import annotations
@@ -39,17 +42,21 @@ from typing import Any, Literal
 
 from drivers.device import ClosesItself
 from drivers.errors import DriverError, Refused
-from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
+from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
 from drivers.hall import lakeshore_460, lakeshore_f71, metrolab_thm1176, senis_3mh6
 from drivers.interlock import Interlock
-from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm
-from drivers.safety import ArmLimits, CurrentLimits
+from drivers.limits_section import arm_limits, current_limits, limits_of
+from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, TemperatureMonitor, Thermometer
+from drivers.readings import ICE_POINT_K
+from drivers.safety import CurrentLimits
 from drivers.settings import Settings
 from drivers.supplies import korad_ka3005p
 from drivers.supplies.commands import SupplyCommands
 from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
+from drivers.temperature_watch import TemperatureWatch
+from drivers.thermometers import lakeshore_224
 from drivers.transport.port import Port
 from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
@@ -59,9 +66,11 @@ from drivers.transport.usbtmc import UsbtmcPort
 
 SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
 SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
+THERMOMETERS = ("lakeshore_224",)
 ARMS: dict[str, Literal["UR3", "UR3e"]] = {"ur3": "UR3", "ur3e": "UR3e"}
 
 _CONNECT_S = 3.0
+_TEMPERATURE_S = 3.0
 _SCPI_SERIAL = SerialSettings(9600)
 
 
@@ -73,18 +82,27 @@ class DeviceSet(ClosesItself):
         sensors: Magnetometers.
         sources: Supplies, one for each coil.
         arms: Robot arms.
+        monitors: Instruments that measure temperatures only.
+        thermometers: By the coil or sensor that each feels; those of monitors, and of sensors that feel themselves.
         interlock: Joins them: a fault of one brings all to rest.
     """
 
     sensors: dict[str, FieldSensor] = field(default_factory=dict)
     sources: dict[str, CurrentSource] = field(default_factory=dict)
     arms: dict[str, RobotArm] = field(default_factory=dict)
+    monitors: dict[str, TemperatureMonitor] = field(default_factory=dict)
+    thermometers: dict[str, Thermometer] = field(default_factory=dict)
     interlock: Interlock = field(default_factory=Interlock)
 
     @property
     def devices(self) -> dict[str, Device]:
         """All of them."""
-        return {**self.sources, **self.arms, **self.sensors}
+        return {**self.sources, **self.arms, **self.sensors, **self.monitors}
+
+    def temperature_watch(self) -> TemperatureWatch:
+        """Checks the coils that have a highest temperature, all the time in its `with` block."""
+        guarded = [source for source in self.sources.values() if isinstance(source, GuardedSource)]
+        return TemperatureWatch([source.check_temperature for source in guarded if source.has_thermometer])
 
     def close(self) -> None:
         """Close all, even where one fails.
@@ -108,6 +126,7 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
         Refused: The section asks for what there is not.
         DriverError: A device is not there.
     """
+    limits_of(section, place)
     devices = DeviceSet()
     try:
         for name, mapping in section.items():
@@ -118,38 +137,6 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
         devices.close()
         raise
     return devices
-
-
-@dataclass(frozen=True, slots=True)
-class RigLimits:
-    """What the devices of a rig may be asked for, by their names.
-
-    Attributes:
-        currents: Of the coils.
-        slews_A_per_s: Rates at which the supplies ramp.
-        arms: Workspaces and speeds.
-    """
-
-    currents: dict[str, CurrentLimits] = field(default_factory=dict)
-    slews_A_per_s: dict[str, float] = field(default_factory=dict)
-    arms: dict[str, ArmLimits] = field(default_factory=dict)
-
-
-def limits_of(section: Mapping[str, Any], place: str = "devices") -> RigLimits:
-    """Read the limits that stand in a section; no device is touched.
-
-    Raises:
-        Refused: One is missing or impossible.
-    """
-    limits = RigLimits()
-    for name, mapping in section.items():
-        settings = Settings(mapping, f"{place}.{name}")
-        if "supply" in settings:
-            limits.currents[name] = _current_limits(settings)
-            limits.slews_A_per_s[name] = settings.quantity("ramp", "slew", limits.currents[name].slew_A_per_s)
-        elif "arm" in settings:
-            limits.arms[name] = _arm_limits(settings)
-    return limits
 
 
 def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, str]:
@@ -186,18 +173,54 @@ def _one_value(device: Device, timeout_s: float) -> str:
     if isinstance(device, RobotArm):
         pose = device.read_pose(timeout_s=timeout_s).value
         return f"{', '.join(f'{1e3 * value_m:.2f}' for value_m in pose.position_m)} mm"
-    raise Refused(f"a device must be a sensor, a source or an arm; received {device!r}")
+    if isinstance(device, TemperatureMonitor):
+        return ", ".join(
+            f"{place} {thermometer.read_temperature_K(timeout_s=timeout_s).value - ICE_POINT_K:.1f} C"
+            for place, thermometer in device.thermometers.items()
+        )
+    raise Refused(f"a device must be a sensor, a source, an arm or a thermometer; received {device!r}")
 
 
 def _open(name: str, settings: Settings, devices: DeviceSet) -> None:
     if "sensor" in settings:
-        devices.sensors[name] = GuardedSensor(_open_sensor(settings), devices.interlock, name=name)
+        sensor = _open_sensor(settings)
+        devices.sensors[name] = GuardedSensor(sensor, devices.interlock, name=name)
+        if settings.flag("own_temperature"):
+            _add_thermometer(devices, name, sensor, settings)
     elif "supply" in settings:
-        devices.sources[name] = _open_source(name, settings, devices.interlock)
+        devices.sources[name] = _open_source(name, settings, devices)
     elif "arm" in settings:
         devices.arms[name] = _open_arm(name, settings, devices.interlock)
+    elif "thermometer" in settings:
+        devices.monitors[name] = monitor = _open_monitor(settings)
+        for place, thermometer in monitor.thermometers.items():
+            _add_thermometer(devices, place, thermometer, settings)
     else:
-        raise Refused(f"{settings.place} must say what it is: sensor, supply or arm; received none of them")
+        raise Refused(
+            f"{settings.place} must say what it is: sensor, supply, arm or thermometer; received none of them"
+        )
+
+
+def _add_thermometer(devices: DeviceSet, place: str, thermometer: object, settings: Settings) -> None:
+    if not isinstance(thermometer, Thermometer):
+        settings.refuse("own_temperature", "must be left out where the sensor cannot be asked for it")
+    if place in devices.thermometers:
+        raise Refused(
+            f"{settings.place} must not measure the temperature of {place}, which is measured already"
+        )
+    name = f"the thermometer of {place}"
+    devices.thermometers[place] = GuardedThermometer(thermometer, devices.interlock, name=name)
+
+
+def _open_monitor(settings: Settings) -> TemperatureMonitor:
+    settings.choice("thermometer", THERMOMETERS)
+    inputs = settings.texts("inputs")
+    port = _port(settings, lakeshore_224.SERIAL, lakeshore_224.TCP_PORT)()
+    try:
+        return lakeshore_224.LakeShore224(port, inputs)
+    except Refused:
+        port.close()
+        raise
 
 
 def _open_sensor(settings: Settings) -> FieldSensor:
@@ -234,9 +257,9 @@ def _open_sensor(settings: Settings) -> FieldSensor:
     return lakeshore_f71.LakeShoreF71(port, range_T=fixed_range_T, n_averaged=n_averaged)
 
 
-def _open_source(name: str, settings: Settings, interlock: Interlock) -> CurrentSource:
+def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSource:
     kind = settings.choice("supply", SUPPLIES)
-    limits = _current_limits(settings)
+    limits = current_limits(settings)
     tolerance_A = settings.quantity("tolerance", "current")
     compliance_V = settings.quantity("compliance", "voltage")
     slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
@@ -247,8 +270,20 @@ def _open_source(name: str, settings: Settings, interlock: Interlock) -> Current
     source: CurrentSource = (
         make(threading.Event()) if is_replayed else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s)
     )
+
+    def read_temperature_K() -> float:
+        """Asked when it is needed: the section may name the thermometer after the supply."""
+        return devices.thermometers[name].read_temperature_K(timeout_s=_TEMPERATURE_S).value
+
     try:
-        return GuardedSource(source, limits, interlock, name=name, tolerance_A=tolerance_A)
+        return GuardedSource(
+            source,
+            limits,
+            devices.interlock,
+            name=name,
+            tolerance_A=tolerance_A,
+            read_temperature_K=None if limits.highest_temperature_K is None else read_temperature_K,
+        )
     except DriverError:
         source.close()
         raise
@@ -281,35 +316,18 @@ def _make_source(
     return RampedSource(supply, slew_A_per_s=slew_A_per_s, interrupt=interrupt)
 
 
-def _current_limits(settings: Settings) -> CurrentLimits:
-    return CurrentLimits(
-        lowest_A=settings.quantity("lowest", "current", 0.0),
-        highest_A=settings.quantity("highest", "current"),
-        slew_A_per_s=settings.quantity("slew", "slew"),
-        continuous_A=settings.quantity("continuous", "current"),
-        thermal_time_constant_s=settings.quantity("thermal_time_constant", "time"),
-    )
-
-
 def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     # Here, since it needs the compiled ur_rtde only when a rig has an arm.
     from drivers.robots.universal_robot import JOINT_LIMITS_RAD, UniversalRobot
 
     model = ARMS[settings.choice("arm", tuple(ARMS))]
-    limits = _arm_limits(settings)
+    limits = arm_limits(settings)
     joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD
     if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
         low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
         joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
     arm = UniversalRobot(settings.text("host"), model, joint_limits_rad=joint_limits_rad)
     return GuardedArm(arm, limits, interlock, name=name)
-
-
-def _arm_limits(settings: Settings) -> ArmLimits:
-    low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
-    high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
-    speed_m_per_s = settings.quantity("highest_speed", "speed")
-    return ArmLimits((low_x_m, low_y_m, low_z_m), (high_x_m, high_y_m, high_z_m), speed_m_per_s)
 
 
 def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:

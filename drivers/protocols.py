@@ -1,4 +1,4 @@
-"""What a coil rig asks of its instruments: a field sensor, a current source and a robot arm.
+"""What a coil rig asks of its instruments: a field sensor, a current source, a robot arm and thermometers.
 
 Each call is given the time it may take, `timeout_s`, and raises `drivers.errors.DeadlineExceeded` when that
 is over or `DeviceFault` when the device says no; after either, the state of the device is unknown. `Refused` says
@@ -8,6 +8,7 @@ Leaving its `with` block closes it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Flag, auto
 from types import TracebackType
@@ -159,4 +160,23 @@ class RobotArm(Device, Protocol):
 
     def stop(self, *, timeout_s: float) -> None:
         """Brake; returns when the controller reports that the arm stands still."""
+        ...
+
+
+@runtime_checkable
+class Thermometer(Protocol):
+    """What measures the temperature of one coil or sensor; an instrument may be several."""
+
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """The last temperature that was measured; NaN where the instrument has no number."""
+        ...
+
+
+@runtime_checkable
+class TemperatureMonitor(Device, Protocol):
+    """An instrument whose only task is to measure temperatures."""
+
+    @property
+    def thermometers(self) -> Mapping[str, Thermometer]:
+        """By the coil or sensor that each is fixed to."""
         ...

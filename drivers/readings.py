@@ -11,6 +11,9 @@ from drivers.protocols import Reading, ReadingFlag, Vector
 
 Value = TypeVar("Value")
 
+ICE_POINT_K = 273.15
+"""0 degrees Celsius."""
+
 _SCPI_NO_NUMBER = 9e37
 """SCPI-99 section 7.2.1.5 writes infinity as 9.9e37 and not-a-number as 9.91e37."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from drivers.errors import DeviceFault, Refused
 from drivers.protocols import FlangePose, Vector
+from drivers.readings import ICE_POINT_K
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,11 +125,22 @@ def check_temperature(temperature_K: float, limits: CurrentLimits) -> None:
 
     Raises:
         DeviceFault: It is; other than a wish beyond a limit, this does not wait.
+
+    Examples:
+        >>> limits = CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=353.15)
+        >>> check_temperature(354.45, limits)
+        Traceback (most recent call last):
+        ...
+        drivers.errors.DeviceFault: the coil is too hot: coil.temperature_C must be at most 80; it is 81.3
     """
-    if limits.highest_temperature_K is not None and not temperature_K <= limits.highest_temperature_K:
-        raise DeviceFault(
-            f"coil.temperature_K must be at most {limits.highest_temperature_K:g}; it is {temperature_K:.1f}"
-        )
+    if limits.highest_temperature_K is None or temperature_K <= limits.highest_temperature_K:
+        return
+    if math.isnan(temperature_K):
+        raise DeviceFault("the coil must have a thermometer that gives a number; it gives none")
+    raise DeviceFault(
+        f"the coil is too hot: coil.temperature_C must be at most {limits.highest_temperature_K - ICE_POINT_K:g}; "
+        f"it is {temperature_K - ICE_POINT_K:.1f}"
+    )
 
 
 def check_motion(start: FlangePose, target: FlangePose, speed_m_per_s: float, limits: ArmLimits) -> None:

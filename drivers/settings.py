@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from drivers.errors import Refused
+from drivers.readings import ICE_POINT_K
 
 _UNITS: dict[str, dict[str, float]] = {
     "field": {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "G": 1e-4},
@@ -18,7 +19,9 @@ _UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
     "angle": {"rad": 1.0, "deg": math.pi / 180},
     "frequency": {"Hz": 1.0},
+    "temperature": {"C": 1.0},
 }
+_ZEROS = {"temperature": ICE_POINT_K}
 
 
 class Settings:
@@ -76,6 +79,22 @@ class Settings:
             self.refuse(key, "must be a whole number")
         return value
 
+    def flag(self, key: str) -> bool:
+        """Yes or no; no where it is not given."""
+        if key not in self._mapping:
+            return False
+        value = self.value(key)
+        if not isinstance(value, bool):
+            self.refuse(key, "must be true or false")
+        return value
+
+    def texts(self, key: str) -> dict[str, str]:
+        """A text for each of some names, at least one."""
+        value = self.value(key)
+        if not isinstance(value, Mapping) or not value:
+            self.refuse(key, "must hold a text for each name")
+        return {str(name): str(text) for name, text in value.items()}
+
     def has_quantity(self, quantity: str, dimension: str) -> bool:
         """Whether it is there, in any unit."""
         return any(f"{quantity}_{unit}" in self._mapping for unit in _UNITS[dimension])
@@ -85,7 +104,7 @@ class Settings:
         if default is not None and not self.has_quantity(quantity, dimension):
             return default
         key, factor = self._key(quantity, dimension)
-        return factor * self._number(key, self.value(key))
+        return _ZEROS.get(dimension, 0.0) + factor * self._number(key, self.value(key))
 
     def quantities(self, quantity: str, dimension: str, length: int) -> tuple[float, ...]:
         """So many numbers with one unit, in SI."""

@@ -18,7 +18,16 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, ReadingFlag, RobotArm, Vector
+from drivers.protocols import (
+    CurrentSource,
+    FieldSensor,
+    FlangePose,
+    Reading,
+    ReadingFlag,
+    RobotArm,
+    Thermometer,
+    Vector,
+)
 from estimator.clocks import DeviceClock
 from estimator.errors import InvalidInput
 from estimator.frames import Transform, vector_from_rotation
@@ -28,6 +37,7 @@ from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.store.growing import StopRecord
 from estimator.store.journal import Journal
+from estimator.units import ICE_POINT_K
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,6 +58,7 @@ class Instruments(Protocol):
     sensors: dict[str, FieldSensor]
     sources: dict[str, CurrentSource]
     arms: dict[str, RobotArm]
+    thermometers: dict[str, Thermometer]
 
 
 @dataclass(frozen=True)
@@ -148,7 +159,7 @@ class _Visit:
         time.sleep(self._pace.settle_s)
 
     def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
-        """Average the field, then look where the arms and the currents are."""
+        """Average the field, then look where the arms and the currents are, and how warm it is."""
         averages = {name: self._average(name) for name in self._instruments.sensors}
         taken_s = fmean(time_s for _, _, _, time_s in averages.values())
         motion = {}
@@ -172,6 +183,10 @@ class _Visit:
             self._pace.n_readings,
             all(is_settled for _, _, is_settled, _ in averages.values()),
             {name: clock.delay_s for name, clock in self._clocks.items()},
+            {
+                name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
+                for name, thermometer in self._instruments.thermometers.items()
+            },
         )
 
     def return_home(self) -> None:

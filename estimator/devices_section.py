@@ -1,7 +1,7 @@
 """The `devices` section of a rig file: which instrument stands behind which sensor, coil and mover.
 
 It is kept as plain data, since only the command line opens instruments (`drivers.open` says what an entry holds). What the section
-must get right for the rig is checked here: a device bears the name of what it serves.
+must get right for the rig is checked here: a device bears the name of what it serves, and a thermometer says what it feels.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from estimator.yaml_section import Section
 
 DEVICES = "devices"
 KINDS = {"sensor": "sensors", "supply": "coils", "arm": "movers"}
+THERMOMETER = "thermometer"
 JOINT_ARMS = {MotionKind.UR3: "ur3", MotionKind.UR3E: "ur3e"}
 
 DeviceSettings: TypeAlias = Mapping[str, Mapping[str, Any]]
@@ -74,12 +75,16 @@ def without_devices(text: str) -> str:
 
 def _device(section: Section, name: str, rig: Rig) -> Mapping[str, Any]:
     settings = section.section(name)
-    found = [kind for kind in KINDS if kind in settings]
+    kinds = (*KINDS, THERMOMETER)
+    found = [kind for kind in kinds if kind in settings]
     if len(found) != 1:
         section.refuse(
-            name, f"must be one of {', '.join(KINDS)}, as in 'supply: scpi'", " and ".join(found) or "none"
+            name, f"must be one of {', '.join(kinds)}, as in 'supply: scpi'", " and ".join(found) or "none"
         )
     kind = found[0]
+    if kind == THERMOMETER:
+        _check_felt(settings, rig)
+        return {key: settings.value(key) for key in settings}
     served: Sequence[Any] = getattr(rig, KINDS[kind])
     names = [thing.name for thing in served]
     if name not in names:
@@ -88,6 +93,14 @@ def _device(section: Section, name: str, rig: Rig) -> Mapping[str, Any]:
     if kind == "arm":
         _check_arm(settings, rig.mover(name))
     return {key: settings.value(key) for key in settings}
+
+
+def _check_felt(settings: Section, rig: Rig) -> None:
+    names = [thing.name for thing in (*rig.coils, *rig.sensors)]
+    inputs = settings.section("inputs")
+    for place in inputs:
+        if place not in names:
+            inputs.refuse(place, f"must be the name of a coil or sensor ({', '.join(names)})", repr(place))
 
 
 def _check_arm(settings: Section, mover: Mover) -> None:

@@ -15,28 +15,28 @@ import torch
 
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.robot import Backlash, PositionLag, SensorBumped
-from estimator.effects.sensor import TemperatureDrift
 from estimator.effects.supply import CoilHeating
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.hide import cause_of, with_hidden
+from estimator.hide import cause_of, full_names, with_hidden
 from estimator.motion import motion_reached
 from estimator.records import Observations
 from estimator.rig import DisplacementFrame, MotionKind, Mover, Rig
 from estimator.simulate import perfect_readings
+from estimator.units import ICE_POINT_K
 
 NOT_OF_THE_MOMENT = {
-    CoilHeating.name: "which currents flowed before",
     PositionLag.name: "where the mover came from",
     Backlash.name: "where the mover came from",
     SensorBumped.name: "when it happened in a session that has not begun",
-    TemperatureDrift.name: "a thermometer, and simulators have none",
     Outliers.name: "the noise, which simulators make themselves",
     PositionJitter.name: "the noise, which simulators make themselves",
 }
 """Causes that the field of a moment cannot show, and what they depend on; `coilcal simulate` hides them."""
 
 TIME_STEP_S = 1.0  # to which drifts are followed
+TEMPERATURE_STEP_K = 0.05
+REFERENCE_C = 22.0  # of the simulated room, in which coils and sensors are what the rig file says
 SPREAD_M = 0.05  # of the poses that stand for a session, where a cause asks for its extent
 
 Flange = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -69,6 +69,16 @@ class Moment(Protocol):
         """Of each arm."""
         ...
 
+    @property
+    def coil_temperatures_K(self) -> tuple[float, ...]:
+        """Of each coil that has a supply."""
+        ...
+
+    @property
+    def room_temperature_K(self) -> float:
+        """Of all else."""
+        ...
+
 
 @dataclass
 class SimulatedField:
@@ -96,7 +106,11 @@ class SimulatedField:
 
     def __call__(self, moment: Moment) -> tuple[float, float, float]:
         """Field in tesla; zero where the sensor is driven into a winding, which no formula knows."""
-        key = (math.floor(moment.time_s / TIME_STEP_S), moment.currents_A, moment.base_from_flange)
+        steps = [
+            round(t_K / TEMPERATURE_STEP_K)
+            for t_K in (*moment.coil_temperatures_K, moment.room_temperature_K)
+        ]
+        key = (math.floor(moment.time_s / TIME_STEP_S), moment.currents_A, moment.base_from_flange, *steps)
         if self._last is None or self._last[0] != key:
             self._last = (key, self._perfect_T(moment))
         x_T, y_T, z_T = (self._last[1].numpy() + self._rng.normal(size=3) * self._noise_T).tolist()
@@ -119,7 +133,16 @@ class SimulatedField:
             reached = motion_reached(self.rig.mover(mover), here, flange(self.homes[mover]), nothing)
             motion[mover] = reached.expand(2, 6)
         time_s = math.floor(moment.time_s / TIME_STEP_S) * TIME_STEP_S
-        return _observations(self.rig, [0.0, time_s], self._index, row_A, motion)
+        readings = _observations(self.rig, [0.0, time_s], self._index, row_A, motion)
+        return replace(readings, temperature_C=self._temperature_C(moment))
+
+    def _temperature_C(self, moment: Moment) -> dict[str, torch.Tensor]:
+        """Of both readings; causes count kelvins of coils from the coolest of a session and those of sensors from its mean."""
+        room_C = moment.room_temperature_K - ICE_POINT_K
+        pairs = {self.sensor: (2.0 * REFERENCE_C - room_C, room_C)}
+        for name, coil_K in zip(self.coils, moment.coil_temperatures_K, strict=True):
+            pairs[name] = (REFERENCE_C, max(REFERENCE_C, coil_K - ICE_POINT_K))
+        return {name: torch.tensor(pair, dtype=torch.float64) for name, pair in pairs.items()}
 
 
 def simulated_rig(
@@ -146,6 +169,12 @@ def simulated_rig(
             raise InvalidInput(
                 f"a cause hidden in a running rig must show in the field of a moment; {cause.label} depends on "
                 f"{NOT_OF_THE_MOMENT[cause.name]} (coilcal simulate can hide it)"
+            )
+        if cause.name == CoilHeating.name and not next(iter(full_names(rig, {text: 0.0}))).endswith(
+            ".loss_per_K"
+        ):
+            raise InvalidInput(
+                f"{cause.label} must be given by loss_per_K in a running rig, whose coils warm up by themselves; received {text!r}"
             )
     # A world knows poses, so movers report these: by the kinematics of the model, joint angles would say the same.
     real = replace(real, movers=tuple(_reporting_poses(mover) for mover in real.movers))

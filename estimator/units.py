@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MU0_T_M_PER_A = 1.25663706212e-6
+ICE_POINT_K = 273.15
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 
 from drivers.deadline import Deadline
-from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
+from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, Vector
-from drivers.readings import ReadingCounter, ascii_text, number, over_range
-from drivers.transport.channel import Channel
+from drivers.readings import ascii_text, number, over_range
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -81,51 +80,37 @@ def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
     return x_T, y_T, z_T
 
 
-class LakeShore460(ClosesItself):
-    """A `FieldSensor` in one fixed range."""
+class LakeShore460(HallSensor):
+    """A `FieldSensor` in one fixed range.
+
+    It keeps nothing and does not say when it measured: a new reading is there an update after the last, and a fresh one after two, for
+    the first may hold an old field.
+    """
 
     def __init__(self, port: Port, *, range_T: float, update_s: float = UPDATE_S) -> None:
-        self._channel = Channel(port)
+        super().__init__(port)
         self._range = choose_range(range_T)
         self._update_s = update_s
         self._tesla_per_unit: Vector = (math.nan, math.nan, math.nan)
-        self._set_up_at_fault = -1
-        self._counter = ReadingCounter()
 
-    def identify(self, *, timeout_s: float) -> str:
-        """See `Device.identify`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            return self._ask("*IDN?", deadline)
+    def _identity(self, deadline: Deadline) -> str:
+        return self._ask("*IDN?", deadline)
 
-    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
-        """See `FieldSensor.read_field_T`; takes two updates of the instrument, for the first may hold an old field."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            return self._read(2 * self._update_s, deadline)
+    def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
+        return self._read(2 * self._update_s, deadline)
 
-    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
-        """See `FieldSensor.read_new_T`; the instrument keeps nothing, so it is one reading, an update later."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            return [self._read(self._update_s, deadline)]
-
-    def close(self) -> None:
-        """See `Device.close`."""
-        self._channel.close()
+    def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:
+        return [self._read(self._update_s, deadline)]
 
     def _read(self, wait_s: float, deadline: Deadline) -> Reading[Vector]:
-        if self._set_up_at_fault != self._channel.n_faults:
-            self._tesla_per_unit = self._set_up(deadline)
-            self._set_up_at_fault = self._channel.n_faults
         deadline.sleep(wait_s, "460 must have measured")
         field_T = decode_fields(self._ask("ALLF?", deadline), self._tesla_per_unit)
         return self._counter.reading(field_T, over_range(field_T))
 
-    def _set_up(self, deadline: Deadline) -> Vector:
+    def _set_up(self, deadline: Deadline) -> None:
         self._tell("UNIT T", deadline)
         x, y, z = (self._set_up_channel(name, deadline) for name in "XYZ")
-        return x, y, z
+        self._tesla_per_unit = (x, y, z)
 
     def _set_up_channel(self, name: str, deadline: Deadline) -> float:
         for command in (f"CHNL {name}", "ACDC 0", "AUTO 0", f"RANGE {self._range}"):

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from drivers.deadline import Deadline
-from drivers.device import ClosesItself
 from drivers.errors import DeviceFault
+from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ReadingCounter, ascii_text, number, over_range
-from drivers.transport.channel import Channel
+from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -26,6 +25,9 @@ SAMPLE_S = 0.01
 """Base of the buffer's clock; a point of the buffer averages a whole number of samples."""
 
 READ_BUFFER = ":FETC:BUFF:DC?;:STAT:OPER:COND?"
+READ_TEMPERATURE = ":FETC:TEMP?"
+"""Of the probe, in degrees Celsius; a probe without a thermometer has no number."""
+
 CLEAR_BUFFER = ":FETC:BUFF:CLE"
 """As in the NICOS driver. A full buffer takes seconds over the serial line, so what nobody wants is not read."""
 
@@ -108,51 +110,39 @@ def decode_buffer(text: str) -> list[BufferPoint]:
     return points
 
 
-class LakeShoreF71(ClosesItself):
-    """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point."""
+class LakeShoreF71(HallSensor):
+    """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point; its probe is a `Thermometer`."""
 
     def __init__(self, port: Port, *, range_T: float | None = None, n_averaged: int = 1) -> None:
-        self._channel = Channel(port)
+        super().__init__(port)
         self._range_T, self._n_averaged = range_T, n_averaged
-        self._set_up_at_fault = -1
-        self._counter = ReadingCounter()
         self._last_time_s: float | None = None
+        self._temperatures = ReadingCounter()
 
-    def identify(self, *, timeout_s: float) -> str:
-        """See `Device.identify`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            return self._ask("*IDN?", 1, deadline)[0]
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """See `Thermometer.read_temperature_K`."""
+        with self._ready(timeout_s) as deadline:
+            (answer,) = self._ask(READ_TEMPERATURE, 1, deadline)
+            return self._temperatures.reading(number(answer, "a temperature of the F71") + ICE_POINT_K)
 
-    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
-        """See `FieldSensor.read_field_T`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            self._set_up(deadline)
-            self._ask(CLEAR_BUFFER, 0, deadline)
-            self._last_time_s = None  # what is thrown away is not lost
-            self._wait(deadline)  # the first was begun before the call
-            points, overload = self._wait(deadline)
-            return self._reading(points[-1], overload, time.monotonic())
-
-    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
-        """See `FieldSensor.read_new_T`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            self._set_up(deadline)
-            points, overload = self._wait(deadline)
-            arrived_s = time.monotonic()
-            return [self._reading(point, overload, arrived_s) for point in points]
-
-    def close(self) -> None:
-        """See `Device.close`."""
-        self._channel.close()
+    def _identity(self, deadline: Deadline) -> str:
+        return self._ask("*IDN?", 1, deadline)[0]
 
     def _set_up(self, deadline: Deadline) -> None:
-        if self._set_up_at_fault != self._channel.n_faults:
-            self._ask(encode_setup(self._range_T, self._n_averaged), 0, deadline)
-            self._ask(CLEAR_BUFFER, 0, deadline)
-            self._set_up_at_fault = self._channel.n_faults
+        self._ask(encode_setup(self._range_T, self._n_averaged), 0, deadline)
+        self._ask(CLEAR_BUFFER, 0, deadline)
+
+    def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
+        self._ask(CLEAR_BUFFER, 0, deadline)
+        self._last_time_s = None  # what is thrown away is not lost
+        self._wait(deadline)  # the first was begun before the call
+        points, overload = self._wait(deadline)
+        return self._reading(points[-1], overload, time.monotonic())
+
+    def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:
+        points, overload = self._wait(deadline)
+        arrived_s = time.monotonic()
+        return [self._reading(point, overload, arrived_s) for point in points]
 
     def _wait(self, deadline: Deadline) -> tuple[list[BufferPoint], ReadingFlag]:
         while not (fetched := self._fetch(deadline))[0]:

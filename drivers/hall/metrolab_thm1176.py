@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.deadline import Deadline
-from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
+from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ReadingCounter, ascii_text, number
-from drivers.transport.channel import Channel
+from drivers.readings import ascii_text, number
 from drivers.transport.port import Port
 
 RANGES_T = (0.1, 0.3, 1.0, 3.0)
@@ -91,56 +90,35 @@ def decode_acquisition(line: str) -> Acquisition:
     return Acquisition((x_T, y_T, z_T), nanoseconds * 1e-9, number(parts[4], "status of the THM1176") != 0)
 
 
-class MetrolabTHM1176(ClosesItself):
+class MetrolabTHM1176(HallSensor):
     """A `FieldSensor` that measures when it is asked; it keeps nothing between."""
 
     def __init__(self, port: Port, *, range_T: float, n_averaged: int = 100) -> None:
-        """Nothing is sent before the first call.
+        """Choose its settings.
 
         Args:
             port: Connection to the probe.
             range_T: Largest field to expect.
             n_averaged: Samples of each axis in a reading; one alone scatters by 0.5 mT.
         """
-        self._channel = Channel(port)
+        super().__init__(port)
         self._range_T, self._n_averaged = choose_range_T(range_T), n_averaged
-        self._set_up_at_fault = -1
-        self._counter = ReadingCounter()
 
-    def identify(self, *, timeout_s: float) -> str:
-        """See `Device.identify`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            return self._ask("*IDN?", deadline)
-
-    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
-        """See `FieldSensor.read_field_T`."""
-        deadline = Deadline.after(timeout_s)
-        with self._channel.exchange(deadline):
-            self._set_up(deadline)
-            acquisition = decode_acquisition(self._ask(MEASURE, deadline))
-            flags = self._read_errors(deadline) if acquisition.has_errors else ReadingFlag.NONE
-            return self._counter.reading(acquisition.field_T, flags, device_time_s=acquisition.device_time_s)
-
-    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
-        """See `FieldSensor.read_new_T`; always one reading, begun with the call."""
-        return [self.read_field_T(timeout_s=timeout_s)]
-
-    def close(self) -> None:
-        """See `Device.close`."""
-        self._channel.close()
+    def _identity(self, deadline: Deadline) -> str:
+        return self._ask("*IDN?", deadline)
 
     def _set_up(self, deadline: Deadline) -> None:
-        if self._set_up_at_fault == self._channel.n_faults:
-            return
-        if (
-            number(
-                self._ask(encode_setup(self._range_T, self._n_averaged), deadline), "status of the THM1176"
-            )
-            != 0
-        ):
+        status = self._ask(encode_setup(self._range_T, self._n_averaged), deadline)
+        if number(status, "status of the THM1176") != 0:
             self._read_errors(deadline)
-        self._set_up_at_fault = self._channel.n_faults
+
+    def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
+        acquisition = decode_acquisition(self._ask(MEASURE, deadline))
+        flags = self._read_errors(deadline) if acquisition.has_errors else ReadingFlag.NONE
+        return self._counter.reading(acquisition.field_T, flags, device_time_s=acquisition.device_time_s)
+
+    def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:
+        return [self._read_fresh(deadline)]
 
     def _read_errors(self, deadline: Deadline) -> ReadingFlag:
         """Empty the queue of errors; those that belong to a reading become its flags."""

@@ -8,16 +8,13 @@ By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from drivers.deadline import Deadline
-from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
+from drivers.hall.sensor import HallSensor
 from drivers.protocols import Reading, ReadingFlag, Vector
-from drivers.readings import ReadingCounter, over_range
-from drivers.transport.channel import Channel
+from drivers.readings import ICE_POINT_K, ReadingCounter, over_range
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -35,7 +32,7 @@ _QUIET_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of the stream, in the units of the instrument."""
+    """One packet of the stream, in the units of the instrument; its temperature is taken to be in degrees Celsius."""
 
     field: Vector
     temperature: float
@@ -92,8 +89,8 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
         raise DeviceFault(f"3MH6 must confirm rate code {code:02X}; received {answer!r}")
 
 
-class Senis3MH6(ClosesItself):
-    """A `FieldSensor` that streams; a packet lost on the way shows as bytes that fit into no packet."""
+class Senis3MH6(HallSensor):
+    """A `FieldSensor` and `Thermometer` that streams; a packet lost on the way shows as bytes that fit into no packet."""
 
     def __init__(
         self,
@@ -104,7 +101,7 @@ class Senis3MH6(ClosesItself):
         full_scale_T: float,
         tesla_per_unit: float = 1e-3,
     ) -> None:
-        """Nothing is sent before the first call.
+        """Choose its settings.
 
         Args:
             port: Connection to the instrument.
@@ -120,79 +117,49 @@ class Senis3MH6(ClosesItself):
             )
         if range_number not in {1, 2, 3, 4}:
             raise Refused(f"sensor.range_number must be 1, 2, 3 or 4; received {range_number}")
-        self._channel = Channel(port, quieten=b"S")
+        super().__init__(port, quieten=b"S")
         self._rate_Hz, self._range_number = rate_Hz, range_number
         self._full_scale_T, self._tesla_per_unit = full_scale_T, tesla_per_unit
-        self._is_streaming = False
+        self._has_streamed = False
         self._rest = b""
-        self._counter = ReadingCounter()
+        self._last_packet: Packet | None = None
+        self._temperatures = ReadingCounter()
 
-    def identify(self, *, timeout_s: float) -> str:
-        """See `Device.identify`; the instrument can only say what it is set to."""
-        deadline = Deadline.after(timeout_s)
-        with self._exchange(deadline):
-            self._set_up(deadline)
-        return f"Senis, 3MH6, range {self._range_number}, {self._rate_Hz} Hz"
-
-    def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
-        """See `FieldSensor.read_field_T`."""
-        deadline = Deadline.after(timeout_s)
-        with self._exchange(deadline):
-            self._start(deadline)
-            _, _, self._rest = split_packets(self._rest + self._channel.take_arrived(deadline))
-            n_passed = 0
-            while True:
-                for packet in self._receive(deadline):
-                    n_passed += 1
-                    if n_passed > 1:  # the first was begun before the call
-                        return self._reading(packet, self._channel.arrived_s)
-
-    def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
-        """See `FieldSensor.read_new_T`."""
-        deadline = Deadline.after(timeout_s)
-        with self._exchange(deadline):
-            self._start(deadline)
-            readings: list[Reading[Vector]] = []
-            while not readings or (self._channel.has_arrived() and not deadline.is_over):
-                # Each piece of the stream with the time of its own arrival.
-                packets = self._receive(deadline)
-                readings += [self._reading(packet, self._channel.arrived_s) for packet in packets]
-            return readings
+    def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
+        """See `Thermometer.read_temperature_K`: that of the last packet read; the first call waits for one."""
+        with self._ready(timeout_s) as deadline:
+            while self._last_packet is None:
+                self._receive(deadline)
+            return self._temperatures.reading(
+                self._last_packet.temperature + ICE_POINT_K, host_monotonic_s=self._channel.arrived_s
+            )
 
     def close(self) -> None:
         """See `Device.close`; ends the stream, for one that nobody reads fills the buffers of the port."""
         deadline = Deadline.after(0.5)
         try:
-            if self._is_streaming:
-                self._is_streaming = False
+            if self._is_set_up:
+                self._forget_set_up()
                 with self._channel.exchange(deadline):
                     self._channel.send(b"S", deadline)
         finally:
             self._channel.close()
 
-    @contextmanager
-    def _exchange(self, deadline: Deadline) -> Iterator[None]:
-        try:
-            with self._channel.exchange(deadline):
-                yield
-        except BaseException:
-            # The channel ends the stream before it goes on.
-            if self._is_streaming:
-                self._counter.note_loss()
-            self._is_streaming, self._rest = False, b""
-            raise
-
-    def _start(self, deadline: Deadline) -> None:
-        if not self._is_streaming:
-            self._set_up(deadline)
-            self._channel.send(b"B", deadline)
-            self._is_streaming, self._rest = True, b""
+    def _identity(self, deadline: Deadline) -> str:
+        """The instrument can only say what it is set to, and has to be silent for that."""
+        self._forget_set_up()
+        self._choose_range_and_rate(deadline)
+        return f"Senis, 3MH6, range {self._range_number}, {self._rate_Hz} Hz"
 
     def _set_up(self, deadline: Deadline) -> None:
-        """Range and rate of a silent instrument; ends a stream."""
-        if self._is_streaming:
-            self._is_streaming = False
+        """Begin the stream; what passed since an earlier one ended is lost."""
+        self._choose_range_and_rate(deadline)
+        self._channel.send(b"B", deadline)
+        if self._has_streamed:
             self._counter.note_loss()
+        self._has_streamed, self._rest = True, b""
+
+    def _choose_range_and_rate(self, deadline: Deadline) -> None:
         code = RATE_CODES[self._rate_Hz]
         self._channel.send(b"S", deadline)
         for command in (b"C", b"mr%d" % self._range_number):
@@ -201,10 +168,29 @@ class Senis3MH6(ClosesItself):
         self._channel.send(b"K%02X" % code, deadline)
         decode_rate_answer(self._channel.read_until_silent(_QUIET_S, deadline), code)
 
+    def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
+        _, _, self._rest = split_packets(self._rest + self._channel.take_arrived(deadline))
+        n_passed = 0
+        while True:
+            for packet in self._receive(deadline):
+                n_passed += 1
+                if n_passed > 1:  # the first was begun before the call
+                    return self._reading(packet, self._channel.arrived_s)
+
+    def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:
+        readings: list[Reading[Vector]] = []
+        while not readings or (self._channel.has_arrived() and not deadline.is_over):
+            # Each piece of the stream with the time of its own arrival.
+            packets = self._receive(deadline)
+            readings += [self._reading(packet, self._channel.arrived_s) for packet in packets]
+        return readings
+
     def _receive(self, deadline: Deadline) -> list[Packet]:
         packets, n_skipped, self._rest = split_packets(self._rest + self._channel.read_some(deadline))
         if n_skipped:
             self._counter.note_loss()
+        if packets:
+            self._last_packet = packets[-1]
         return packets
 
     def _reading(self, packet: Packet, arrived_s: float) -> Reading[Vector]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.priority import run_ahead
 from drivers.protocols import FlangePose
 from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
@@ -60,6 +61,7 @@ class UrMotion:
             joint_limits_rad: Lowest and highest angle of each joint.
             interrupt: Set when the motion that is going on should end.
         """
+        run_ahead()  # before ur_rtde starts its threads, which inherit it
         import rtde_control  # type: ignore[import-not-found]  # compiled, without types
 
         self.is_lost = False

@@ -11,11 +11,13 @@ from drivers.hall import lakeshore_460, senis_3mh6
 from drivers.hall.lakeshore_f71 import SAMPLE_S
 from drivers.hall.senis_3mh6 import Packet, encode_packet
 from drivers.protocols import Vector
+from drivers.readings import ICE_POINT_K
 from drivers.simulated.scpi import ScpiError, ScpiInterpreter
-from drivers.simulated.world import FieldFunction, World
+from drivers.simulated.world import FieldFunction, Snapshot, World
 
 _BUFFER_POINTS = 1000
-_CHIP_C = 25.0
+_CHIP_WARMTH_K = 3.0
+"""By which a probe is warmer than the room."""
 
 
 class SimulatedF71:
@@ -32,7 +34,7 @@ class SimulatedF71:
             {
                 "*IDN?": lambda _: "LSCI,F71,LSA0001/LSA0002,1.6.2019101001",
                 "FETC:DC?": self._fetch,
-                "FETC:TEMP?": lambda _: f"{_CHIP_C:.3f}",
+                "FETC:TEMP?": lambda _: f"{_chip_C(world.snapshot()):.3f}",
                 "FETC:BUFF:CLE": lambda _: self._points.clear(),
                 "FETC:BUFF:DC?": lambda _: self._fetch_buffer(),
                 "STAT:OPER:COND?": lambda _: str(2 * self._is_overload),
@@ -188,8 +190,9 @@ class SimulatedSenis:
         self._n_sent = int((time.monotonic() - self._begin_s) * self._rate_Hz)
         if self._n_sent == n_before:
             return b""
-        x_T, y_T, z_T = self._field(self._world.snapshot())
-        packet = Packet((1e3 * x_T, 1e3 * y_T, 1e3 * z_T), _CHIP_C)
+        now = self._world.snapshot()
+        x_T, y_T, z_T = self._field(now)
+        packet = Packet((1e3 * x_T, 1e3 * y_T, 1e3 * z_T), _chip_C(now))
         # The real ones carry no count; here the bytes without a known meaning do, so that tests see a loss.
         counts = range(n_before, self._n_sent)
         return b"".join(encode_packet(packet, count.to_bytes(7, "big")) for count in counts)
@@ -209,3 +212,7 @@ class SimulatedSenis:
             self._rate_Hz = self._rates_Hz.get(code, self._rate_Hz)
             return bytes([0x4B, code])
         return b""
+
+
+def _chip_C(now: Snapshot) -> float:
+    return now.room_temperature_K + _CHIP_WARMTH_K - ICE_POINT_K

@@ -23,7 +23,8 @@ from drivers.simulated.world import SPAWN
 _TICK_S = 0.002
 _START_S = 30.0
 _SLOW_S = 0.01
-_HANDSHAKE_S = 0.2
+_HANDSHAKE_S = 10.0
+"""USB makes an instrument wait for its host, which may pause for seconds; who reads nothing for longer is gone."""
 
 
 class Simulator(ClosesItself):

@@ -8,11 +8,13 @@ from typing import Any
 
 from drivers.device import ClosesItself
 from drivers.errors import Refused
+from drivers.limits_section import thermometer_inputs
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
 from drivers.simulated.instrument import Instrument
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, FieldFunction, World
@@ -92,7 +94,13 @@ class SimulatedRig(ClosesItself):
     def _instrument(
         self, name: str, settings: Mapping[str, Any], fields: Mapping[str, FieldFunction], sources: list[str]
     ) -> Callable[[], Instrument]:
-        kind = settings.get("sensor") or settings.get("supply")
+        kind = settings.get("sensor") or settings.get("supply") or settings.get("thermometer")
+        if kind == "lakeshore_224":
+            inputs = thermometer_inputs(settings)
+            felt = {
+                plug: sources.index(place) if place in sources else None for place, plug in inputs.items()
+            }
+            return partial(Simulated224, self.world, felt)
         if kind in _SENSORS:
             if name not in fields:
                 raise Refused(

@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Protocol
 
 from drivers.errors import DeviceFault
+from drivers.priority import run_ahead
 from drivers.robots import rtde
 from drivers.robots.rtde import Package, PackageType, Recipe
 from drivers.simulated.faults import Fault, FaultSwitch
@@ -185,6 +186,7 @@ def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitc
         ready: Told the address.
     """
     exit_with_parent()
+    run_ahead()  # as the real-time thread of a real one
     controller = UrController(world, arm, version=version, serial_number=f"2019530000{arm + 1}")
     server = _UrServer(controller, host)
     ready.send(host)

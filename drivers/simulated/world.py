@@ -22,7 +22,10 @@ SPAWN: SpawnContext = multiprocessing.get_context("spawn")
 
 ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-_COIL_CELLS = 3
+ROOM_K, ROOM_SWING_K, ROOM_PERIOD_S = 295.15, 1.0, 1200.0
+"""Temperature of a room whose air conditioning goes on and off."""
+
+_COIL_CELLS = 4
 _MOTION_CELLS = 14
 
 
@@ -34,11 +37,15 @@ class Snapshot:
         time_s: Since the world began.
         currents_A: In each coil.
         base_from_flange: Pose of each arm's flange, in the frame of its own base.
+        coil_temperatures_K: Of each coil.
+        room_temperature_K: Of all else.
     """
 
     time_s: float
     currents_A: tuple[float, ...]
     base_from_flange: tuple[FlangePose, ...]
+    coil_temperatures_K: tuple[float, ...]
+    room_temperature_K: float
 
 
 FieldFunction: TypeAlias = Callable[[Snapshot], Vector]
@@ -47,24 +54,39 @@ FieldFunction: TypeAlias = Callable[[Snapshot], Vector]
 
 @dataclass(frozen=True, slots=True)
 class CoilCircuit:
-    """What a supply feels of a coil.
+    """What a supply feels of a coil, and how it warms up by its losses.
 
     Attributes:
         resistance_ohm: With the leads.
         inductance_H: Zero lets the current follow at once.
+        kelvin_per_W: By which it is warmer than the room in the end.
+        thermal_time_constant_s: After which 63 % of that are reached.
     """
 
     resistance_ohm: float
     inductance_H: float
+    kelvin_per_W: float = 1.0
+    thermal_time_constant_s: float = 300.0
 
     @property
     def time_constant_s(self) -> float:
         """L / R."""
         return self.inductance_H / self.resistance_ohm
 
+    def warmth_K(self, warmth_K: float, current_A: float, elapsed_s: float) -> float:
+        """How much warmer than the room it is when a current has flowed for a while; one heat capacity, one way out.
+
+        Examples:
+            >>> CoilCircuit(2.0, 0.0, kelvin_per_W=1.0, thermal_time_constant_s=100.0).warmth_K(0.0, 3.0, 100.0)
+            11.378
+        """
+        in_the_end_K = self.kelvin_per_W * self.resistance_ohm * current_A**2
+        left = math.exp(-elapsed_s / self.thermal_time_constant_s)
+        return in_the_end_K + (warmth_K - in_the_end_K) * left
+
 
 class World:
-    """Currents of the coils and poses of the flanges.
+    """Currents and temperatures of the coils and poses of the flanges.
 
     Examples:
         >>> world = World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
@@ -74,7 +96,7 @@ class World:
     """
 
     def __init__(self, circuits: Sequence[CoilCircuit], homes: Sequence[FlangePose] = (ORIGIN,)) -> None:
-        """All currents are zero, and each flange is at its home."""
+        """All currents are zero, all coils as warm as the room, and each flange is at its home."""
         self.circuits = tuple(circuits)
         self._n_arms = len(homes)
         self._start_s = time.monotonic()
@@ -89,14 +111,17 @@ class World:
         with self._cells:
             currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
             poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
-            return Snapshot(now_s - self._start_s, currents_A, poses)
+            warmth_K = [self._warmth_K(coil, now_s) for coil in range(len(self.circuits))]
+        time_s = now_s - self._start_s
+        room_K = ROOM_K + ROOM_SWING_K * math.sin(2.0 * math.pi * time_s / ROOM_PERIOD_S)
+        return Snapshot(time_s, currents_A, poses, tuple(room_K + own_K for own_K in warmth_K), room_K)
 
     def drive(self, coil: int, current_A: float) -> None:
         """Let the current of a coil approach a value, with the time constant of its circuit."""
         now_s = time.monotonic()
         with self._cells:
-            present_A = self._current_A(coil, now_s)
-            self._cells[_COIL_CELLS * coil : _COIL_CELLS * (coil + 1)] = [present_A, current_A, now_s]
+            present_A, warmth_K = self._current_A(coil, now_s), self._warmth_K(coil, now_s)
+            self._cells[self._coil(coil)] = [present_A, current_A, now_s, warmth_K]
 
     def move(self, arm: int, target: FlangePose, duration_s: float) -> None:
         """Send a flange from where it is to another pose."""
@@ -116,10 +141,15 @@ class World:
         return bool(time.monotonic() < begin_s + duration_s)
 
     def _current_A(self, coil: int, now_s: float) -> float:
-        first_A, target_A, begin_s = self._cells[_COIL_CELLS * coil : _COIL_CELLS * (coil + 1)]
+        first_A, target_A, begin_s, _ = self._cells[self._coil(coil)]
         time_constant_s = self.circuits[coil].time_constant_s
         left = math.exp(-(now_s - begin_s) / time_constant_s) if time_constant_s > 0 else 0.0
         return float(target_A + (first_A - target_A) * left)
+
+    def _warmth_K(self, coil: int, now_s: float) -> float:
+        """By the current that was asked for: it is there in milliseconds, and the heat takes minutes."""
+        _, target_A, begin_s, warmth_K = self._cells[self._coil(coil)]
+        return self.circuits[coil].warmth_K(warmth_K, target_A, now_s - begin_s)
 
     def _pose(self, arm: int, now_s: float) -> FlangePose:
         cells = self._cells[self._motion(arm)]
@@ -135,6 +165,9 @@ class World:
             *target.rotation_vector_rad,
         )
         self._cells[self._motion(arm)] = [*poses, time.monotonic(), duration_s]
+
+    def _coil(self, coil: int) -> slice:
+        return slice(_COIL_CELLS * coil, _COIL_CELLS * (coil + 1))
 
     def _motion(self, arm: int) -> slice:
         first = self._first_motion + _MOTION_CELLS * arm

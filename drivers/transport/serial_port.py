@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import termios
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import serial
@@ -49,19 +51,20 @@ class SerialPort:
         """
         self.name = device
         self.arrived_s = time.monotonic()
+        has_parity = not _is_pseudo_terminal(device)
         try:
             # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to have them set.
             self._serial = serial.Serial(
                 device,
                 settings.baud,
-                bytesize=settings.data_bits,
-                parity=settings.parity,
+                bytesize=settings.data_bits if has_parity else 8,
+                parity=settings.parity if has_parity else "N",
                 rtscts=settings.has_rts_cts,
                 timeout=_WAKE_S,
                 write_timeout=_WRITE_S,
                 exclusive=True,
             )
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             raise DeviceFault(f"{device} must open as a serial port; {error}") from error
 
     def send(self, data: bytes, deadline: Deadline) -> None:
@@ -104,3 +107,8 @@ class SerialPort:
 
     def _lost(self, error: Exception) -> DeviceFault:
         return DeviceFault(f"{self.name} must stay connected; {error}")
+
+
+def _is_pseudo_terminal(device: str) -> bool:
+    """Whether it has whole bytes only: the first wish for parity is ignored there, and the second one refused."""
+    return Path(device).resolve().parent == Path("/dev/pts")

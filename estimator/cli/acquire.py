@@ -13,9 +13,10 @@ import click
 import torch
 
 from drivers.interlock import sigterm_as_exception
-from drivers.open import DeviceSet, RigLimits, limits_of
+from drivers.limits_section import RigLimits, limits_of
+from drivers.open import DeviceSet
 from estimator.acquire import ANSWER_S, acquire, references_of
-from estimator.cli.acquire_progress import StopReporter, duration
+from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench, devices_option
 from estimator.cli.output import (
     explain_errors,
@@ -26,6 +27,7 @@ from estimator.cli.output import (
     show,
 )
 from estimator.cli.plan_limits import check_currents, check_ways
+from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
@@ -235,8 +237,7 @@ def _plan_text(task: _Task) -> str:
     for number, stop in enumerate(record["stops"][:MOST_SHOWN], start=1):
         currents = ", ".join(f"{name} {current_A:g} A" for name, current_A in stop["current_A"].items())
         places = "; ".join(
-            f"{mover.name} {', '.join(f'{value:.4g}' for value in stop[mover.name])}"
-            for mover in task.bench.rig.movers
+            f"{mover.name} {place(mover, stop[mover.name])}" for mover in task.bench.rig.movers
         )
         lines.append(f"  {number:4} after {duration(stop['begin_s']):>10}: {currents}; {places}")
     if len(task.stops) > MOST_SHOWN:

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from estimator.acquire import Progress
+from estimator.cli.words import duration
 
 LINE_EVERY_S = 5.0
 
@@ -60,21 +61,6 @@ class StopReporter:
         if now_s - self._said_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
             click.echo(f"stop {progress.n_done} of {progress.n_stops}, {left}", err=True)
             self._said_s = now_s
-
-
-def duration(time_s: float) -> str:
-    """A time in words.
-
-    Examples:
-        >>> duration(42.4), duration(125.0), duration(7300.0)
-        ('42 s', '2 min 5 s', '2 h 1 min')
-    """
-    whole_s = round(time_s)
-    if whole_s < 60:
-        return f"{whole_s} s"
-    if whole_s < 3600:
-        return f"{whole_s // 60} min {whole_s % 60} s"
-    return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"
 
 
 def _shown(field_T: Sequence[float]) -> str:

@@ -10,6 +10,7 @@ from estimator.calibration import write_text
 from estimator.cli.output import explain_errors, json_option, overwrite_option, refuse_existing, show
 from estimator.config import load_rig
 from estimator.design import Design, design
+from estimator.plots.style import shown
 from estimator.store.session import load_session
 
 MOST_PRINTED = 8
@@ -72,18 +73,23 @@ def design_command(
         "reached": list(found.reached),
         "plan": None if out is None else str(out),
     }
-    show(result, _text(found, out, shrink is not None), as_json)
+    show(result, _text(found, out, shrink), as_json)
 
 
-def _text(found: Design, out: Path | None, is_shrinking: bool) -> str:
+def _text(found: Design, out: Path | None, shrink: str | None) -> str:
     lines = [f"goal: {found.goal}"]
-    what = "standard deviation" if is_shrinking else "expected log evidence (3 is 20 to 1)"
-    lines.append(f"{what} of the readings so far: {found.so_far:.3g}")
+    unit = shown([shrink])[shrink] if shrink else None
+    what = "standard deviation" if shrink else "expected log evidence (3 is 20 to 1)"
+
+    def in_unit(value: float) -> str:
+        return f"{value:.3g}" if unit is None else f"{unit.factor * value:.3g} {unit.unit}".rstrip()
+
+    lines.append(f"{what} of the readings so far: {in_unit(found.so_far)}")
     if found.actions:
         lines.append("with a programme of readings added:")
         lines += [
             f"  {one.expected_log_evidence:8.1f}  {one.action.words}" for one in found.actions[:MOST_PRINTED]
         ]
-    lines.append(f"with the {len(found.reached)} chosen stops added: {found.reached[-1]:.3g}")
+    lines.append(f"with the {len(found.reached)} chosen stops added: {in_unit(found.reached[-1])}")
     lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
     return "\n".join(lines)

@@ -13,6 +13,7 @@ from drivers.interlock import sigterm_as_exception
 from drivers.open import check_device
 from estimator.cli.instruments import Bench, devices_option, fault_of
 from estimator.cli.output import EXIT_DEVICE, explain_errors, json_option, show
+from estimator.devices_section import KINDS, THERMOMETER
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,7 @@ def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, a
 
 def _checked(bench: Bench, name: str, timeout_s: float) -> Checked:
     """Each device alone, so that one that is missing does not keep the others from answering."""
-    kind = next(
-        str(bench.devices[name][key]) for key in ("sensor", "supply", "arm") if key in bench.devices[name]
-    )
+    kind = next(str(bench.devices[name][key]) for key in (*KINDS, THERMOMETER) if key in bench.devices[name])
     try:
         with bench.open(name) as opened:
             return Checked(name, kind, *check_device(opened.devices[name], timeout_s=timeout_s))

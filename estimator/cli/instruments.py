@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.limits_section import thermometer_inputs
 from drivers.open import DeviceSet, open_devices
 from estimator.config import load_rig
 from estimator.devices_section import DeviceSettings, load_devices, place_of
@@ -59,19 +60,22 @@ class Bench:
         return cls(rig, devices, path)
 
     def open(self, *names: str) -> DeviceSet:
-        """Open the devices of these names, or all.
+        """Open the devices of these names, with the thermometers that feel them, or all.
 
         Raises:
             Refused: A setting breaks a rule; the message ends with its file and line.
             DriverError: A device is not there.
         """
-        chosen = {name: self.devices[name] for name in names or self.devices}
+        felt = [
+            name for name, one in self.devices.items() if not set(names).isdisjoint(thermometer_inputs(one))
+        ]
+        chosen = {name: self.devices[name] for name in ((*names, *felt) if names else self.devices)}
         with self.located():
             return open_devices(chosen)
 
     @contextmanager
     def opened(self) -> Iterator[DeviceSet]:
-        """All devices for a block, closed after it.
+        """All devices for a block in which the temperatures of the coils are watched; closed after it.
 
         Raises:
             DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest.
@@ -79,7 +83,7 @@ class Bench:
         devices = self.open()
         interlock = devices.interlock
         try:
-            with devices:
+            with devices, devices.temperature_watch():
                 yield devices
         except DriverError as error:
             if interlock.reason is None:

@@ -30,9 +30,9 @@ POLL_S = 0.01
     "--wait",
     "wait_s",
     type=click.FloatRange(min=0.0),
-    default=60.0,
+    default=3600.0,
     show_default=True,
-    help="Seconds to wait for a session that is not there yet.",
+    help="Seconds to wait for a session that is not there yet; Ctrl-C ends it.",
 )
 @click.option(
     "--refresh/--no-refresh",
@@ -109,6 +109,7 @@ class _Live:
         """For the view."""
         return LiveState(
             self._path.name,
+            self._rig.movers,
             int(self._follower.header.get("n_stops", 0)),
             self._records,
             self._n_new,
@@ -155,5 +156,7 @@ class _Live:
 
 def _wait_for(path: Path, wait_s: float) -> None:
     deadline_s = time.monotonic() + wait_s
+    if not (path / JOURNAL).exists() and wait_s > 0.0:
+        click.echo(f"coilcal: waiting for {path}, which coilcal acquire begins", err=True)
     while not (path / JOURNAL).exists() and time.monotonic() < deadline_s:
         time.sleep(POLL_S)

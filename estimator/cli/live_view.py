@@ -17,9 +17,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from estimator.cli.words import place
 from estimator.diagnosis.watch import Alarm
 from estimator.plots.style import shown, to_digit_of, with_sd
 from estimator.refresh import Refreshed
+from estimator.rig import Mover
 from estimator.stream import Estimate
 
 LINE_EVERY_S = 5.0
@@ -33,6 +35,7 @@ class LiveState:
 
     Attributes:
         name: Of the session.
+        movers: Of its rig.
         n_stops: In the plan; 0 where nobody knows.
         records: Stops so far, as the journal holds them.
         n_new: Stops that the last update took in; more than one where they came faster than it could follow.
@@ -44,6 +47,7 @@ class LiveState:
     """
 
     name: str
+    movers: Sequence[Mover]
     n_stops: int
     records: Sequence[Mapping[str, Any]]
     n_new: int
@@ -76,7 +80,7 @@ class LiveState:
         return f"{words}; residuals are off since reading {min(lasting)}" if lasting else words
 
 
-def device_states(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
     """Each instrument and what it last said."""
     found = []
     for name, field_T in record["field_T"].items():
@@ -85,8 +89,9 @@ def device_states(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         settled = "settled" if record["is_settled"] else "STILL CHANGING"
         found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}"))
     found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
-    for name, motion in record["motion"].items():
-        found.append((name, ", ".join(f"{number:+.4f}" for number in motion)))
+    for name, celsius in record.get("temperature_C", {}).items():
+        found.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
+    found += [(mover.name, place(mover, record["motion"][mover.name])) for mover in movers]
     return found
 
 
@@ -96,7 +101,7 @@ def screen(state: LiveState) -> RenderableType:
     parts: list[RenderableType] = [Text(f"{state.name}  {state.progress}", style="bold")]
     if state.records:
         devices = Table(box=None, show_header=False, padding=(0, 2))
-        for name, words in device_states(state.records[-1]):
+        for name, words in device_states(state.records[-1], state.movers):
             devices.add_row(Text(name), Text(words))
         parts.append(Panel(devices, title="instruments", title_align="left"))
     if state.estimate is not None:

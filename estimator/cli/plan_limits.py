@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from drivers.errors import Refused
-from drivers.open import RigLimits
+from drivers.limits_section import RigLimits
 from drivers.protocols import FlangePose
 from drivers.safety import CoilLoad, check_current, check_motion
 from estimator.frames import Transform, vector_from_rotation

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import yaml
 
 from drivers.errors import DriverError
 from drivers.interlock import sigterm_as_exception
+from drivers.limits_section import limits_of
 from drivers.protocols import FlangePose
 from drivers.settings import Settings
 from drivers.simulated.rig import SimulatedRig
@@ -37,7 +39,7 @@ POSTURE_RAD = tuple(math.radians(angle) for angle in (0, -90, -90, 0, 90, 0))
 MIDDLE_M, HALF_M = (0.25, 0.0, 0.25), 0.15
 WATCH_S = 0.5
 
-SENSOR: Mapping[str, Any] = {"sensor": "lakeshore_f71", "range_mT": 350}
+SENSOR: Mapping[str, Any] = {"sensor": "lakeshore_f71", "range_mT": 350, "own_temperature": True}
 SUPPLY: Mapping[str, Any] = {
     "supply": "kepco_bop",
     "compliance_V": 20,
@@ -47,7 +49,9 @@ SUPPLY: Mapping[str, Any] = {
     "slew_A_per_s": 20,
     "continuous_A": 5,
     "thermal_time_constant_min": 5,
+    "highest_temperature_C": 80,
 }
+INPUTS = ("A", "B", *(f"C{i}" for i in range(1, 6)), *(f"D{i}" for i in range(1, 6)))
 
 
 @click.command("rig-simulator")
@@ -88,7 +92,7 @@ def rig_simulator_command(
     """Run a simulator for each device of RIG until Ctrl-C, and print the devices section that opens them.
 
     All share one world, whose field is that of the model. A rig without devices gets a Lake Shore F71 for each sensor, a Kepco BOP for
-    each coil and an arm for each mover.
+    each coil, an arm for each mover and a Lake Shore 224 that feels the coils. Coils warm up by their losses.
     """
     if out is not None:
         refuse_existing(out, overwrite)
@@ -121,7 +125,9 @@ def default_devices(rig: Rig) -> DeviceSettings:
             "highest_speed_mm_per_s": 250,
         }
     sensors, supplies = {s.name: SENSOR for s in rig.sensors}, {c.name: SUPPLY for c in rig.coils}
-    return {**sensors, **supplies, **arms}
+    felt = dict(zip(supplies, INPUTS, strict=False))
+    warmth = {"warmth": {"thermometer": "lakeshore_224", "inputs": felt}} if felt else {}
+    return {**sensors, **supplies, **arms, **warmth}
 
 
 def _started(section: DeviceSettings, rig: Rig, real: Rig, seed: int) -> SimulatedRig:
@@ -143,7 +149,10 @@ def _started(section: DeviceSettings, rig: Rig, real: Rig, seed: int) -> Simulat
                 name: SimulatedField(real, name, coils, homes, seed + number)
                 for number, name in enumerate(sensors)
             },
-            circuits=[CIRCUIT] * len(coils),
+            circuits=[
+                replace(CIRCUIT, thermal_time_constant_s=limits.thermal_time_constant_s)
+                for limits in limits_of(section).currents.values()
+            ],
             homes=[FlangePose(*home) for home in homes.values()],
             first_host=address,
         )

@@ -106,6 +106,15 @@ class Scene:
         mean = known.mean() if len(known) else torch.tensor(0.0, dtype=torch.float64)
         return torch.nan_to_num(celsius - mean)
 
+    def warming_K(self, place: str) -> Float[Tensor, " reading"] | None:
+        """Temperature of a coil or sensor above the coolest of the session; None without a thermometer."""
+        kelvin = self.temperature_K(place)
+        if kelvin is None:
+            return None
+        celsius = self.observations.history.temperature_C[place]
+        known = celsius[~torch.isnan(celsius)]
+        return kelvin + (known.mean() - known.min()) if len(known) else kelvin
+
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Translation of the mover from the last other place to this one; zero before it first moved."""
         here = self._poses(mover).translation_m

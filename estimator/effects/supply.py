@@ -73,7 +73,10 @@ class CurrentOffset(_OneCoilCurrent):
 
 
 class CoilHeating(_OneCoilCurrent):
-    """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit)."""
+    """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit).
+
+    While cold, at the coolest of the session, it carries what was commanded: whole loop counts leave no room for another reference.
+    """
 
     name: ClassVar[str] = "coil_heating"
     words: ClassVar[str] = "the current sags while the coil warms up by its own losses"
@@ -99,7 +102,7 @@ class CoilHeating(_OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         loss = theta["loss_per_A2"][..., None] * scene.heat_A2(coil, theta["tau_h"])
-        kelvin = scene.temperature_K(scene.rig.coils[coil].name)
+        kelvin = scene.warming_K(scene.rig.coils[coil].name)
         if kelvin is not None:
             loss = loss + theta["loss_per_K"][..., None] * kelvin
         return current_A * (1.0 - loss)

@@ -38,6 +38,7 @@ class StopRecord:
         n_readings: That were averaged.
         is_settled: Whether the field had come to rest.
         delay_s: How late the readings of instruments with clocks of their own arrive.
+        temperature_C: Of each coil and sensor that has a thermometer; NaN where that gave no number.
     """
 
     time_s: float
@@ -51,12 +52,16 @@ class StopRecord:
     n_readings: int = 1
     is_settled: bool = True
     delay_s: Mapping[str, float] = field(default_factory=dict)
+    temperature_C: Mapping[str, float] = field(default_factory=dict)
 
     def record(self) -> Record:
         """For the journal."""
         return {
             **asdict(self),
             **{key: {n: _nulls(v) for n, v in getattr(self, key).items()} for key in ("field_T", "sd_T")},
+            "temperature_C": dict(
+                zip(self.temperature_C, _nulls(list(self.temperature_C.values())), strict=True)
+            ),
         }
 
 
@@ -95,6 +100,9 @@ def observations_of(records: Sequence[Mapping[str, Any]], rig: Rig) -> Observati
         shape = (len(rows), width) if width else (len(rows),)
         return torch.tensor(values, dtype=torch.float64).reshape(shape)
 
+    # Journals of earlier versions know of no temperatures, and a thermometer may have been added while a session was interrupted.
+    warmth = [one.get("temperature_C", {}) for one, _ in rows]
+    felt = sorted({name for one in warmth for name in one})
     fields = [_numbers(one["field_T"][rig.sensors[i].name]) for one, i in rows]
     return Observations(
         column([one["time_s"] for one, _ in rows]),
@@ -104,7 +112,7 @@ def observations_of(records: Sequence[Mapping[str, Any]], rig: Rig) -> Observati
         column(fields, 3),
         torch.tensor([one["is_validation"] for one, _ in rows], dtype=torch.bool),
         torch.tensor([one["repeat"] for one, _ in rows], dtype=torch.int64),
-        {},
+        {name: column(_numbers([one.get(name) for one in warmth])) for name in felt},
     )
 
 

@@ -8,11 +8,11 @@ import time
 import pytest
 
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
-from drivers.protocols import CurrentSource, FieldSensor, ReadingFlag
+from drivers.protocols import CurrentSource, FieldSensor, ReadingFlag, TemperatureMonitor, Thermometer
 from drivers.simulated.faults import Fault
 from tests.drivers import rig
 from tests.drivers.fields import PER_AMPERE_T, ROOM_T
-from tests.drivers.rig import SENSORS, SOURCES
+from tests.drivers.rig import DEVICES, MONITORS, SENSORS, SOURCES
 
 world, started = rig.world, rig.started
 
@@ -20,6 +20,7 @@ TIMEOUT_S = 3.0
 
 sensors = pytest.mark.parametrize("kind", SENSORS)
 sources = pytest.mark.parametrize("kind", SOURCES)
+monitors = pytest.mark.parametrize("kind", MONITORS)
 answer_faults = pytest.mark.parametrize("fault", [Fault.MUTE, Fault.STALL, Fault.PARTIAL])
 
 
@@ -115,9 +116,9 @@ def test_answers_in_pieces_are_put_together(kind, started, world):
     assert field_T[2] == pytest.approx(ROOM_T[2] + PER_AMPERE_T, abs=1e-8)
 
 
-@pytest.mark.parametrize("kind", {**SENSORS, **SOURCES})
+@pytest.mark.parametrize("kind", DEVICES)
 def test_a_lost_connection_is_a_fault_that_names_the_port(kind, started):
-    simulator, device = started({**SENSORS, **SOURCES}[kind])
+    simulator, device = started(DEVICES[kind])
     device.identify(timeout_s=TIMEOUT_S)
     simulator.faults.fault = Fault.DROP
     with pytest.raises(DeviceFault, match="must stay connected") as caught:  # noqa: PT012
@@ -130,9 +131,9 @@ def test_a_lost_connection_is_a_fault_that_names_the_port(kind, started):
     device.close()
 
 
-@pytest.mark.parametrize("kind", {**SENSORS, **SOURCES})
+@pytest.mark.parametrize("kind", DEVICES)
 def test_a_device_identifies_itself(kind, started):
-    _, device = started({**SENSORS, **SOURCES}[kind])
+    _, device = started(DEVICES[kind])
     with device:
         text = device.identify(timeout_s=TIMEOUT_S)
     maker = {
@@ -143,6 +144,51 @@ def test_a_device_identifies_itself(kind, started):
         "thm1176": "Metrolab",
     }
     assert text.startswith(maker.get(kind, "LSCI"))
+
+
+@pytest.mark.parametrize("kind", ["f71_tcp", "3mh6"])
+def test_a_sensor_with_a_thermometer_loses_no_field_by_being_asked_for_it(kind, started, world):
+    _, sensor = started(SENSORS[kind])
+    with sensor:
+        assert isinstance(sensor, Thermometer)
+        warmth_K = [sensor.read_temperature_K(timeout_s=TIMEOUT_S).value]
+        readings = sensor.read_new_T(timeout_s=TIMEOUT_S)
+        for _ in range(5):
+            warmth_K.append(sensor.read_temperature_K(timeout_s=TIMEOUT_S).value)
+            readings += sensor.read_new_T(timeout_s=TIMEOUT_S)
+    assert warmth_K == pytest.approx([world.snapshot().room_temperature_K + 3.0] * 6, abs=0.01)
+    assert not any(ReadingFlag.DROPPED in reading.flags for reading in readings)
+
+
+@monitors
+def test_a_monitor_feels_the_coil_and_the_room(kind, started, world):
+    world.circuits = (type(world.circuits[0])(2.0, 0.0, kelvin_per_W=5.0, thermal_time_constant_s=0.01),)
+    _, monitor = started(MONITORS[kind])
+    with monitor:
+        assert isinstance(monitor, TemperatureMonitor)
+        coil, hall = (monitor.thermometers[name] for name in ("coil1", "hall"))
+        assert coil.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(295.15, abs=0.2)
+        world.drive(0, 2.0)
+        time.sleep(0.1)
+        assert coil.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(335.15, abs=0.2)
+        assert hall.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(295.15, abs=0.2)
+
+
+@monitors
+@pytest.mark.parametrize("fault", [Fault.MUTE, Fault.STALL, Fault.PARTIAL, Fault.GARBAGE])
+def test_a_monitor_that_does_not_answer_says_so_and_works_again_after(kind, fault, started):
+    simulator, monitor = started(MONITORS[kind])
+    with monitor:
+        coil = monitor.thermometers["coil1"]
+        coil.read_temperature_K(timeout_s=TIMEOUT_S)
+        simulator.faults.fault = fault
+        begin_s = time.monotonic()
+        with pytest.raises(DriverError):  # noqa: PT012
+            for _ in range(20):  # what was asked just before the fault may still be answered
+                coil.read_temperature_K(timeout_s=0.8)
+        assert time.monotonic() - begin_s < 2.0
+        simulator.faults.fault = Fault.NONE
+        assert coil.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(295.15, abs=0.2)
 
 
 @sources

@@ -18,12 +18,15 @@ from drivers.hall.senis_3mh6 import Senis3MH6
 from drivers.simulated.hall import Simulated460, SimulatedF71, SimulatedSenis
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
+from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.world import CoilCircuit, World
 from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
 from drivers.supplies.korad_ka3005p import KoradKA3005P
 from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
+from drivers.thermometers.lakeshore_224 import SERIAL as SERIAL_224
+from drivers.thermometers.lakeshore_224 import LakeShore224
 from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
@@ -96,6 +99,20 @@ SOURCES = {
     ),
 }
 
+
+MONITORS = {
+    "224_serial": (
+        "serial",
+        lambda world: partial(Simulated224, world, {"A": 0, "C1": None}),
+        lambda address: LakeShore224(SerialPort(address, SERIAL_224), {"coil1": "A", "hall": "C1"}),
+    ),
+    "224_tcp": (
+        "tcp",
+        lambda world: partial(Simulated224, world, {"A": 0, "C1": None}),
+        lambda address: LakeShore224(tcp(address), {"coil1": "A", "hall": "C1"}),
+    ),
+}
+DEVICES = {**SENSORS, **SOURCES, **MONITORS}
 
 _addresses = itertools.count(1)
 

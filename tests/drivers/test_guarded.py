@@ -10,10 +10,11 @@ import time
 import pytest
 
 from drivers.errors import DeviceFault, Refused
-from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource
+from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
 from drivers.interlock import Interlock, sigterm_as_exception
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, RobotArm
 from drivers.safety import ArmLimits, CurrentLimits
+from drivers.temperature_watch import TemperatureWatch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
 LIMITS = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=10.0)
@@ -101,9 +102,63 @@ def test_a_coil_that_gets_too_hot_trips_while_it_is_read():
     rig = Rig(limits, lambda: temperature_K[0])
     rig.use()
     temperature_K[0] = 351.0
-    with pytest.raises(DeviceFault, match="at most 350; it is 351"):
+    with pytest.raises(DeviceFault, match="too hot: coil.temperature_C must be at most 76.85; it is 77.9"):
         rig.source.read_current_A(timeout_s=1.0)
     assert rig.is_at_rest
+
+
+def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits_until_all_is_at_rest():
+    temperature_K = [300.0]
+    rig = Rig(
+        CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=350.0), lambda: temperature_K[0]
+    )
+    rig.use()
+    slow = rig.memory_source.output_off
+
+    def off(*, timeout_s):
+        time.sleep(0.3)
+        slow(timeout_s=timeout_s)
+
+    rig.memory_source.output_off = off
+    with TemperatureWatch([rig.source.check_temperature], every_s=0.02):
+        time.sleep(0.1)
+        assert rig.interlock.reason is None
+        temperature_K[0] = 351.0
+        with pytest.raises(Refused, match="must be reset.*because coil1 failed: the coil is too hot"):  # noqa: PT012
+            for _ in range(200):
+                rig.sensor.read_field_T(timeout_s=1.0)
+                time.sleep(0.01)
+        assert rig.is_at_rest
+    assert rig.interlock.not_at_rest == []
+
+
+def test_a_second_fault_waits_until_the_first_has_brought_all_to_rest():
+    rig = Rig()
+    rig.use()
+    slow = rig.memory_source.output_off
+    rig.memory_source.output_off = lambda **given: (time.sleep(0.3), slow(**given))
+    first = threading.Thread(target=rig.interlock.trip, args=("of the first",))
+    first.start()
+    time.sleep(0.05)
+    rig.interlock.trip("of the second")
+    assert rig.is_at_rest
+    assert rig.interlock.reason == "of the first"
+    first.join()
+
+
+def test_a_thermometer_that_fails_brings_all_to_rest():
+    class Broken:
+        def read_temperature_K(self, *, timeout_s):
+            raise DeviceFault("the cable is out")
+
+    rig = Rig()
+    rig.use()
+    with pytest.raises(DeviceFault, match="the cable is out"):
+        GuardedThermometer(Broken(), rig.interlock, name="the thermometer of coil1").read_temperature_K(
+            timeout_s=1.0
+        )
+    assert rig.is_at_rest
+    assert rig.interlock.reason == "the thermometer of coil1 failed: the cable is out"
 
 
 def test_a_coil_that_carries_too_much_for_too_long_trips():

@@ -16,6 +16,7 @@ from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import simulated_kepco
+from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
@@ -104,6 +105,28 @@ def test_what_is_recorded_opens_as_a_device_that_replays_it(section, tmp_path):
     assert [reading.device_time_s for reading in replayed] == [reading.device_time_s for reading in readings]
 
 
+def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, world):
+    with Simulator.on_serial_line(partial(Simulated224, world, {"B": 0})) as monitor:
+        section["hall"]["own_temperature"] = True
+        section["coil1"]["highest_temperature_C"] = 21.5
+        section["warmth"] = {
+            "thermometer": "lakeshore_224",
+            "inputs": {"coil1": "B"},
+            "serial": monitor.address,
+        }
+        with open_devices(section) as devices:
+            assert sorted(devices.thermometers) == ["coil1", "hall"]
+            assert devices.thermometers["hall"].read_temperature_K(timeout_s=2.0).value == pytest.approx(
+                298.15, abs=0.2
+            )
+            with pytest.raises(
+                DeviceFault, match=r"too hot: coil.temperature_C must be at most 21.5; it is 22."
+            ):
+                devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
+            assert check_devices(devices)["warmth"].startswith("LSCI,MODEL224,LSA224A/LSA224B,1.0: coil1 22.")
+        assert world.snapshot().currents_A == (0.0,)
+
+
 BAD = {
     "of no kind": ({"serial": "x"}, "must say what it is"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
@@ -115,6 +138,11 @@ BAD = {
     "without limit": ({key: value for key, value in SUPPLY.items() if key != "continuous_A"} | {"serial": "x"}, "continuous_A"),
     "without workspace": ({"arm": "ur3", "host": "x", "highest_speed_m_per_s": 1}, "workspace_low_m must be given"),
     "not there": ({**SUPPLY, "serial": "/dev/no_such_port"}, "no_such_port must open"),
+    "hot without thermometer": ({**SUPPLY, "highest_temperature_C": 80, "serial": "x"}, "highest_temperature_C must have a thermometer with an input for bad; there is none"),
+    "without inputs": ({"thermometer": "lakeshore_224", "serial": "x"}, "inputs must be given"),
+    "with an input that there is not": ({"thermometer": "lakeshore_224", "serial": "x", "inputs": ["A"]}, "must hold a text for each name"),
+    "with a flag that is none": ({**SENSOR, "own_temperature": "yes", "replay": "/dev/null"}, "own_temperature must be true or false"),
+    "that cannot feel itself": ({"sensor": "lakeshore_460", "range_mT": 30, "own_temperature": True, "replay": "/dev/null"}, "own_temperature must be left out"),
     "no mapping": ("f71", "must hold keys and values"),
 }  # fmt: skip
 
@@ -137,6 +165,7 @@ def test_the_section_in_the_docstring_is_understood():
     text = textwrap.dedent(drivers.open.__doc__.partition("reads\n\n")[2])
     section = yaml.safe_load(text)["devices"]
     del section["arm1"]["joint_low_deg"]  # stands without the other in the text
+    warmth = {"warmth": {**section["warmth"], **LOCAL["warmth"]}}
     for name, settings in section.items():
         with pytest.raises(DeviceFault):
             open_devices(
@@ -144,7 +173,13 @@ def test_the_section_in_the_docstring_is_understood():
                     name: {**settings, **({"tcp": "127.0.0.1", "port": 1} if name == "hall" else {})}
                     | LOCAL[name]
                 }
+                | warmth
             )
 
 
-LOCAL = {"hall": {}, "coil1": {"serial": "/dev/no_such_port"}, "arm1": {"host": "127.0.0.1"}}
+LOCAL = {
+    "hall": {},
+    "coil1": {"serial": "/dev/no_such_port"},
+    "arm1": {"host": "127.0.0.1"},
+    "warmth": {"tcp": "127.0.0.1", "port": 1},
+}

@@ -23,7 +23,7 @@ from estimator.pace import Pace, check_instruments, digest_of, durations_s, stop
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.rig import Rig
-from estimator.store.growing import new_header
+from estimator.store.growing import StopRecord, new_header, observations_of
 from estimator.store.journal import Journal, read_journal
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
@@ -58,6 +58,7 @@ def rig_of_devices(sensor: MemorySensor | None = None) -> Any:
         sensors={"hall": sensor or MemorySensor()},
         sources={"coil1": MemorySource()},
         arms={"arm1": MemoryArm()},
+        thermometers={},
     )
 
 
@@ -193,6 +194,44 @@ def first_record(
     with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
         acquire(stops.rows(torch.tensor([0])), rig, devices, journal, replace(PACE, n_readings=n_readings))
         return journal.records[0]
+
+
+def test_temperatures_are_recorded_with_every_reading(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Warming:
+        """A kelvin more at each look; the second time it has no number."""
+
+        n_read = 0
+
+        def read_temperature_K(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            value_K = math.nan if self.n_read == 2 else 293.15 + self.n_read
+            return MemorySensor().counter.reading(value_K)
+
+    devices = rig_of_devices()
+    devices.thermometers["coil1"] = Warming()
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1, 2])), small_rig, devices, journal, PACE)
+        growing = load_session(folder).observations
+        seal(folder)
+    for readings in (growing, load_session(folder).observations):
+        assert list(readings.temperature_C) == ["coil1"]
+        assert readings.temperature_C["coil1"].tolist() == pytest.approx([21.0, math.nan, 23.0], nan_ok=True)
+
+
+def test_a_thermometer_added_while_a_session_is_interrupted_knows_nothing_of_before(
+    small_rig: Rig,
+) -> None:
+    records = [
+        StopRecord(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).record()
+        for i in range(2)
+    ]
+    del records[0]["temperature_C"]  # as in journals of earlier versions
+    records[1]["temperature_C"] = {"coil1": 25.0}
+    warmth_C = observations_of(records, small_rig).temperature_C["coil1"]
+    assert warmth_C.tolist() == pytest.approx([math.nan, 25.0], nan_ok=True)
 
 
 def test_readings_are_averaged_without_those_that_repeat(

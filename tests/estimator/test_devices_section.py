@@ -27,6 +27,7 @@ BAD = {
     "of no kind": ("devices:\n  hall: {tcp: x}\n", "devices.hall must be one of sensor, supply, arm, .* received none .*line 19"),
     "of two kinds": ("devices:\n  hall: {sensor: a, arm: b}\n", "devices.hall must be one of .* received sensor and arm"),
     "of nothing in the rig": ("devices:\n  hal: {sensor: a}\n", r"devices.hal must bear the name of one of the rig's sensors \(hall\); received 'hal'"),
+    "feeling nothing in the rig": ("devices:\n  warmth: {thermometer: a, inputs: {coil9: A}}\n", r"devices.warmth.inputs.coil9 must be the name of a coil or sensor \(coil1, hall\)"),
     "with a coil's name": ("devices:\n  coil1: {sensor: a}\n", "devices.coil1 must bear the name of one of the rig's sensors"),
     "no mapping": ("devices:\n  hall: f71\n", "devices.hall must hold keys and values; received 'f71'"),
     "a list": ("devices: [hall]\n", "devices must hold keys and values"),

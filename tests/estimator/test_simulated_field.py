@@ -19,6 +19,7 @@ from estimator.rig import Rig
 from estimator.simulate import perfect_readings
 from estimator.simulated_field import NOT_OF_THE_MOMENT, SimulatedField, flange, simulated_rig
 
+REFERENCE_K = 295.15
 HOME = ((0.3, 0.1, 0.2), (0.4, 2.0, -0.3))
 BASE_FRAME = """\
   arm1:
@@ -42,7 +43,8 @@ def moment_of(rig: Rig, readings: Observations, row: int) -> Snapshot:
         there = flange_to_reach(mover, readings.motion[mover.name][row : row + 1], flange(HOME))
         vector = vector_from_rotation(there.rotation)[0]
         poses.append(FlangePose(tuple(there.translation_m[0].tolist()), tuple(vector.tolist())))
-    return Snapshot(0.0, tuple(readings.current_A[row].tolist()), tuple(poses))
+    coils_K = (REFERENCE_K,) * len(rig.coils)
+    return Snapshot(0.0, tuple(readings.current_A[row].tolist()), tuple(poses), coils_K, REFERENCE_K)
 
 
 def some_readings(rig: Rig) -> Observations:
@@ -101,6 +103,25 @@ def test_a_hidden_gain_shows_and_a_drift_grows_with_time(small_rig: Rig) -> None
     assert drifting(replace(moment, time_s=7200.0))[0] == pytest.approx(x_T + 2e-5)
 
 
+def test_a_warm_coil_carries_less_and_a_warm_sensor_reads_otherwise(small_rig: Rig) -> None:
+    readings = some_readings(small_rig)
+    moment = moment_of(small_rig, readings, 1)
+    warm = replace(moment, coil_temperatures_K=(REFERENCE_K + 10.0,), room_temperature_K=REFERENCE_K + 2.0)
+    there_T = field_of(small_rig)(moment)
+    assert field_of(small_rig)(warm) == pytest.approx(there_T)
+    heating = field_of(small_rig, {"coil_heating.loss_per_K": 4e-3})
+    assert heating(moment) == pytest.approx(there_T)
+    assert heating(warm) == pytest.approx([0.96 * component_T for component_T in there_T])
+    drifting = field_of(small_rig, {"temperature_drift.gain_per_K": 1e-3})
+    assert drifting(warm) == pytest.approx([1.002 * component_T for component_T in there_T])
+
+
+@pytest.mark.parametrize("quantity", ["loss_per_A2", "tau_h"])
+def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: str) -> None:
+    with pytest.raises(InvalidInput, match="coil_heating.* must be given by loss_per_K in a running rig"):
+        simulated_rig(small_rig, {}, {f"coil_heating[coil1].{quantity}": 1.0})
+
+
 @pytest.mark.parametrize("cause", NOT_OF_THE_MOMENT)
 def test_a_cause_that_no_moment_shows_is_refused(small_rig: Rig, cause: str) -> None:
     with pytest.raises(InvalidInput, match=f"{cause}.* depends on "):
@@ -117,7 +138,7 @@ def test_noise_has_the_width_of_the_truth_and_comes_back_with_its_seed(small_rig
     real = simulated_rig(small_rig, {"hall.noise_T": 1e-5}, {})
     field = SimulatedField(real, "hall", ("coil1",), {"arm1": HOME}, 7)
     same = pickle.loads(pickle.dumps(field))
-    off = Snapshot(0.0, (0.0,), (FlangePose(*HOME),))
+    off = Snapshot(0.0, (0.0,), (FlangePose(*HOME),), (REFERENCE_K,), REFERENCE_K)
     samples = torch.tensor([field(off) for _ in range(400)])
     assert samples.std() == pytest.approx(1e-5, rel=0.1)
     assert torch.equal(samples, torch.tensor([same(off) for _ in range(400)]))

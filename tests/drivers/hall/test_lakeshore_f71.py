@@ -8,7 +8,7 @@ import pytest
 
 from drivers.errors import DeviceFault
 from drivers.hall.lakeshore_f71 import LakeShoreF71, decode_buffer, encode_setup, split_answers
-from drivers.protocols import ReadingFlag
+from drivers.protocols import ReadingFlag, Thermometer
 from tests.drivers.replay import conversation
 
 OK = b'0,"No error"\r\n'
@@ -75,6 +75,14 @@ def test_overload_and_missing_numbers_are_over_range():
     overload, missing = sensor.read_new_T(timeout_s=1.0) + sensor.read_new_T(timeout_s=1.0)
     assert overload.flags == missing.flags == ReadingFlag.OVER_RANGE
     assert math.isnan(missing.value[2])
+
+
+def test_its_probe_is_a_thermometer():
+    ask = b":FETC:TEMP?;:SYST:ERR:ALL?\n"
+    sensor = f71(SETUP, CLEAR, (ask, b"24.850;" + OK), (ask, b"9.91E37;" + OK))
+    assert isinstance(sensor, Thermometer)
+    assert sensor.read_temperature_K(timeout_s=1.0).value == pytest.approx(298.0)
+    assert math.isnan(sensor.read_temperature_K(timeout_s=1.0).value)
 
 
 def test_it_identifies_itself():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.senis_3mh6 import RATE_CODES, Packet, Senis3MH6, encode_packet, split_packets
-from drivers.protocols import ReadingFlag
+from drivers.protocols import ReadingFlag, Thermometer
 from drivers.transport.transcript import Chunk, ReplayedPort
 
 START = [
@@ -47,6 +47,15 @@ def test_it_is_set_up_and_streams():
         pytest.approx((1e-3, -2e-3, 4e-3)),
     ]
     assert [reading.flags for reading in readings] == [ReadingFlag.NONE] * 2
+
+
+def test_its_packets_carry_the_temperature():
+    sensor = senis(*START, ("<", packet()), ("<", packet()))
+    assert isinstance(sensor, Thermometer)
+    assert sensor.read_temperature_K(timeout_s=1.0).value == pytest.approx(298.15)
+    (reading,) = sensor.read_new_T(timeout_s=1.0)
+    assert (reading.sequence, reading.flags) == (0, ReadingFlag.NONE)
+    assert sensor.read_temperature_K(timeout_s=1.0).sequence == 1
 
 
 def test_a_packet_cut_in_the_middle_is_dropped_and_told():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.motion import interpolate
 from drivers.simulated.process import Simulator
 from drivers.simulated.scpi import short_form
+from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
 
@@ -62,6 +64,38 @@ def test_lake_shores_own_driver_reads_the_simulated_f71(world):
         arguments = [sys.executable, "-c", textwrap.dedent(client), simulator.address]
         output = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
     assert output.split() == ["F71", "TESLA", "10", "0.00596", "0.00596"]
+
+
+def test_lake_shores_own_driver_reads_the_simulated_224(world):
+    client = """
+    import sys
+    from lakeshore import Model224
+    host, _, port = sys.argv[1].rpartition(":")
+    monitor = Model224(ip_address=host, tcp_port=int(port))
+    status = monitor.get_reading_status("D5")
+    print(round(monitor.get_kelvin_reading("A")), round(monitor.get_kelvin_reading("C1")), status.sensor_units_over_range)
+    """
+    world.drive(0, 100.0)
+    with Simulator.on_tcp(partial(Simulated224, world, {"A": 0, "C1": None})) as simulator:
+        arguments = [sys.executable, "-c", textwrap.dedent(client), simulator.address]
+        output = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
+    coil_K, room_K, is_open = output.split()
+    assert float(coil_K) > 296.0
+    assert (room_K, is_open) == ("295", "True")
+
+
+def test_a_coil_warms_up_by_its_losses_and_cools_down_again():
+    world = World([CoilCircuit(2.0, 0.0, kelvin_per_W=3.0, thermal_time_constant_s=0.2)])
+    warmth_K = []
+    for current_A in (-1.0, 0.0):
+        world.drive(0, current_A)
+        begin_s = time.monotonic()
+        time.sleep(0.2)
+        now = world.snapshot()
+        warmth_K.append(now.coil_temperatures_K[0] - now.room_temperature_K)
+        left = math.exp(-(time.monotonic() - begin_s) / 0.2)
+        expected_K = 6.0 * (1.0 - left) if current_A else warmth_K[0] * left
+        assert warmth_K[-1] == pytest.approx(expected_K, rel=0.1)
 
 
 def test_the_current_of_a_coil_follows_its_time_constant():

@@ -92,6 +92,15 @@ def test_a_serial_port_has_one_owner(serial_line):
         SerialPort(port.name, SerialSettings(9600))
 
 
+def test_a_pseudo_terminal_opens_again_whatever_parity_its_instrument_has():
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    for _ in range(3):
+        SerialPort(os.ttyname(slave), SerialSettings(9600, data_bits=7, parity="O")).close()
+    os.close(slave)
+    os.close(master)
+
+
 def test_a_port_that_is_not_there_is_a_fault():
     with pytest.raises(DeviceFault, match="/dev/no_such_port must open"):
         SerialPort("/dev/no_such_port", SerialSettings(9600))

@@ -32,6 +32,23 @@ poses:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 2}, z_mm: {from: -20, to: 20, count: 2}}
 currents_A: [{coil1: 3}, {coil1: -3}]
 """
+WARM_DEVICES = """\
+devices:
+  hall: {sensor: lakeshore_f71, range_mT: 350, own_temperature: true, serial: /dev/ttyUSB0}
+  coil1:
+    supply: kepco_bop
+    serial: /dev/ttyUSB1
+    compliance_V: 20
+    tolerance_mA: 5
+    lowest_A: -5
+    highest_A: 5
+    slew_A_per_s: 100
+    continuous_A: 5
+    thermal_time_constant_s: 10
+    highest_temperature_C: 80
+  arm1: {arm: ur3e, host: 192.168.0.10, workspace_low_mm: [100, -150, 100], workspace_high_mm: [400, 150, 400], highest_speed_mm_per_s: 250}
+  warmth: {thermometer: lakeshore_224, serial: /dev/ttyUSB2, inputs: {coil1: A}}
+"""
 
 Run = Callable[..., Result]
 
@@ -100,7 +117,7 @@ def gone_on(run: Run, folder: Path, out: Path) -> Result:
 def is_off(folder: Path) -> bool:
     """Whether no current flows."""
     section = yaml.safe_load((folder / "devices.yaml").read_text())["devices"]
-    with open_devices({"coil1": section["coil1"]}) as devices:
+    with open_devices({name: section[name] for name in ("coil1", "warmth")}) as devices:
         return abs(devices.sources["coil1"].read_current_A(timeout_s=2.0).value) < 1e-3
 
 
@@ -197,3 +214,33 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     assert [cause["name"] for cause in found["causes"]] == ["cross_axis"]
     low, high = found["causes"][0]["parameters"]["xy"]["ci90"]
     assert low - 0.002 < HIDDEN_XY < high + 0.002
+
+
+def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
+    run: Run, tmp_path: Path, rig_text: str
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig_text.replace("noise_uT: 5", NOISE) + WARM_DEVICES, encoding="utf-8")
+    (tmp_path / "plan.yaml").write_text(
+        PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2"), encoding="utf-8"
+    )
+    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6", "--seed", "1")
+    simulator = start(rig, tmp_path / "devices.yaml", *hidden)
+    try:
+        out = tmp_path / "session.zarr"
+        result = gone_on(run, tmp_path, out)
+    finally:
+        simulator.terminate()
+        simulator.communicate()
+    assert result.exit_code == 0, result.stderr
+    warmth_C = load_session(out).observations.temperature_C
+    assert sorted(warmth_C) == ["coil1", "hall"]
+    assert float(warmth_C["coil1"].max() - warmth_C["coil1"].min()) > 5.0
+    assert float(warmth_C["hall"].max() - warmth_C["hall"].min()) < 0.5
+    command = [*PROGRAM, "diagnose", str(out), "--out", str(tmp_path / "diagnosis"), "--no-posterior"]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=180.0)
+    found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert found["verdict"] == "named", found["causes"]
+    assert [cause["name"] for cause in found["causes"]] == ["coil_heating"]
+    low, high = found["causes"][0]["parameters"]["loss_per_K"]["ci90"]
+    assert low - 0.001 < 0.004 < high + 0.001

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -38,7 +39,7 @@ N_STOPS = 24
 def running(tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
     section = default_devices(small_rig)
     home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
-    circuits = [CoilCircuit(2.0, 0.01)]
+    circuits = [CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=5.0)]
     with SimulatedRig(
         section, {"hall": along_z}, circuits=circuits, homes=[home], first_host=free_host()
     ) as rig:
@@ -71,6 +72,7 @@ def acquire(run: Run, folder: Path) -> Result:
     ("device", "fault", "word"),
     [
         ("hall", Fault.GARBAGE, "hall failed: "),
+        ("warmth", Fault.PARTIAL, "the thermometer of coil1 failed: "),
         ("arm1", Fault.PROTECTIVE_STOP, "protective stop"),
         ("arm1", Fault.EMERGENCY_STOP, "emergency"),
     ],
@@ -91,12 +93,47 @@ def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
     assert is_growing(out)
     n_before = len(load_session(out).observations)
     assert 3 <= n_before < N_STOPS
-    if device == "hall":
+    if device in {"hall", "warmth"}:
         running.simulators[device].faults.fault = Fault.NONE
         result = acquire(run, tmp_path)
         assert result.exit_code == 0, result.stderr
         assert f"{n_before} of {N_STOPS} stops were visited before" in result.stderr
         assert len(load_session(out).observations) == N_STOPS
+
+
+def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when_it_is_cool(
+    run: Run, running: SimulatedRig, tmp_path: Path
+) -> None:
+    out = tmp_path / "session.zarr"
+    section = {**running.section, "coil1": {**running.section["coil1"], "highest_temperature_C": 40}}
+    (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": section}), encoding="utf-8")
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(PLAN.replace("coil1: 1", "coil1: 3").replace("coil1: -1", "coil1: -3"), encoding="utf-8")
+    result = acquire(run, tmp_path)
+    assert result.exit_code == 5, result.stderr
+    (sentence,) = [line for line in result.stderr.splitlines() if line.startswith("coilcal: ")]
+    said = re.fullmatch(
+        r"coilcal: coil1 failed: the coil is too hot: coil.temperature_C must be at most 40; it is (\d+\.\d); "
+        r"arms and currents were brought to rest",
+        sentence,
+    )
+    assert said is not None, sentence
+    assert 40.0 < float(said[1]) < 46.0  # it gains 7 K a second, and is felt twice a second
+    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
+    assert not running.world.is_moving(0)
+    assert is_growing(out)
+    before = load_session(out).observations
+    assert 3 <= len(before) < N_STOPS
+    assert float(before.temperature_C["coil1"].diff().min()) > 0.0
+    assert float(before.temperature_C["coil1"].max()) <= 40.0
+    time.sleep(6.0)
+    assert acquire(run, tmp_path).exit_code in {
+        0,
+        5,
+    }  # where stops take long, it is too hot again before the last
+    after = load_session(out).observations
+    assert len(after) > len(before)
+    assert float(after.temperature_C["coil1"][len(before)]) < 35.0
 
 
 @pytest.mark.parametrize(("device", "fault"), [("coil1", Fault.DROP), ("arm1", Fault.MUTE)])

@@ -24,7 +24,12 @@ HOME = FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))
 
 @pytest.fixture(scope="module")
 def simulated() -> Iterator[SimulatedRig]:
-    section = {"hall": SENSOR, "coil1": SUPPLY, "arm1": ARM}
+    section = {
+        "hall": SENSOR,
+        "coil1": {**SUPPLY, "highest_temperature_C": 80},
+        "arm1": ARM,
+        "warmth": {"thermometer": "lakeshore_224", "inputs": {"coil1": "A"}},
+    }
     circuits = [CoilCircuit(2.0, 0.0)]
     with SimulatedRig(
         section, {"hall": along_z}, circuits=circuits, homes=[HOME], first_host=free_host()
@@ -46,7 +51,8 @@ def test_every_device_says_what_it_is_and_reads_a_value(
     result = run("devices", "check", rig_path)
     assert result.exit_code == 0, result.stderr
     lines = {line.split()[0]: line for line in result.stdout.splitlines()}
-    assert list(lines) == ["device", "arm1", "coil1", "hall"]
+    assert list(lines) == ["device", "arm1", "coil1", "hall", "warmth"]
+    assert "coil1 22." in lines["warmth"]
     assert "LSCI,F71" in lines["hall"]
     assert "mT" in lines["hall"]
     assert "KEPCO" in lines["coil1"]

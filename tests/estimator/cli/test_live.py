@@ -102,7 +102,7 @@ def shown(state: LiveState) -> str:
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopRecord]
 ) -> None:
-    empty = LiveState("session.zarr", 0, (), 0, 0.0, None, (), None, False)
+    empty = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, (), None, False)
     assert "stop 0" in shown(empty)
     assert "diagnosis: not yet" in shown(empty)
     stream = Stream(small_rig)
@@ -110,12 +110,24 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     estimate = replace(stream.update(readings), took_s=0.012)
     alarm = Alarm("hall", "x", 21, 27, 2.0)
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
-    record = replace(stops[0], field_T={"hall": [float("nan"), 1e-3, 2e-3]}, is_settled=False).record()
-    text = shown(LiveState("session.zarr", 108, [record] * 27, 3, 42.0, estimate, (alarm,), known, True))
+    record = replace(
+        stops[0],
+        field_T={"hall": [float("nan"), 1e-3, 2e-3]},
+        is_settled=False,
+        temperature_C={"coil1": 31.26, "hall": float("nan")},
+    ).record()
+    text = shown(
+        LiveState(
+            "session.zarr", small_rig.movers, 108, [record] * 27, 3, 42.0, estimate, (alarm,), known, True
+        )
+    )
     for words in (
         "stop 27 of 108, estimate after 12 ms for 3 stops at once; NO STOP FOR 42 s",
         "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING",
         "+2.9980 A",
+        "31.3 °C",
+        "no number",
+        " mm   ",
         "90 % of the posterior after 20",
         "51.10 to 52.20",
         "alarms: 1",

@@ -116,9 +116,9 @@ def test_heat_is_the_same_for_a_part_of_the_session_and_for_readings_out_of_orde
     torch.testing.assert_close(Scene(rig, observations.rows(rows)).heat_A2(0, tau_h), whole[rows])
 
 
-def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_mean():
+def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_coolest():
     celsius = np.array([20.0, 21.0, 24.0, np.nan, 23.0, 20.0, 24.0])
     observations = readings(POINTS_M, (2.0, -3.0), temperature_C={"coil": celsius})
     found = predicted_T(observations, {"coil_heating[coil]": {"loss_per_K": 0.004, "tau_h": 1.0}})
-    kelvin = np.nan_to_num(celsius - np.nanmean(celsius))
+    kelvin = np.nan_to_num(celsius, nan=np.nanmean(celsius)) - 20.0
     assert_same_field(found, coils_T(2.0 * (1.0 - 0.004 * kelvin), -3.0))

@@ -1,0 +1,82 @@
+"""The limits that stand in the `devices` section of a rig file; no device is touched here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.safety import ArmLimits, CurrentLimits
+from drivers.settings import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class RigLimits:
+    """What the devices of a rig may be asked for, by their names.
+
+    Attributes:
+        currents: Of the coils.
+        slews_A_per_s: Rates at which the supplies ramp.
+        arms: Workspaces and speeds.
+    """
+
+    currents: dict[str, CurrentLimits] = field(default_factory=dict)
+    slews_A_per_s: dict[str, float] = field(default_factory=dict)
+    arms: dict[str, ArmLimits] = field(default_factory=dict)
+
+
+def limits_of(section: Mapping[str, Any], place: str = "devices") -> RigLimits:
+    """Read the limits that stand in a section; no device is touched.
+
+    Raises:
+        Refused: One is missing or impossible, or a coil that has a highest temperature has no thermometer.
+    """
+    limits = RigLimits()
+    felt = {place for mapping in section.values() for place in thermometer_inputs(mapping)}
+    for name, mapping in section.items():
+        settings = Settings(mapping, f"{place}.{name}")
+        if "supply" in settings:
+            limits.currents[name] = current_limits(settings)
+            if limits.currents[name].highest_temperature_K is not None and name not in felt:
+                settings.refuse(
+                    "highest_temperature_C",
+                    f"must have a thermometer with an input for {name}; there is none",
+                )
+            limits.slews_A_per_s[name] = settings.quantity("ramp", "slew", limits.currents[name].slew_A_per_s)
+        elif "arm" in settings:
+            limits.arms[name] = arm_limits(settings)
+    return limits
+
+
+def thermometer_inputs(mapping: Any) -> Mapping[str, Any]:
+    """Inputs of a thermometer by what they feel; none where a device is something else.
+
+    Examples:
+        >>> thermometer_inputs({"thermometer": "lakeshore_224", "inputs": {"coil1": "A"}}), thermometer_inputs({"supply": "scpi"})
+        ({'coil1': 'A'}, {})
+    """
+    inputs = mapping.get("inputs", {}) if isinstance(mapping, Mapping) and "thermometer" in mapping else {}
+    return inputs if isinstance(inputs, Mapping) else {}
+
+
+def current_limits(settings: Settings) -> CurrentLimits:
+    """Those of one coil."""
+    has_temperature = settings.has_quantity("highest_temperature", "temperature")
+    return CurrentLimits(
+        lowest_A=settings.quantity("lowest", "current", 0.0),
+        highest_A=settings.quantity("highest", "current"),
+        slew_A_per_s=settings.quantity("slew", "slew"),
+        continuous_A=settings.quantity("continuous", "current"),
+        thermal_time_constant_s=settings.quantity("thermal_time_constant", "time"),
+        highest_temperature_K=(
+            settings.quantity("highest_temperature", "temperature") if has_temperature else None
+        ),
+    )
+
+
+def arm_limits(settings: Settings) -> ArmLimits:
+    """Those of one arm."""
+    low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
+    high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
+    speed_m_per_s = settings.quantity("highest_speed", "speed")
+    return ArmLimits((low_x_m, low_y_m, low_z_m), (high_x_m, high_y_m, high_z_m), speed_m_per_s)

@@ -1,0 +1,62 @@
+"""What an instrument behind a channel needs besides its protocol: identify, close, and settings made once and again after a fault."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.deadline import Deadline
+from drivers.device import ClosesItself
+from drivers.readings import ReadingCounter
+from drivers.transport.channel import Channel
+from drivers.transport.port import Port
+
+_NEVER = -1
+
+
+class OnChannel(ClosesItself):
+    """An instrument that is set up before its first reading; nothing is sent before the first call.
+
+    After a fault it may have been switched off and on, so it is set up again.
+    """
+
+    def __init__(self, port: Port, *, quieten: bytes = b"") -> None:
+        """Own a port; `quieten` is the command that ends a stream."""
+        self._channel = Channel(port, quieten=quieten)
+        self._counter = ReadingCounter()
+        self._set_up_at_fault = _NEVER
+
+    def identify(self, *, timeout_s: float) -> str:
+        """See `Device.identify`."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            return self._identity(deadline)
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._channel.close()
+
+    @abstractmethod
+    def _identity(self, deadline: Deadline) -> str:
+        """What the instrument says of itself."""
+
+    def _set_up(self, deadline: Deadline) -> None:
+        """Make all settings; an instrument that needs none leaves it at this."""
+
+    @contextmanager
+    def _ready(self, timeout_s: float) -> Iterator[Deadline]:
+        """Have the instrument to oneself, set up."""
+        deadline = Deadline.after(timeout_s)
+        with self._channel.exchange(deadline):
+            if not self._is_set_up:
+                self._set_up(deadline)
+                self._set_up_at_fault = self._channel.n_faults
+            yield deadline
+
+    @property
+    def _is_set_up(self) -> bool:
+        return self._set_up_at_fault == self._channel.n_faults
+
+    def _forget_set_up(self) -> None:
+        self._set_up_at_fault = _NEVER

@@ -1,0 +1,1 @@
+"""Thermometers of coils and sensors."""
