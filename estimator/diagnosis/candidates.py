@@ -119,4 +119,7 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
 
 
 def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
-    return EFFECTS[cause.name].quantities(fit.posterior.chain.scene.extent)
+    """Those that the session can show."""
+    scene, effect = fit.posterior.chain.scene, EFFECTS[cause.name]
+    unseen = effect.unseen(scene, cause.place)
+    return tuple(q for q in effect.quantities(scene.extent) if q.key not in unseen)

@@ -23,14 +23,16 @@ def with_effect(
         values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation.
         is_free: A fit may change them.
     """
+    scene, effect = Scene(rig, observations), EFFECTS[cause.name]
+    unseen = effect.unseen(scene, cause.place)
     parameters = [
         Parameter(
             f"{cause.label}.{quantity.key}",
             quantity.unit,
             values.get(quantity.key, quantity.prior.centre if quantity.is_positive else quantity.null),
-            None if quantity.is_fixed or not is_free else quantity.prior,
+            None if quantity.is_fixed or quantity.key in unseen or not is_free else quantity.prior,
             is_positive=quantity.is_positive,
         )
-        for quantity in EFFECTS[cause.name].quantities(Scene(rig, observations).extent)
+        for quantity in effect.quantities(scene.extent)
     ]
     return rig.with_cause(cause, parameters)

@@ -115,6 +115,10 @@ class Effect(ABC):
         """Whether the session could show it at all; what needs a temperature is not asked without a thermometer."""
         return True
 
+    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+        """Keys of quantities that the session cannot show, or not beside the others: they keep their value."""
+        return frozenset()
+
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The first quantity whose value it cannot have, and the rule; None where all are possible."""
         for quantity in self.quantities(Extent()):

@@ -97,6 +97,12 @@ class CoilHeating(_OneCoilCurrent):
         """Quick, slow, and slower than the session is long."""
         return tuple({"tau_h": share * scene.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
 
+    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+        """A thermometer that moved tells all; without one the losses must."""
+        kelvin = scene.warming_K(place)
+        has_warmed = kelvin is not None and bool(kelvin.max() > 0.0)
+        return frozenset({"loss_per_A2", "tau_h"} if has_warmed else {"loss_per_K"})
+
     def delivered(
         self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
     ) -> Float[Tensor, "*#batch reading"]:
