@@ -18,14 +18,8 @@ from drivers.open import DeviceSet
 from estimator.acquire import ANSWER_S, acquire, references_of
 from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench, devices_option
-from estimator.cli.output import (
-    explain_errors,
-    json_option,
-    overwrite_option,
-    refuse_existing,
-    seed_option,
-    show,
-)
+from estimator.cli.options import json_option, overwrite_option, seed_option
+from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.cli.plan_limits import check_currents, check_ways
 from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput

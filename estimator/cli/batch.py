@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from estimator.calibration import write_text
-from estimator.cli.output import EXIT_BAD_INPUT, explain_errors, json_option, seed_option, show
+from estimator.cli.options import ess_option, json_option, seed_option
+from estimator.cli.output import EXIT_BAD_INPUT, explain_errors, show
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 
@@ -42,13 +43,7 @@ from estimator.inference.ensemble import SamplerSettings
     show_default=True,
     help="Sample hypotheses with more than 5 % probability.",
 )
-@click.option(
-    "--ess",
-    type=click.FloatRange(min=10),
-    default=2000.0,
-    show_default=True,
-    help="Effective samples of every parameter.",
-)
+@ess_option
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Processes on this computer; one per processor by default."
 )

@@ -11,15 +11,8 @@ import click
 from estimator.calibrate import calibrate
 from estimator.calibration import write_text
 from estimator.calibration_report import calibration_report
-from estimator.cli.output import (
-    EXIT_NOT_CONVERGED,
-    StageReporter,
-    explain_errors,
-    json_option,
-    overwrite_option,
-    seed_option,
-    show,
-)
+from estimator.cli.options import ess_option, json_option, other_rig_option, overwrite_option, seed_option
+from estimator.cli.output import EXIT_NOT_CONVERGED, StageReporter, explain_errors, show
 from estimator.config import load_rig
 from estimator.inference.ensemble import SamplerSettings
 from estimator.store.session import load_session
@@ -33,17 +26,9 @@ from estimator.store.session import load_session
     required=True,
     help="Folder for summary.json, posterior.zarr, report.html.",
 )
-@click.option(
-    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
-)
+@other_rig_option
 @seed_option
-@click.option(
-    "--ess",
-    type=click.FloatRange(min=10),
-    default=2000.0,
-    show_default=True,
-    help="Effective samples of every parameter.",
-)
+@ess_option
 @click.option(
     "--walkers", type=click.IntRange(min=0), default=0, help="0 stands for 32, or two per free parameter."
 )

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from estimator.calibration import write_text
-from estimator.cli.output import explain_errors, json_option, overwrite_option, refuse_existing, show
+from estimator.cli.options import json_option, other_rig_option, overwrite_option
+from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.config import load_rig
 from estimator.design import Design, design
 from estimator.plots.style import shown
@@ -36,9 +37,7 @@ MOST_PRINTED = 8
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Plan to write (YAML), for coilcal simulate and acquire."
 )
-@click.option(
-    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
-)
+@other_rig_option
 @overwrite_option
 @json_option
 @explain_errors

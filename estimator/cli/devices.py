@@ -12,7 +12,8 @@ from drivers.errors import DriverError
 from drivers.interlock import sigterm_as_exception
 from drivers.open import check_device
 from estimator.cli.instruments import Bench, devices_option, fault_of
-from estimator.cli.output import EXIT_DEVICE, explain_errors, json_option, show
+from estimator.cli.options import json_option
+from estimator.cli.output import EXIT_DEVICE, explain_errors, show
 from estimator.devices_section import KINDS, THERMOMETER
 
 

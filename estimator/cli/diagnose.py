@@ -11,14 +11,8 @@ import click
 
 from estimator.calibration import write_text
 from estimator.calibration_report import calibration_report
-from estimator.cli.output import (
-    explain_errors,
-    json_option,
-    overwrite_option,
-    refuse_existing,
-    seed_option,
-    show,
-)
+from estimator.cli.options import json_option, other_rig_option, overwrite_option, seed_option
+from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.config import load_rig
 from estimator.diagnose import diagnose
 from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
@@ -41,9 +35,7 @@ from estimator.store.session import load_session
     required=True,
     help=f"Folder for {DIAGNOSIS}, {EXTENDED_RIG} and {REPORT}.",
 )
-@click.option(
-    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
-)
+@other_rig_option
 @click.option(
     "--posterior/--no-posterior",
     "has_posterior",

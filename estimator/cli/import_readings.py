@@ -7,15 +7,8 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.output import (
-    explain_errors,
-    json_option,
-    named_number,
-    overwrite_option,
-    refuse_existing,
-    seed_option,
-    show,
-)
+from estimator.cli.options import json_option, overwrite_option, seed_option
+from estimator.cli.output import explain_errors, named_number, refuse_existing, show
 from estimator.config import load_rig
 from estimator.preflight import check_readings, check_units
 from estimator.split import block_split

@@ -12,7 +12,8 @@ from typing import Any
 import click
 
 from estimator.cli.live_view import LiveState, LiveView
-from estimator.cli.output import explain_errors, json_option, seed_option, show
+from estimator.cli.options import json_option, seed_option
+from estimator.cli.output import explain_errors, show
 from estimator.plots.style import shown, with_sd
 from estimator.refresh import Background, Refreshed
 from estimator.store.follow import Follower

@@ -24,10 +24,6 @@ EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 P = ParamSpec("P")
 R = TypeVar("R")
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-seed_option = click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-
 
 def explain_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Turn faults that coilcal can explain into one sentence and an exit code."""

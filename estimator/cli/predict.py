@@ -11,15 +11,8 @@ import numpy as np
 import torch
 
 from estimator.calibration import Calibration, write_text
-from estimator.cli.output import (
-    explain_errors,
-    json_option,
-    named_number,
-    named_numbers,
-    overwrite_option,
-    refuse_existing,
-    show,
-)
+from estimator.cli.options import json_option, overwrite_option
+from estimator.cli.output import explain_errors, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 from estimator.units import split_unit
 

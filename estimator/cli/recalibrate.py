@@ -12,7 +12,8 @@ from typing import Any
 import click
 
 from estimator.alerts import senders
-from estimator.cli.output import EXIT_DRIFTED, EXIT_REJECTED, explain_errors, json_option, seed_option, show
+from estimator.cli.options import ess_option, json_option, seed_option
+from estimator.cli.output import EXIT_DRIFTED, EXIT_REJECTED, explain_errors, show
 from estimator.cli.schedule import interval_s, keep_running
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
@@ -48,13 +49,7 @@ EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
     help="Run for each drift and rejection, with JSON on its standard input.",
 )
 @click.option("--alert-webhook", metavar="URL", help="Post the same JSON there.")
-@click.option(
-    "--ess",
-    type=click.FloatRange(min=10),
-    default=2000.0,
-    show_default=True,
-    help="Effective samples of every parameter of a new version.",
-)
+@ess_option
 @seed_option
 @json_option
 @explain_errors

@@ -8,7 +8,8 @@ import click
 
 from estimator.calibration import Calibration, write_text
 from estimator.calibration_report import calibration_report
-from estimator.cli.output import explain_errors, json_option, overwrite_option, refuse_existing, show
+from estimator.cli.options import json_option, overwrite_option
+from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 
 

@@ -24,7 +24,8 @@ from drivers.settings import Settings
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from estimator.calibration import write_text
-from estimator.cli.output import explain_errors, named_number, overwrite_option, refuse_existing, seed_option
+from estimator.cli.options import hide_option, overwrite_option, seed_option, set_option, truth_option
+from estimator.cli.output import explain_errors, named_number, refuse_existing
 from estimator.cli.simulate import truth_of
 from estimator.config import load_rig
 from estimator.devices_section import DEVICES, JOINT_ARMS, DeviceSettings
@@ -56,26 +57,9 @@ INPUTS = ("A", "B", *(f"C{i}" for i in range(1, 6)), *(f"D{i}" for i in range(1,
 
 @click.command("rig-simulator")
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.option(
-    "--hide",
-    "hidden",
-    multiple=True,
-    metavar="CAUSE=SIZE",
-    help="Hide a cause that the rig file does not tell of, as CAUSE[PLACE].QUANTITY=SIZE in SI; repeatable.",
-)
-@click.option(
-    "--truth",
-    default="nominal",
-    show_default=True,
-    help="'nominal' takes the rig's values, 'prior' draws from its priors, else a JSON file {parameter: SI value}.",
-)
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Set one parameter of the truth, in SI; repeatable.",
-)
+@hide_option
+@truth_option("nominal")
+@set_option
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), help="File for the devices section, for --devices.")
 @overwrite_option

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.output import (
-    explain_errors,
+from estimator.cli.options import (
+    hide_option,
     json_option,
-    named_number,
     overwrite_option,
-    refuse_existing,
     seed_option,
-    show,
+    set_option,
+    truth_option,
 )
+from estimator.cli.output import explain_errors, named_number, refuse_existing, show
 from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason
 from estimator.hide import full_names
@@ -31,27 +31,9 @@ from estimator.store.session import Session
 @click.option(
     "--plan", "plan_path", type=click.Path(path_type=Path), required=True, help="Poses and currents to visit."
 )
-@click.option(
-    "--truth",
-    default="prior",
-    show_default=True,
-    help="'prior' draws the truth from the rig's priors, 'nominal' takes its values, else a JSON file {parameter: SI value}.",
-)
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Set one parameter of the truth, in SI; repeatable.",
-)
-@click.option(
-    "--hide",
-    "hidden",
-    multiple=True,
-    metavar="CAUSE=SIZE",
-    help="Hide a cause that the rig file does not tell of, as CAUSE[PLACE].QUANTITY=SIZE in SI; place and quantity may be left out "
-    "where there is one, or the first is meant. Repeatable.",
-)
+@truth_option("prior")
+@set_option
+@hide_option
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
