@@ -9,7 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from estimator.config import rig_from_text
+from estimator.effects.attach import with_effect
 from estimator.effects.scene import Scene
+from estimator.rig import Cause
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,
@@ -122,3 +124,21 @@ def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_coolest():
     found = predicted_T(observations, {"coil_heating[coil]": {"loss_per_K": 0.004, "tau_h": 1.0}})
     kelvin = np.nan_to_num(celsius, nan=np.nanmean(celsius)) - 20.0
     assert_same_field(found, coils_T(2.0 * (1.0 - 0.004 * kelvin), -3.0))
+
+
+@pytest.mark.parametrize(
+    ("celsius", "free"),
+    [
+        (None, {"loss_per_A2", "tau_h"}),
+        (np.full(N, 20.0), {"loss_per_A2", "tau_h"}),
+        (np.linspace(20.0, 26.0, N), {"loss_per_K"}),
+    ],
+    ids=["no thermometer", "one that did not move", "one that did"],
+)
+def test_heating_is_fitted_by_the_thermometer_that_moved_or_else_by_the_losses(celsius, free):
+    """Both at once say the same thing, and a fit of both finds no end."""
+    observations = readings(POINTS_M, (2.0, -3.0), temperature_C={} if celsius is None else {"coil": celsius})
+    rig = rig_from_text(RIG)
+    heating = Cause("coil_heating", "coil")
+    hypothesis = with_effect(rig, heating, observations, {})
+    assert {p.name.rpartition(".")[2] for p in hypothesis.free if p.name.startswith(heating.label)} == free
