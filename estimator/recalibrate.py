@@ -12,7 +12,7 @@ from estimator.calibration import write_text
 from estimator.errors import CoilcalError, InvalidInput
 from estimator.history_report import history_report
 from estimator.inference.ensemble import SamplerSettings
-from estimator.recalibration.judgement import Conclusion, Judgement, judge
+from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement, judge
 from estimator.registry import Entry, Registry
 from estimator.rig import Rig
 from estimator.store.session import Session, load_session
@@ -161,14 +161,22 @@ def _judged(
         return Judgement(Conclusion.REJECTED, f"the session cannot be read: {arrival.fault}")
     session: Session = load_session(arrival.path)
     current = None if kept.current is None else kept.calibration()
-    return judge(session, rig, current, seed=seed, settings=settings)
+    earlier = [entry.checks[EVIDENCE] for entry in _disagreeing(kept.entries()) if EVIDENCE in entry.checks]
+    return judge(session, rig, current, earlier=earlier, seed=seed, settings=settings)
 
 
 def _since(entries: list[Entry], taken: str) -> str:
     """Time of the first session in a row that disagreed and led to no new version, this one included."""
+    return next((entry.taken for entry in reversed(_disagreeing(entries))), taken)
+
+
+def _disagreeing(entries: list[Entry]) -> list[Entry]:
+    """The last sessions in a row that disagreed and led to no new version, the latest first; others that could not be asked lie between."""
+    found = []
     for entry in reversed(entries):
         was_asked = entry.agrees is not None or entry.made is not None or not entry.hash
         if was_asked and (entry.agrees is not False or entry.made is not None):
             break
-        taken = entry.taken if was_asked else taken
-    return taken
+        if was_asked:
+            found.append(entry)
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -23,7 +23,9 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.plots.style import shown, with_sd
 from estimator.preflight import check_readings, check_units
 from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
+from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
+from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
 from estimator.rig import Rig
 from estimator.split import block_split, thinned
 from estimator.store.session import Session
@@ -32,6 +34,7 @@ from estimator.units import split_unit
 
 MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared
 HELD_OUT_SHARE = 0.2
+EVIDENCE = "log_bayes_factors"  # among the checks of a session that was diagnosed
 SMALLEST_SHOWN = 1e-4  # p-value: fewer simulated sessions than that tell no difference
 
 
@@ -72,6 +75,7 @@ def judge(
     rig: Rig,
     current: Calibration | None,
     *,
+    earlier: Sequence[Mapping[str, float]] = (),
     seed: int = 0,
     settings: SamplerSettings | None = None,
 ) -> Judgement:
@@ -81,6 +85,7 @@ def judge(
         session: The new readings. Those marked as validation judge a successor; where none is marked, a fifth is kept out in blocks.
         rig: As the user describes it.
         current: The calibration that is in use; None where there is none yet.
+        earlier: Evidence of the sessions right before that disagreed with the current version and led to no new one.
         seed: Of everything random.
         settings: When to stop sampling a successor.
     """
@@ -91,7 +96,7 @@ def judge(
         session = _with_held_out(session, seed)
         if current is None:
             return _first(session, rig, seed, settings)
-        return _Comparison.of(session, rig, current, seed).judgement(settings)
+        return _Comparison.of(session, rig, current, seed).judgement(settings, earlier)
     except (InvalidInput, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
         return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
 
@@ -107,15 +112,15 @@ def _with_held_out(session: Session, seed: int) -> Session:
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
     found = diagnose(session, rig, seed=seed)
     if found.faults:
-        return Judgement(Conclusion.REJECTED, _mistake(found), causes=_causes(found))
+        return Judgement(Conclusion.REJECTED, mistake_in(found), causes=causes_of(found))
     calibration = _sampled(session, found, seed, settings)
-    named = f", with {_names(found)} in the rig" if found.causes else ""
+    named = f", with {names_of(found)} in the rig" if found.causes else ""
     left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
     return Judgement(
         Conclusion.UPDATED,
         f"first calibration{named}{left}",
         calibration,
-        causes=_causes(found),
+        causes=causes_of(found),
         checks={"verdict": str(found.verdict)},
         estimate=_estimate(found.fit),
     )
@@ -140,25 +145,29 @@ class _Comparison:
         refit = fit_rig(widened, tested, widened.nominal_values(), chain.rules)
         return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
 
-    def judgement(self, settings: SamplerSettings | None) -> Judgement:
+    def judgement(
+        self, settings: SamplerSettings | None, earlier: Sequence[Mapping[str, float]]
+    ) -> Judgement:
         if self.agreement.holds:
             return self._judgement(
                 Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
             )
         found = diagnose(self.session, self.widened, seed=self.seed)
         if found.faults:
-            return self._judgement(Conclusion.REJECTED, _mistake(found), found)
+            return self._judgement(Conclusion.REJECTED, mistake_in(found), found)
         if _is_unexplained(found) or not (found.causes or self.agreement.is_refit_enough):
+            if earlier and (names := named_together([*earlier, _evidence(found)])):
+                return self._together(found, names, len(earlier) + 1)
             return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
         better = self._gain(found)
         successor = _sampled(self.session, found, self.seed, settings) if better.is_there else None
         if found.causes:
-            reason = f"{_sizes(found)}; {_verdict_of(better)}"
+            reason = f"{sizes_of(found)}; {words_of(better)}"
             return self._judgement(Conclusion.DRIFTED, reason, found, better, successor)
         if successor is None:
-            reason = f"disagrees with the current version ({self._p_value()}), but {_verdict_of(better)}"
+            reason = f"disagrees with the current version ({self._p_value()}), but {words_of(better)}"
             return self._judgement(Conclusion.UNCHANGED, reason, found, better)
-        reason = f"{self._moved(found, better)}; {_verdict_of(better)}"
+        reason = f"{self._moved(found, better)}; {words_of(better)}"
         return self._judgement(Conclusion.UPDATED, reason, found, better, successor)
 
     def _judgement(
@@ -177,7 +186,12 @@ class _Comparison:
             "striking_cause": self.agreement.striking_cause,
         }
         if found is not None:
-            checks |= {"verdict": str(found.verdict), "lack_of_fit_p": found.before.lack_of_fit.p_value}
+            checks |= {
+                "verdict": str(found.verdict),
+                "lack_of_fit_p": found.before.lack_of_fit.p_value,
+            }
+            if not found.faults:
+                checks[EVIDENCE] = _evidence(found)
         if better is not None:
             checks |= {
                 "elpd_difference": finite(better.elpd_difference),
@@ -189,12 +203,27 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            _causes(found)
+            causes_of(found)
             if found is not None and (found.faults or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
             _estimate(self.refit),
         )
+
+    def _together(self, found: Diagnosis, names: Mapping[str, float], n: int) -> Judgement:
+        """A drift that several sessions name and none alone: its size is not known well enough for a new version."""
+        (first, probability), *others = names.items()
+        words = " or ".join(names)
+        reason = (
+            f"{words} by {n} sessions in a row together, which none tells alone; the current version stays"
+        )
+        cause = {
+            "name": first,
+            "probability": probability,
+            "alternatives": [{"name": name, "probability": share} for name, share in others],
+            "parameters": {},
+        }
+        return replace(self._judgement(Conclusion.DRIFTED, reason, found), causes=(cause,))
 
     def _gain(self, found: Diagnosis) -> Gain:
         """Of what the diagnosis ended with over the current version, on readings that neither has seen."""
@@ -240,48 +269,14 @@ def _is_unexplained(found: Diagnosis) -> bool:
     return found.after.lack_of_fit.p_value < FALSE_ALARMS
 
 
+def _evidence(found: Diagnosis) -> dict[str, float]:
+    """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
+    considered = found.record()["steps"][0]["considered"]
+    return {rival["name"]: rival["log_bayes_factor"] for rival in considered}
+
+
 def _estimate(fit: Fit) -> dict[str, tuple[float, float]]:
     return {
         parameter.name: (float(fit.values[parameter.name]), fit.value_sd(parameter.name))
         for parameter in fit.rig.free
     }
-
-
-def _causes(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
-    return tuple(found.record()["causes"])
-
-
-def _names(found: Diagnosis) -> str:
-    return " and ".join(cause["name"] for cause in _causes(found))
-
-
-def _mistake(found: Diagnosis) -> str:
-    return f"a mistake of the record: {_sizes(found)}"
-
-
-def _sizes(found: Diagnosis) -> str:
-    """Causes with the sizes of their quantities."""
-    return " and ".join(_size(cause) for cause in _causes(found))
-
-
-def _size(cause: Mapping[str, Any]) -> str:
-    sizes = [_quantity(f"{cause['name']}.{key}", own) for key, own in cause["parameters"].items()]
-    others = "".join(f" or {other['name']}" for other in cause["alternatives"])
-    return f"{cause['name']}{others} ({', '.join(sizes)})"
-
-
-def _quantity(name: str, own: Mapping[str, Any]) -> str:
-    """A quantity as people read it; one in a unit such as T/h stays in that."""
-    show, value, sd = shown([name])[name], own["median"], own["sd"]
-    if show.unit or own["unit"] == "1":
-        size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
-        return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + own["unit"].replace("/", "_per_"))
-    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {own['unit']}"
-
-
-def _verdict_of(better: Gain) -> str:
-    words = (
-        "predicts unseen readings better" if better.is_there else "does not predict unseen readings better"
-    )
-    return f"the new fit {words} than the current version (log density {better.elpd_difference:+.1f} ± {better.elpd_se:.1f})"
