@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from estimator.chain import Chain
 from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.design import Proposal, actions, proposals, separation
+from estimator.diagnosis.design import Proposal, actions, proposals, rows_seen, separation
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.resolution import project
 from estimator.diagnosis.signatures import CLEAR
@@ -88,7 +88,10 @@ def design(
         hypotheses = {cause.label: _fit_with(base, cause) for cause in causes}
         rows, reached = best_to_split(hypotheses, stops, n_readings)
         programmes = proposals(hypotheses, actions(observations, rig))
-        goal, so_far = f"tell {' from '.join(hypotheses)}", float(separation(hypotheses).min())
+        goal, so_far = (
+            f"tell {' from '.join(hypotheses)}",
+            float(separation(hypotheses, rows_seen(hypotheses)).min()),
+        )
     chosen = stops.rows(rows)
     time_s = observations.history.time_s
     pace_s = float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0

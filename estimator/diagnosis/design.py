@@ -64,17 +64,31 @@ def proposals(hypotheses: Mapping[str, Fit], actions: Sequence[Action]) -> list[
         hypotheses: Fits of the same readings by label, two or more.
         actions: Such as `actions` proposes.
     """
+    seen = rows_seen(hypotheses)
     found = [
-        Proposal(action, tuple(hypotheses), separation(hypotheses, action).min().item()) for action in actions
+        Proposal(action, tuple(hypotheses), separation(hypotheses, seen, action).min().item())
+        for action in actions
     ]
     return sorted(found, key=lambda one: -one.expected_log_evidence)
 
 
-def separation(hypotheses: Mapping[str, Fit], action: Action | None = None) -> Float[Tensor, " pair"]:
-    """Expected log evidence of the readings so far, or after an action, for every ordered pair of truth and rival."""
+def rows_seen(hypotheses: Mapping[str, Fit]) -> list[Rows]:
+    """What each hypothesis expects of the readings that were fitted."""
+    return [Rows.of(fit, fit.observations, fit.rig) for fit in hypotheses.values()]
+
+
+def separation(
+    hypotheses: Mapping[str, Fit], seen: Sequence[Rows], action: Action | None = None
+) -> Float[Tensor, " pair"]:
+    """Expected log evidence of the readings so far, or after an action, for every ordered pair of truth and rival.
+
+    Args:
+        hypotheses: Fits of the same readings by label.
+        seen: Their `rows_seen`.
+        action: What to do next.
+    """
     fits = list(hypotheses.values())
-    seen = [Rows.of(fit, fit.observations, fit.rig) for fit in fits]
-    more = seen[:0]
+    more: list[Rows] = []
     if action is not None:
         more = [Rows.of(fit, action.readings, _turned(fit.rig, action.turned)) for fit in fits]
     pairs = permutations(range(len(fits)), 2)
@@ -137,7 +151,7 @@ class Rows:
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
-        return cls(predicted_T, jacfwd(posterior.predicted)(fit.vector), sigma_T)
+        return cls(predicted_T, jacfwd(posterior.for_slopes.predicted)(fit.vector), sigma_T)
 
 
 def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:

@@ -129,7 +129,7 @@ def _coarse(rig: Rig, base: Fit, observations: Observations) -> float:
     unit = float(posterior.component_sigma_T(vector).mean() / posterior.sigma_T(vector).mean())
     with torch.no_grad():
         residual = (posterior.measured_T - posterior.predicted(vector)) / unit
-        slope: Tensor = jacfwd(posterior.predicted)(vector) / unit * posterior.coordinates.scale
+        slope: Tensor = jacfwd(posterior.for_slopes.predicted)(vector) / unit * posterior.coordinates.scale
     prior = torch.eye(len(vector), dtype=torch.float64)
     noise_T = float(residual.square().mean().sqrt())
     step = torch.zeros_like(vector)
