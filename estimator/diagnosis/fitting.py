@@ -124,9 +124,14 @@ class Fit:
         )(self.vector)
         return float(torch.sqrt(slope @ (self.covariance if covariance is None else covariance) @ slope))
 
-    def log_evidence_for(self, cause: Cause) -> float:
+    def log_evidence_for(
+        self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
+    ) -> float:
         """Log Bayes factor of one of the rig's causes against its null, beside all others; infinite where it has no null to be told from.
 
+        Args:
+            cause: One that the rig has.
+            beside: Columns of a discrepancy with standard normal coefficients that may be in the readings as well.
         References: Dickey and Lientz, Ann. Math. Stat. 41, 214 (1970): ratio of prior and posterior density at the null.
         """
         quantities = {
@@ -139,9 +144,13 @@ class Fit:
             return math.inf
         columns = [self.posterior.coordinates.names.index(name) for name in names]
         null = torch.tensor([quantities[name].null for name in names], dtype=torch.float64)
-        own = torch.distributions.MultivariateNormal(
-            self.vector[columns], self.covariance[columns][:, columns]
-        )
+        vector, covariance = self.vector, self.covariance
+        if beside is not None:
+            covariance = self.covariance_beside(beside)
+            weight = beside.T @ beside + torch.eye(beside.shape[1], dtype=torch.float64)
+            pull = self.jacobian.T @ (beside @ torch.linalg.solve(weight, beside.T @ self.residual))
+            vector = vector - covariance @ pull
+        own = torch.distributions.MultivariateNormal(vector[columns], covariance[columns][:, columns])
         log_prior = 0.0
         for name in names:
             prior = self.rig.parameters[name].prior

@@ -26,6 +26,7 @@ from estimator.rig import Cause
 
 # Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
 SAME_THING = {"iron_plate", "iron_body"}
+MOST_REFITTED = 4  # with more causes than that, what each is worth is judged to first order
 
 
 class Verdict(StrEnum):
@@ -84,9 +85,14 @@ def named_causes(search: Search) -> list[NamedCause]:
 
 
 def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
-    """Of the causes, those that would be named even if the strongest curves, at first and at last, were there: others may imitate them."""
+    """Of the causes, those that would be named even if the strongest curves, at first and at last, were there: others may imitate them.
+
+    Of a few causes each is judged by a fit without it, of many to first order about the last fit.
+    """
     final = search.final
     columns = torch.cat((search.whole.columns, search.steps[-1].left.columns), dim=1)
+    if len(named) > MOST_REFITTED:
+        return [c for c in named if final.log_evidence_for(c.cause, columns) > 2.0 * LEAST_LOG_ODDS]
     kept = []
     for one in named:
         without = fit_rig(

@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.special import softmax
 
+from estimator.diagnosis import verdict
 from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.discrepancy import Discrepancy, families
 from estimator.diagnosis.fitting import Fit
@@ -125,9 +126,11 @@ def test_all_log_odds_charge_every_cause_its_prior(base, both):
     assert found(base, base, LAST).log_odds == 0.0
 
 
+@pytest.mark.parametrize("most_refitted", [4, 1], ids=["by fits without each", "to first order"])
 def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
-    small_rig, small_session, small_truth
+    small_rig, small_session, small_truth, most_refitted, monkeypatch
 ):
+    monkeypatch.setattr(verdict, "MOST_REFITTED", most_refitted)
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)
@@ -135,6 +138,20 @@ def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
     curve = replace(left(-3.0), columns=2.0 * families(final)[0].columns)
     search = replace(search, whole=curve, steps=(replace(LAST, left=curve),))
     assert [one.cause for one in beside_discrepancy(search, [named(OFFSET), named(GAIN)])] == [OFFSET]
+
+
+def test_a_cause_that_a_curve_imitates_has_no_evidence_beside_it_and_one_across_it_keeps_its_own(
+    small_rig, small_session, small_truth
+):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
+    fit = fit_of(small_rig, readings.calibration, OFFSET)
+    alone = fit.log_evidence_for(OFFSET)
+    own = [fit.posterior.coordinates.names.index(f"{OFFSET.label}.{axis}_T") for axis in "xyz"]
+    imitation = 1e-3 * fit.jacobian[:, own]  # curves that reach a thousand microtesla
+    assert alone > 100.0
+    assert fit.log_evidence_for(OFFSET, imitation) < 5.0
+    assert fit.log_evidence_for(OFFSET, torch.zeros_like(imitation)) == pytest.approx(alone, rel=1e-9)
 
 
 def test_the_extended_fit_keeps_the_causes_that_were_named_and_no_other(base, both):
