@@ -10,8 +10,9 @@ import torch
 from matplotlib.figure import Figure
 
 from estimator import plots
+from estimator.bodies import winding_of, world_from_body
 from estimator.calibration import Calibration
-from estimator.chain import Chain, winding_of, world_from_body
+from estimator.chain import Chain
 from estimator.field.winding import Winding
 from estimator.motion import base_from_motion
 from estimator.prediction import RoomField

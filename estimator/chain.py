@@ -7,7 +7,7 @@ parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,14 +15,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.func import jacfwd
 
+from estimator.bodies import WINDING_KEYS, columns_of, winding_of, world_from_body
 from estimator.coordinates import Values
 from estimator.effects.base import (
     CurrentEffect,
-    Effect,
     ElementEffect,
     Kind,
-    MotionEffect,
-    MountEffect,
     PerAmpere,
     ReadingEffect,
     RoomEffect,
@@ -43,11 +41,9 @@ from estimator.field.winding import (
     distance_to_winding,
 )
 from estimator.frames import Transform
-from estimator.motion import base_from_motion, pose_of
+from estimator.motion import base_from_motion
 from estimator.records import Observations
-from estimator.rig import Body, Coil, MotionKind, Rig
-
-WINDING_KEYS = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+from estimator.rig import Body, Coil, Rig
 
 
 @dataclass(frozen=True)
@@ -95,7 +91,7 @@ class Chain:
     def unruled(cls, rig: Rig, observations: Observations) -> Chain:
         """The chain before quadrature rules are chosen; `with_rules` or `rules` of a similar chain complete it."""
         scene = Scene(rig, observations)
-        columns = _columns(rig, scene)
+        columns = columns_of(rig, scene)
         motions = [observations.motion[mover.name] for mover in rig.movers]
         key = torch.cat([observations.sensor[:, None].to(torch.float64), *motions, *columns.values()], dim=1)
         distinct, place = torch.unique(key, dim=0, return_inverse=True)
@@ -359,83 +355,6 @@ class CoilInRoom(PerAmpere):
         return self.world_from_coil.rotate(
             self.field_per_ampere(self.world_from_coil.inverse().apply(points_m))
         )
-
-
-def _columns(rig: Rig, scene: Scene) -> dict[str, Tensor]:
-    """What the effects that move bodies depend on besides the pose, by reading."""
-    found = {}
-    nominal = rig.nominal_values()
-    for use in uses_of(rig, Effect):
-        if isinstance(use.effect, MotionEffect):
-            found[use.label] = use.effect.columns(scene, use.place)
-        elif isinstance(use.effect, MountEffect):
-            own = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
-            found[use.label] = use.effect.columns(scene, own)
-    return found
-
-
-def world_from_body(
-    rig: Rig,
-    body: Body,
-    kind: str,
-    flange: Mapping[str, Transform],
-    values: Values,
-    columns: Mapping[str, Tensor] | None = None,
-) -> Transform:
-    """Pose of a coil or sensor, given where the movers stand.
-
-    Args:
-        rig: Names the mover that carries the body, and the effects of robot and mounts.
-        body, kind: The body and its kind, `coil` or `sensor`.
-        flange: Per mover base_from_flange, or the displacement in the end-effector frame (`base_from_motion`).
-        values: Every number of the rig.
-        columns: Per effect that moves bodies what else it depends on; without them the effects of robot and mounts are left out.
-    References: Osinde et al., eq 14-22, with the frames of DESIGN section 2.
-    """
-    columns = columns or {}
-    if body.carried_by is None:
-        return pose_of(f"{body.name}.world_from_{kind}", values) @ _mount(rig, body, values, columns, False)
-    mover = rig.mover(body.carried_by)
-    moved = flange[mover.name]
-    for use in uses_of(rig, MotionEffect, mover.name):
-        if use.label in columns:
-            moved = use.effect.apply(moved, columns[use.label], use.theta(values))
-    at_reference = _mount(rig, body, values, columns, True)
-    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
-    real = moved @ flange_from_body @ _mount(rig, body, values, columns, False)
-    if mover.motion is MotionKind.DISPLACEMENT:
-        return pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ real
-    return pose_of(f"{mover.name}.world_from_base", values) @ real
-
-
-def static_columns(rig: Rig) -> dict[str, Tensor]:
-    """Columns for one pose of those effects of robot and mounts that depend on the pose alone."""
-    static = (MotionEffect.columns, MountEffect.columns)
-    return {
-        use.label: torch.zeros(1, 0, dtype=torch.float64)
-        for use in uses_of(rig, Effect)
-        if isinstance(use.effect, (MotionEffect, MountEffect)) and type(use.effect).columns in static
-    }
-
-
-def _mount(
-    rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
-) -> Transform:
-    """nominal_from_real of a body on what carries it, by the effects that were there already at the reference pose, or by the others."""
-    total = Transform.identity()
-    for use in uses_of(rig, MountEffect, body.name):
-        if use.label in columns and use.effect.is_at_reference == is_at_reference:
-            total = total @ use.effect.apply(columns[use.label], use.theta(values))
-    return total
-
-
-def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding:
-    """The coil's winding at these values."""
-    numbers = (values[f"{coil.name}.{key}"] for key in WINDING_KEYS)
-    winding = Winding(*torch.broadcast_tensors(*numbers))
-    for use in uses_of(rig, WindingEffect, coil.name):
-        winding = use.effect.apply(winding, use.theta(values))
-    return winding
 
 
 def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:

@@ -9,7 +9,7 @@ import torch
 from matplotlib.figure import Figure
 
 from estimator import plots
-from estimator.chain import winding_of
+from estimator.bodies import winding_of
 from estimator.diagnosis.covariates import predicted_T, sensor_in_coils
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis_record import Diagnosis

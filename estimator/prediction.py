@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.func import jvp
 
-from estimator.chain import CoilInRoom, static_columns, winding_of, world_from_body
+from estimator.bodies import static_columns, winding_of, world_from_body
+from estimator.chain import CoilInRoom
 from estimator.coordinates import Values
 from estimator.effects.base import CurrentEffect, RoomEffect, SourceEffect
 from estimator.effects.record import UnitError

@@ -32,7 +32,8 @@ from paper_tables import (
 from scipy.optimize import minimize
 
 from estimator import load_plan, load_rig
-from estimator.chain import Chain, winding_of
+from estimator.bodies import winding_of
+from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.fitting import fit_rig
 from estimator.inference.likelihood import LogPosterior

@@ -12,7 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.chain import Chain, winding_of
+from estimator.bodies import winding_of
+from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.harmonics import harmonic_gradients
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.chain import winding_of
+from estimator.bodies import winding_of
 from estimator.diagnosis.covariates import predicted_T, sensor_in_coils, sensor_in_room
 from estimator.diagnosis.discrepancy import (
     Collection,

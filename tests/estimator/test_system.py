@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from estimator.bodies import winding_of
 from estimator.calibration import Calibration
-from estimator.chain import winding_of
 from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
 from estimator.records import Observations
