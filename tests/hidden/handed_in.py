@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ class HiddenSession:
         scene: Without the flaws.
         visible: Visible size of each flaw.
         record: What the laboratory wrote down.
+        unflawed: What it would have written down without the flaws, the same noise in it.
         has_neighbour: The rig has an idle coil2.
     """
 
@@ -50,7 +51,12 @@ class HiddenSession:
     flaws: tuple[Flaw, ...]
     visible: tuple[Visible, ...]
     record: Record
+    unflawed: Record
     has_neighbour: bool
+
+    def without_flaws(self) -> HiddenSession:
+        """The same session, noise included, in which nothing is wrong."""
+        return replace(self, flaws=(), visible=(), record=self.unflawed)
 
     @property
     def schedule(self) -> Schedule:

@@ -49,8 +49,10 @@ def draw_session(
     hidden = _hide(Adjustable.of(scene), causes, visible_sigma, rng)
     flaws = tuple(flaw for flaw, _ in hidden)
     has_neighbour = bool(rng.random() < 0.25) or "neighbour_coil" in names
-    made = record(scene, flaws, rng.normal(size=(len(scene.schedule), 3)))
-    return HiddenSession(seed, scene, flaws, tuple(visible for _, visible in hidden), made, has_neighbour)
+    noise = rng.normal(size=(len(scene.schedule), 3))
+    made, unflawed = record(scene, flaws, noise), record(scene, (), noise)
+    visible = tuple(visible for _, visible in hidden)
+    return HiddenSession(seed, scene, flaws, visible, made, unflawed, has_neighbour)
 
 
 def draw_ideal(protocol: str, rng: np.random.Generator) -> Scene:

@@ -321,3 +321,14 @@ def with_targets(target_m: list[list[float]]) -> Scene:
     places_m = np.array(target_m)
     schedule = replace(scene.schedule, displacement_m=places_m)
     return replace(scene, schedule=schedule, displacement_m=places_m)
+
+
+def test_without_its_flaws_a_session_keeps_its_coil_and_its_noise() -> None:
+    flawed = draw_session(11, "axis_gain")
+    clean = flawed.without_flaws()
+    assert clean.truth()["causes"] == []
+    assert clean.truth()["values"] == flawed.truth()["values"]
+    noise_T = flawed.scene.noise_T.max()
+    left_T = clean.record.field_T - flawed.scene.measured().readings_T
+    assert 0.8 * noise_T < left_T.std() < 1.2 * noise_T
+    assert abs(flawed.record.field_T - clean.record.field_T).max() > noise_T
