@@ -157,7 +157,14 @@ class Diagnosis:
             "name": self.label(one.cause),
             "place": one.cause.place,
             "probability": one.probability,
-            "alternatives": [{"name": self.label(c), "probability": p} for c, p in one.alternatives],
+            "alternatives": [
+                {
+                    "name": self.label(other.cause),
+                    "probability": other.probability,
+                    "expected_log_evidence": other.expected_log_evidence,
+                }
+                for other in one.alternatives
+            ],
             "log_bayes_factor": one.log_bayes_factor,
             "parameters": self.parameters(one.cause),
         }

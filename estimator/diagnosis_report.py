@@ -7,7 +7,7 @@ from typing import Any
 
 from estimator.diagnosis.gain import Judged
 from estimator.diagnosis.step import Rival, Step, shares_of
-from estimator.diagnosis.verdict import Verdict
+from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import Diagnosis
 from estimator.effects import EFFECTS
@@ -74,7 +74,7 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
     sentences = [first]
     for one in diagnosis.causes:
         if one.alternatives:
-            others = ", or ".join(f"{diagnosis.label(c)} ({share:.0%})" for c, share in one.alternatives)
+            others = ", or ".join(_alternative(diagnosis, other) for other in one.alternatives)
             sentences.append(
                 f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
             )
@@ -96,6 +96,13 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.extended.rig.effects:
         sentences.append("After: " + " ".join(diagnosis.after.sentences()))
     return sentences
+
+
+def _alternative(diagnosis: Diagnosis, other: Alternative) -> str:
+    """Another name, how probable it is, and whether the readings could have told."""
+    apart = other.expected_log_evidence
+    why = "" if apart is None else f"; these readings tell the two apart by {apart:.2g} in log evidence"
+    return f"{diagnosis.label(other.cause)} ({other.probability:.0%}{why})"
 
 
 def _next(diagnosis: Diagnosis) -> str:

@@ -69,7 +69,11 @@ class Superposition:
     @property
     def is_coupled(self) -> bool:
         """Whether `neighbour_coil` is among the causes named, or among those that cannot be told from them."""
-        named = [c for one in self.diagnosis.causes for c in (one.cause, *(c for c, _ in one.alternatives))]
+        named = [
+            c
+            for one in self.diagnosis.causes
+            for c in (one.cause, *(other.cause for other in one.alternatives))
+        ]
         return any(cause.name == NeighbourCoil.name for cause in named)
 
     def words(self) -> str:

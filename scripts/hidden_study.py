@@ -177,8 +177,23 @@ def show_single(kind: str, rows: list[Row]) -> None:
         f"{sum(sizes) / max(len(sizes), 1):.2f}, right where one cause is named in {share(right, len(named))}; verdicts "
         f"{dict(Counter(row['verdict'] for row in rows))}"
     )
+    several = [row for row, names in zip(rows, first, strict=True) if len(names) > 1]
+    if several:
+        explained = sum(is_explained(row["causes"][0]) for row in several)
+        print(
+            f"  sets of several causes that what the readings can tell apart explains: {share(explained, len(several))}"
+        )
     if kind == "single":
         show_sizes(rows)
+
+
+def is_explained(cause: dict[str, Any]) -> bool:
+    """Whether the readings were expected to leave every other member in the credible set, with a chance of 2.5 % or more.
+
+    The log evidence of one hypothesis against another scatters by the root of twice its expected value.
+    """
+    expected = [other["expected_log_evidence"] for other in cause["alternatives"]]
+    return all(e is not None and e - 2.0 * math.sqrt(2.0 * e) < math.log(20.0) for e in expected)
 
 
 def show_sizes(rows: list[Row]) -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from estimator.diagnosis.candidates import candidates
+from estimator.diagnosis.design import rows_seen, separation
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.screening import linear_evidence
@@ -39,6 +40,21 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """Another cause that a named one could be.
+
+    Attributes:
+        probability: Among the causes of the step.
+        expected_log_evidence: What these readings should say for the named cause against this one, were the named one true; None where
+            this one was not fitted in full.
+    """
+
+    cause: Cause
+    probability: float
+    expected_log_evidence: float | None
+
+
+@dataclass(frozen=True)
 class NamedCause:
     """One cause of the verdict.
 
@@ -51,7 +67,7 @@ class NamedCause:
 
     cause: Cause
     probability: float
-    alternatives: tuple[tuple[Cause, float], ...]
+    alternatives: tuple[Alternative, ...]
     log_bayes_factor: float
 
 
@@ -79,9 +95,22 @@ def named_causes(search: Search) -> list[NamedCause]:
             continue
         shares = _shares(step.credible)
         leader = next(rival for rival in step.credible if rival.cause == step.taken)
-        others = tuple((c, share) for c, share in shares.items() if c != step.taken)
-        found.append(NamedCause(step.taken, shares[step.taken], others, leader.log_bayes_factor))
+        others = [rival for rival in step.credible if rival.cause != step.taken]
+        alternatives = tuple(
+            Alternative(rival.cause, shares[rival.cause], _expected(leader, rival))
+            for rival in others
+            if rival.cause is not None
+        )
+        found.append(NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor))
     return found
+
+
+def _expected(truth: Rival, rival: Rival) -> float | None:
+    """Log evidence that the readings so far should hold for one hypothesis against another, were it true."""
+    if truth.fit is None or rival.fit is None:
+        return None
+    fits = {truth.name: truth.fit, rival.name: rival.fit}
+    return float(separation(fits, rows_seen(fits))[0])
 
 
 def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:

@@ -16,6 +16,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.search import Search
 from estimator.diagnosis.step import Rival, Step
 from estimator.diagnosis.verdict import (
+    Alternative,
     NamedCause,
     Verdict,
     beside_discrepancy,
@@ -57,7 +58,7 @@ def found(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
 
 
 def named(cause: Cause, *others: Cause) -> NamedCause:
-    return NamedCause(cause, 0.9, tuple((other, 0.1) for other in others), 50.0)
+    return NamedCause(cause, 0.9, tuple(Alternative(other, 0.1, None) for other in others), 50.0)
 
 
 LAST = step(None, {})
@@ -107,9 +108,29 @@ def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(b
     shares = softmax(list(evidence.values()))
     assert (first.cause, first.log_bayes_factor) == (OFFSET, 31.0)
     assert first.probability == pytest.approx(shares[0], rel=1e-12)
-    assert [cause for cause, _ in first.alternatives] == list(evidence)[1:]
-    assert [share for _, share in first.alternatives] == pytest.approx(list(shares[1:]), rel=1e-12)
+    assert [other.cause for other in first.alternatives] == list(evidence)[1:]
+    assert [other.probability for other in first.alternatives] == pytest.approx(list(shares[1:]), rel=1e-12)
     assert (second.cause, second.probability, second.alternatives) == (GAIN, 1.0, ())
+
+
+def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_session, base):
+    """Exact twins are never told apart; of others the residuals hold just the evidence that was expected, but for noise."""
+    room = Cause("background_field", "room")
+    seen = small_session.observations.calibration
+    wrong = with_wrong(small_rig, seen, OFFSET, {"x_T": 2e-4, "y_T": -1e-4})
+    fits = {cause: fit_of(small_rig, wrong, cause) for cause in (OFFSET, room, GAIN)}
+    rivals = tuple(Rival(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
+    taken = Step(rivals, OFFSET, rivals, left(-3.0))
+    (one,) = named_causes(found(base, fits[OFFSET], taken, LAST))
+    twin, other = one.alternatives
+    assert (twin.cause, other.cause) == (room, GAIN)
+    assert twin.expected_log_evidence == pytest.approx(0.0, abs=1e-3)
+    square = {
+        cause: float((fit.residual / fit.whitening_per_T).square().sum()) for cause, fit in fits.items()
+    }
+    whitening = float(fits[OFFSET].whitening_per_T.mean())
+    worse = 0.5 * (square[GAIN] - square[OFFSET]) * whitening**2
+    assert other.expected_log_evidence == pytest.approx(worse, rel=0.01)
 
 
 def test_cause_that_was_dropped_later_is_not_named(base, both):
