@@ -350,6 +350,11 @@ class CoilInRoom(PerAmpere):
     world_from_coil: Transform
     field_per_ampere: Callable[[Tensor], Tensor]
 
+    @property
+    def position_m(self) -> Float[Tensor, "*#batch #place 3"]:
+        """Where the coil is in the world frame."""
+        return self.world_from_coil.translation_m
+
     def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*batch place 3"]:
         """Field per ampere in the world frame at one point per pose."""
         return self.world_from_coil.rotate(

@@ -108,12 +108,14 @@ def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
     return Transform((rotation @ own)[..., None, :, :], translation_m[..., None, :])
 
 
-def nominal_places_m(rig: Rig, observations: Observations) -> Float[Tensor, "place 3"]:
-    """Where coils and sensors nominally stand in the world during a session, a few hundred poses of each at most."""
+def nominal_places_m(
+    rig: Rig, observations: Observations, has_coils: bool = True
+) -> Float[Tensor, "place 3"]:
+    """Where sensors, and coils, nominally stand in the world during a session, a few hundred poses of each at most."""
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     step = max(1, len(observations) // MOST_PLACES)
     flange = {m.name: base_from_motion(m, observations.motion[m.name][::step]) for m in rig.movers}
-    bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils]
+    bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils] if has_coils else []
     bodies += [("sensor", sensor) for sensor in rig.sensors]
     return torch.cat([_nominal_world_from_body(rig, *b, flange, values).translation_m for b in bodies])
 

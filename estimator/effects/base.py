@@ -174,6 +174,11 @@ class SourceEffect(Effect):
 class PerAmpere(ABC):
     """Field of one ampere in a coil, in the room, at any points: what things that stand in the room respond to."""
 
+    @property
+    @abstractmethod
+    def position_m(self) -> Float[Tensor, "*#batch #place 3"]:
+        """Where the coil is in the world frame."""
+
     @abstractmethod
     def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*#batch place 3"]:
         """Field in the world frame at one point per distinct pose."""

@@ -76,6 +76,11 @@ class Scene:
         return nominal_places_m(self.rig, self.observations.history)
 
     @cached_property
+    def sensor_places_m(self) -> Float[Tensor, "place 3"]:
+        """Where sensors alone nominally stand."""
+        return nominal_places_m(self.rig, self.observations.history, has_coils=False)
+
+    @cached_property
     def reach_m(self) -> float:
         """Distance over which things stand in the laboratory: the farthest of the places from their middle."""
         return float((self.places_m - self.places_m.mean(0)).norm(dim=-1).max())

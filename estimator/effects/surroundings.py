@@ -13,6 +13,11 @@ from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, norma
 from estimator.effects.scene import Extent, Scene
 from estimator.units import MU0_T_M_PER_A
 
+QUARTER_TURN = 0.5 * math.pi
+LEAST_BETWEEN = (
+    0.5  # of the reach: how far places lie apart for a plate with an opening to stand between them
+)
+BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
 
 
@@ -55,14 +60,14 @@ class BackgroundDrift(RoomEffect):
 
 
 class IronPlate(RoomEffect):
-    """A large plane of iron mirrors the coils."""
+    """A large plate of iron mirrors the coils and shields what is behind it."""
 
     name: ClassVar[str] = "iron_plate"
-    words: ClassVar[str] = "a plane of iron mirrors the coils"
+    words: ClassVar[str] = "a plate of iron mirrors the coils and shields what is behind it"
     source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Strength of the image, direction from the world's origin to the plane, and its distance."""
+        """Strength of image and shield, direction from the world's origin to the plane, and its distance."""
         return (
             normal("strength", "1", 0.5),
             shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
@@ -71,10 +76,10 @@ class IronPlate(RoomEffect):
         )
 
     def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes, behind whatever stands there."""
+        """Planes across the world's axes, behind whatever stands there, and between the sensors' places where these lie apart."""
         starts = []
-        for azimuth, elevation in [(0.5 * math.pi * i, 0.0) for i in range(4)] + [
-            (0.0, s * 0.5 * math.pi) for s in (-1, 1)
+        for azimuth, elevation in [(QUARTER_TURN * i, 0.0) for i in range(4)] + [
+            (0.0, s * QUARTER_TURN) for s in (-1, 1)
         ]:
             normal_vector = torch.tensor(
                 [
@@ -92,12 +97,28 @@ class IronPlate(RoomEffect):
                 }
                 for gap in (0.3, 1.0)
             ]
+        low_m, high_m = scene.sensor_places_m.min(0).values, scene.sensor_places_m.max(0).values
+        for axis, (azimuth, elevation) in enumerate(((0.0, 0.0), (QUARTER_TURN, 0.0), (0.0, QUARTER_TURN))):
+            extent_m = float(high_m[axis] - low_m[axis])
+            if extent_m > LEAST_BETWEEN * scene.reach_m:
+                starts += [
+                    {
+                        "azimuth_rad": azimuth,
+                        "elevation_rad": elevation,
+                        "distance_m": float(low_m[axis]) + share * extent_m,
+                    }
+                    for share in BETWEEN
+                ]
         return tuple(starts)
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
     ) -> Float[Tensor, "*#batch place 3"]:
-        """Image of the coil (Jackson, Classical Electrodynamics, 3rd ed., section 5.17)."""
+        """In front the image of the coil, behind so much less of its field.
+
+        A thin sheet of iron that reflects the share r lets 1 - r pass: then the field along the sheet is the same on both sides.
+        References: Jackson, Classical Electrodynamics, 3rd ed., section 5.17 (image), 5.8 (continuity).
+        """
         azimuth, elevation = theta["azimuth_rad"], theta["elevation_rad"]
         across = torch.stack(
             (
@@ -107,10 +128,12 @@ class IronPlate(RoomEffect):
             ),
             dim=-1,
         )[..., None, :]
-        depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
-        mirrored = per_ampere.at(points_m - 2.0 * depth_m[..., None] * across)
-        turned = mirrored - 2.0 * (mirrored * across).sum(-1, keepdim=True) * across
-        return -theta["strength"][..., None, None] * turned
+        depth_m = ((points_m * across).sum(-1) - theta["distance_m"][..., None])[..., None]
+        coil_m = ((per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None])[..., None]
+        is_behind = depth_m * coil_m < 0.0
+        field = per_ampere.at(torch.where(is_behind, points_m, points_m - 2.0 * depth_m * across))
+        turned = field - 2.0 * (field * across).sum(-1, keepdim=True) * across
+        return -theta["strength"][..., None, None] * torch.where(is_behind, field, turned)
 
 
 class IronBody(RoomEffect):

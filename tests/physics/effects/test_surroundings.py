@@ -96,10 +96,22 @@ def test_iron_plate_adds_the_field_of_image_currents(strength):
 def test_field_at_a_plate_of_soft_iron_stands_upright_on_it():
     flat = np.linalg.svd(ACROSS[None])[2][1:]
     on_plate_m = DISTANCE_M * ACROSS + np.random.default_rng(2).normal(0.0, 0.05, (8, 2)) @ flat
-    field = predicted_T(readings(on_plate_m, (1.0, 0.0)), {"iron_plate[room]": PLATE})
+    just_before_m = on_plate_m - 1e-12 * ACROSS
+    field = predicted_T(readings(just_before_m, (1.0, 0.0)), {"iron_plate[room]": PLATE})
     alone = winding().field_T(on_plate_m)
     assert np.abs(field @ flat.T).max() < 1e-9 * np.abs(field).max()
     np.testing.assert_allclose(field @ ACROSS, 2.0 * (alone @ ACROSS), rtol=1e-9)
+
+
+def test_behind_a_sheet_of_iron_the_share_passes_that_is_not_reflected_and_the_field_along_the_sheet_is_continuous():
+    """No current flows in the sheet, so the tangential field is the same on both sides; the flux that is missing runs in the sheet."""
+    flat = np.linalg.svd(ACROSS[None])[2][1:]
+    at_m = DISTANCE_M * ACROSS + np.random.default_rng(2).normal(0.0, 0.05, (8, 2)) @ flat
+    sheet = {"iron_plate[room]": {**PLATE, "strength": 0.3}}
+    front, behind = (predicted_T(readings(at_m + side * ACROSS, (1.0, 0.0)), sheet) for side in (-1e-9, 1e-9))
+    np.testing.assert_allclose(behind, 0.7 * winding().field_T(at_m), rtol=1e-6)
+    np.testing.assert_allclose(front @ flat.T, behind @ flat.T, rtol=1e-6, atol=1e-6 * np.abs(front).max())
+    assert np.abs((front - behind) @ ACROSS).min() > 0.1 * np.abs(front @ ACROSS).min()
 
 
 CARRIED = (
