@@ -18,11 +18,13 @@ from estimator.report import Picture
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
+MOST_IN_TITLE, LEAST_STEPS = 3, 2
 
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a sentence on what to look for."""
-    return [*_maps(diagnosis), *_explained(diagnosis), *_structure(diagnosis), *_ranking(diagnosis)]
+    parts = (_maps, _explained, _ladder, _structure, _ranking)
+    return [picture for part in parts for picture in part(diagnosis)]
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -55,12 +57,33 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
     if not after.rig.effects:
         return
     change_T = (predicted_T(after) - predicted_T(before)).numpy()
-    names = " + ".join(diagnosis.label(cause) for cause in after.rig.effects)
+    labels = [diagnosis.label(cause) for cause in after.rig.effects]
+    names = " + ".join(labels) if len(labels) <= MOST_IN_TITLE else f"{len(labels)} causes together"
     figure = plots.explained(_residual_T(before), change_T, _sigma_T(after), title=names).figure
     assert isinstance(figure, Figure)
     yield Picture(
         "What the extension explains",
         "Residual of the plain model over what the extended model changes in the same reading: the means should follow the slanted line.",
+        figure,
+    )
+
+
+def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
+    taken = [step for step in diagnosis.search.steps if step.taken is not None]
+    if len(taken) < LEAST_STEPS:
+        return
+    rival = {step.taken: next(r for r in step.rivals if r.cause == step.taken) for step in taken}
+    fits = [diagnosis.search.base, *(step.winner for step in taken)]
+    figure = plots.ladder(
+        [diagnosis.label(cause) for cause in rival if cause is not None],
+        [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
+        [one.log_bayes_factor for one in rival.values()],
+        title=diagnosis.rig.name,
+    ).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "What each cause brought",
+        "Causes in the order in which they were taken, and what was left of the residual after each.",
         figure,
     )
 

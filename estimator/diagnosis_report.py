@@ -13,7 +13,6 @@ from estimator.diagnosis_record import Diagnosis
 from estimator.effects import EFFECTS
 from estimator.plots.style import shown, to_digit_of, with_sd
 from estimator.report import ReportPage, Table, render_report
-from estimator.rig import Cause
 from estimator.units import split_unit
 
 MOST_RIVALS = 8
@@ -59,15 +58,13 @@ def size_with_unit(value: float, unit: str) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
-    names = [_name(diagnosis, fault.cause) for fault in diagnosis.faults]
-    names += [_name(diagnosis, one.cause) for one in diagnosis.causes]
-    listed = "; ".join(names)
+    listed = "; ".join(_names(diagnosis))
     if diagnosis.verdict is Verdict.NAMED:
         first = f"Found: {listed}."
     elif diagnosis.verdict is Verdict.INDISTINGUISHABLE:
         first = f"Found, but not down to one cause: {listed}."
     elif diagnosis.verdict is Verdict.UNEXPLAINED:
-        known = f" What can be named: {listed}." if names else ""
+        known = f" What can be named: {listed}." if listed else ""
         first = f"Something is wrong that no known cause explains.{known}"
     else:
         first = "Nothing is wrong that these readings could show."
@@ -250,7 +247,8 @@ def _rivals_table(diagnosis: Diagnosis, step: Step, number: int) -> Table:
             "—" if rival.held_out is None else f"{_signed(rival.held_out.gain)} ± {rival.held_out.se:.1f}",
             _why(step, rival),
         ]
-        for rival in step.rivals[:MOST_RIVALS]
+        for i, rival in enumerate(step.rivals)
+        if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
     ]
     taken = "nothing more" if step.taken is None else diagnosis.label(step.taken)
     return Table(
@@ -322,8 +320,16 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
     return Table("What these readings can show", ["cause", "smallest visible"], rows, says)
 
 
-def _name(diagnosis: Diagnosis, cause: Cause) -> str:
-    return f"{diagnosis.label(cause)} ({EFFECTS[cause.name].words})"
+def _names(diagnosis: Diagnosis) -> list[str]:
+    """What was found, with its meaning; a kind of cause that is there in several places once."""
+    causes = [fault.cause for fault in diagnosis.faults] + [one.cause for one in diagnosis.causes]
+    found = []
+    for name in dict.fromkeys(cause.name for cause in causes):
+        labels = [diagnosis.label(cause) for cause in causes if cause.name == name]
+        places = ", ".join(cause.place for cause in causes if cause.name == name)
+        label = labels[0] if len(labels) == 1 else f"{name}[{places}]"
+        found.append(f"{label} ({EFFECTS[name].words})")
+    return found
 
 
 def _microtesla(judged: Judged) -> str:

@@ -6,7 +6,7 @@ Every function draws into the Axes it is given or into a figure of its own, retu
 from estimator.plots.corner import corner
 from estimator.plots.field_map import field_plane
 from estimator.plots.history import history
-from estimator.plots.hypotheses import evidence_bars, explained, structure_bars
+from estimator.plots.hypotheses import evidence_bars, explained, ladder, structure_bars
 from estimator.plots.place_map import (
     angular_deviation_map,
     before_and_after_map,
@@ -35,6 +35,7 @@ __all__ = [
     "interaction",
     "interactions",
     "interval_summary",
+    "ladder",
     "main_effect",
     "main_effects",
     "predicted_against_measured",

@@ -70,6 +70,37 @@ def evidence_bars(
 
 
 @styled
+def ladder(
+    names: Sequence[str],
+    rms_T: Sequence[float],
+    evidence: Sequence[float],
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Residual that was left as causes were added one after another, first on top.
+
+    Args:
+        names: Of the causes, in the order in which they were taken.
+        rms_T: Residual of a component before any cause, then after each; one more than names.
+        evidence: Log evidence of each cause when it was taken.
+        ax: Place; a new figure by default.
+        title: Rig.
+    """
+    ax = axes(ax, 6.4, 1.2 + 0.26 * len(rms_T))
+    for row, value_T in enumerate(rms_T):
+        ax.barh(row, 1e6 * value_T, color=BLUE if row else GREY, height=0.7)
+        says = f"  {1e6 * value_T:.3g} µT" + (f", log evidence +{evidence[row - 1]:.0f}" if row else "")
+        ax.annotate(says, (1e6 * value_T, row), va="center", ha="left", fontsize=8)
+    labels = ["as described", *(f"+ {name}" for name in names)]
+    ax.set_yticks(range(len(rms_T)), [plain(label) for label in labels])
+    ax.invert_yaxis()
+    ax.set_xlim(0.0, 1.45e6 * max(rms_T))
+    ax.set_xlabel("rms residual of a component in the readings of the search (µT)")
+    ax.set_title(plain(title))
+    return ax
+
+
+@styled
 def explained(
     residual_T: Float[np.ndarray, "reading 3"],
     explained_T: Float[np.ndarray, "reading 3"],

@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from estimator.plots import evidence_bars, explained, structure_bars
+from estimator.plots import evidence_bars, explained, ladder, structure_bars
 from estimator.plots.style import BLUE, ORANGE
 
 EVIDENCE = {"nothing": 0.0, "axis_gain": 31.2, "cross_axis": 12.0, "unexplained": 8.5, "backlash": -90.0}
@@ -74,3 +74,11 @@ def test_structure_is_longer_the_surer_it_is_and_ends_at_the_smallest_shown() ->
     lengths = [bar.get_width() for bar in bars(ax)]
     assert lengths == pytest.approx([4.0, -np.log10(0.5), -np.log10(0.3), 0.0])
     assert labels(ax) == ["time", "current"]
+
+
+def test_ladder_tells_what_was_left_after_each_cause_in_order():
+    ax = ladder(["axis_gain[hall]", "mount_tilt[coil1]"], [40e-6, 25e-6, 20e-6], [31.4, 8.0], title="rig")
+    assert labels(ax) == ["as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
+    assert [bar.get_width() for bar in ax.patches] == pytest.approx([40.0, 25.0, 20.0])
+    said = [text.get_text().strip() for text in ax.texts]
+    assert said == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]

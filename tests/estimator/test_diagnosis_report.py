@@ -1,0 +1,76 @@
+"""The page of a diagnosis: sentences and tables a reader can take at their word."""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import replace
+
+import pytest
+
+from estimator.diagnose import diagnose
+from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
+from estimator.diagnosis_record import Diagnosis
+from estimator.diagnosis_report import diagnosis_report
+from estimator.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import with_wrong
+
+OFFSET = Cause("sensor_offset", "hall")
+OFFSET_T = 2e-4
+
+
+@pytest.fixture(scope="module")
+def diagnosis(small_rig: Rig, small_session: Session) -> Diagnosis:
+    """Of the small rig with an offset that a fixed sensor cannot tell from a field of the room."""
+    flawed = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": OFFSET_T})
+    return diagnose(replace(small_session, observations=flawed), seed=1)
+
+
+@pytest.fixture(scope="module")
+def text(diagnosis: Diagnosis) -> str:
+    return as_text(diagnosis)
+
+
+def as_text(diagnosis: Diagnosis) -> str:
+    """The page without its pictures and tags."""
+    page = re.sub(r"<img[^>]*>", "", diagnosis_report(diagnosis, "coilcal diagnose session.zarr"))
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
+
+
+def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
+    assert re.search(r"Found, but not down to one cause: (sensor_offset|background_field) \(", text)
+    assert re.search(
+        r"could as well be .*these readings tell the two apart by (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
+    )
+
+
+def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
+    value, sd = re.search(r"x_T (−?\d+\.?\d*) ± (\d+\.?\d*)", text).groups()
+    assert float(value) == pytest.approx(1e6 * OFFSET_T, abs=4.0 * float(sd))
+
+
+def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
+    before, after = (1e6 * judged.errors.vector_T for judged in (diagnosis.gain.before, diagnosis.gain.after))
+    assert f"the error falls from {before:.4g} µT to {after:.4g} µT" in text
+    assert after < 0.2 * before
+
+
+def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
+    assert "Who was considered, step 1" in text
+    assert re.search(r"explains less: \d+\.\d behind", text)
+    assert re.search(r"explains nothing: \d+\.\d behind", text)
+
+
+def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
+    several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
+    found = replace(diagnosis, causes=several, verdict=Verdict.NAMED, next_measurements=())
+    said = diagnosis_report(found, "")
+    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in said
+
+
+def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
+    other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
+    (one,) = diagnosis.causes
+    found = as_text(replace(diagnosis, causes=(replace(one, alternatives=(other,)),)))
+    assert "could as well be axis_gain (25%)." in found
