@@ -25,7 +25,6 @@ from estimator.store.importers import IMPORTERS
 
 OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
 POWERED = {"run01": (), "run07": ("M1",), "run05": ("M2",), "run03": ("E1", "CC", "E2")}
-UNPOWERED = "mice-run01"  # diagnosed first: the others start from the rig that it was extended to
 MICE = tuple(
     DataSet(
         f"mice-{run}", "mice_ssu", "mice", f"mice-ssu-solenoids/{run}*.dat", OFF | dict.fromkeys(coils, 30.0)
@@ -63,11 +62,7 @@ def main() -> None:
 
 def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
     begin = time.perf_counter()
-    found_off = out / UNPOWERED / "rig_extended.yaml"
-    path = Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml"
-    if data_set.importer == "mice" and data_set.name != UNPOWERED and found_off.exists():
-        path = found_off
-    rig = load_rig(path)
+    rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
     idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
     rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
     session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
@@ -76,7 +71,6 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
-    print(f"  rig: {path}", flush=True)
     found = diagnose(session, seed=seed, out=out / data_set.name, on_stage=tell)
     record = found.record()
     write_text(

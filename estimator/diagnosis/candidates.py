@@ -42,6 +42,10 @@ class Candidate:
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
 
+    def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
+        """The same where each component weighs so many times what it did."""
+        return replace(self, shift=self.shift * weight, columns=self.columns * weight[:, None])
+
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
         """Columns that may be there alone: each, each pair, those of one element, and (last) all."""

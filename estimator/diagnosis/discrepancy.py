@@ -40,6 +40,15 @@ class Family:
     name: str
     columns: Float[Tensor, "component column"]
 
+    @classmethod
+    def of(cls, name: str, whitened: Float[Tensor, "component column"]) -> Family:
+        """Of columns at any common scale."""
+        return cls(name, whitened / whitened.square().sum(1).mean().sqrt().clamp(min=1e-300))
+
+    def weighed(self, weight: Float[Tensor, " component"]) -> Family:
+        """The same where each component weighs so many times what it did; its amplitudes stay in units of the noise."""
+        return Family.of(self.name, self.columns * weight[:, None])
+
 
 @dataclass(frozen=True)
 class Discrepancy:
@@ -158,7 +167,7 @@ class Collection:
         norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-300)
         is_there = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
         if bool(is_there.any()):
-            self.families.append(Family(name, whitened[:, is_there] / norm))
+            self.families.append(Family.of(name, whitened[:, is_there]))
 
 
 def _add_places(found: Collection, chain: Chain, coil: Coil, fit: Fit) -> None:

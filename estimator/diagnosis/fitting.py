@@ -80,6 +80,11 @@ class Fit:
         whitening: Tensor = torch.sqrt(weight) / sigma_T
         return whitening
 
+    def weight_over(self, other: Fit) -> Float[Tensor, " component"]:
+        """What a component weighs here over what it weighs in another fit: noise shrinks as causes are taken, outliers fade."""
+        theirs = other.whitening_per_T
+        return torch.where(theirs > 0.0, self.whitening_per_T / theirs, 0.0)
+
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
         """Whitened residuals of the measured components."""

@@ -25,9 +25,7 @@ from estimator.diagnosis.step import (
     leaves_structure,
     take_step,
 )
-from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import NoiseEffect
 from estimator.rig import Cause
 from estimator.split import blocks_of_places
 
@@ -101,7 +99,7 @@ class _Trail:
         """Take causes until none earns its place."""
         self.steps = [step for step in self.steps if step.taken in self.own(fit)]
         while True:
-            step = take_step(fit, self.pool, self.smooth, self.block)
+            step = self.step(fit)
             if step.taken is None and (both := self._with_pair(fit, step)) is not None:
                 fit = both
                 continue
@@ -111,8 +109,7 @@ class _Trail:
             self.tell(
                 f"{step.taken.label} earns its place ({step.winner.log_evidence - fit.log_evidence:+.1f} in log evidence)"
             )
-            fit = self._weighed_anew(step)
-            fit, gone = _without_idle(fit, self.base)
+            fit, gone = _without_idle(step.winner, self.base)
             self.dropped += gone
             if step.taken in gone:
                 return fit
@@ -124,7 +121,7 @@ class _Trail:
                 fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
             )
             self.tell(f"{cause.label} again, beside the others")
-            step = take_step(without, self.pool, self.smooth, self.block)
+            step = self.step(without)
             at = next(i for i, old in enumerate(self.steps) if old.taken == cause)
             if step.taken is None:
                 self.dropped.append(cause)
@@ -140,7 +137,7 @@ class _Trail:
         for rival in step.credible:
             if rival.fit is None or rival.cause == step.taken:
                 continue
-            if not leaves_structure(discrepancy(rival.fit, self.smooth)):
+            if not leaves_structure(discrepancy(rival.fit, self._smooth(rival.fit))):
                 self.tell(f"{rival.name} in its place leaves less")
                 self.steps = [replace(step, taken=rival.cause)]
                 return self.forward(rival.fit)
@@ -148,7 +145,8 @@ class _Trail:
 
     def _with_pair(self, fit: Fit, stop: Step) -> Fit | None:
         """Two causes more that earn their place together, and beside each other; None where no pair does."""
-        pool = [c for c in self.pool if c.cause not in (*fit.rig.effects, *self.dropped)]
+        taken = (*fit.rig.effects, *self.dropped)
+        pool = [c.weighed(fit.weight_over(self.base)) for c in self.pool if c.cause not in taken]
         n = len({c.cause for c in pool})
         ranked = pairs(fit, pool)
         if not ranked or len(self.own(fit)) + 2 > MOST_CAUSES:
@@ -170,7 +168,7 @@ class _Trail:
             without = fit_rig(
                 both.rig.without_cause(cause), fit.observations, both.values, fit.posterior.chain.rules
             )
-            step = take_step(without, self.pool, self.smooth, self.block)
+            step = self.step(without)
             if step.taken is None:
                 return None
             steps.append(step)
@@ -178,12 +176,13 @@ class _Trail:
         self.steps += steps
         return both
 
-    def _weighed_anew(self, step: Step) -> Fit:
-        """The winner; a cause of scatter changes what all readings weigh."""
-        fit = step.winner
-        if step.taken is not None and isinstance(EFFECTS[step.taken.name], NoiseEffect):
-            self.pool, self.smooth = candidates(fit, causes_of(self.base.rig, fit)), families(fit)
-        return fit
+    def step(self, fit: Fit) -> Step:
+        """All hypotheses at a fit."""
+        weight = fit.weight_over(self.base)
+        return take_step(fit, [c.weighed(weight) for c in self.pool], self._smooth(fit), self.block)
+
+    def _smooth(self, fit: Fit) -> list[Family]:
+        return [family.weighed(fit.weight_over(self.base)) for family in self.smooth]
 
 
 def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
