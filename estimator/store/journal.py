@@ -12,7 +12,8 @@ import json
 import os
 import shutil
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
@@ -57,14 +58,15 @@ class Journal:
         begun = folder.with_name(folder.name + ".begun")
         path = begun / JOURNAL
         try:
-            shutil.rmtree(begun, ignore_errors=True)
+            with unwritten(begun):
+                shutil.rmtree(begun, ignore_errors=True)
             begun.mkdir(parents=True)
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
         journal = cls(descriptor, folder / JOURNAL)
         try:
-            journal._lock()
+            _lock(descriptor, path)
             journal._write(header)
             sync(begun)
             begun.rename(folder)  # now there is a session, and it has a header
@@ -93,7 +95,7 @@ class Journal:
             raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
         journal = cls(descriptor, path)
         try:
-            journal._lock()
+            _lock(descriptor, path)
             entries, journal._end = _parsed(path)
             journal.header, *journal.records = entries
             os.ftruncate(descriptor, journal._end)
@@ -125,14 +127,6 @@ class Journal:
     ) -> None:
         self.close()
 
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InvalidInput(
-                f"session must be written by one process at a time; another writes {self._path.parent}"
-            ) from error
-
     def _write(self, record: Mapping[str, Any]) -> None:
         line = _line(len(self.records) + bool(self.header), record)
         try:
@@ -148,6 +142,25 @@ class Journal:
         self._end += len(line)
 
 
+@contextmanager
+def unwritten(folder: Path) -> Iterator[None]:
+    """Keep writers out of a journal for a block, in which it may be taken away; does nothing where there is none.
+
+    Raises:
+        InvalidInput: A process writes it.
+    """
+    path = folder / JOURNAL
+    if not path.is_file():
+        yield
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        _lock(descriptor, path)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def read_journal(folder: Path) -> tuple[Record, list[Record]]:
     """Header and records of a journal, which may grow meanwhile.
 
@@ -156,6 +169,18 @@ def read_journal(folder: Path) -> tuple[Record, list[Record]]:
     """
     (header, *records), _ = _parsed(folder / JOURNAL)
     return header, records
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    """Become the only writer of a file, as long as it is the one that stands at its path and was not taken away meanwhile."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise InvalidInput(
+            f"session must be written by one process at a time; another writes {path.parent}"
+        ) from error
+    if not path.is_file() or not os.path.samestat(os.fstat(descriptor), path.stat()):
+        raise InvalidInput(f"session must be there while it is written; {path.parent} was taken away")
 
 
 def _line(number: int, record: Mapping[str, Any]) -> bytes:

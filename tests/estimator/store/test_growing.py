@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import math
 import os
 import random
@@ -17,7 +18,7 @@ from estimator.errors import CorruptStore, InvalidInput
 from estimator.rig import Rig
 from estimator.store.growing import StopRecord, new_header
 from estimator.store.journal import JOURNAL, Journal, read_journal
-from estimator.store.session import is_growing, load_session, seal
+from estimator.store.session import Session, is_growing, load_session, remove_session, seal
 
 ROOT = Path(__file__).parents[3]
 
@@ -202,3 +203,44 @@ def test_killed_before_its_header_is_written_a_session_is_not_there(
     assert not folder.exists()
     Journal.create(folder, {"kind": "test"}).close()
     assert [path.name for path in tmp_path.iterdir()] == ["session.zarr"]
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_what_a_process_writes_is_not_taken_away(folder: Path, small_session: Session, how: str) -> None:
+    def take_away() -> None:
+        if how == "removed":
+            remove_session(folder)
+        else:
+            small_session.save(folder, overwrite=True)
+
+    with Journal.resume(folder) as journal:
+        with pytest.raises(InvalidInput, match=r"one process at a time; another writes .*session\.zarr$"):
+            take_away()
+        journal.append(stop(3).record())
+    assert len(read_journal(folder)[1]) == 4
+    take_away()
+    assert not is_growing(folder)
+
+
+def test_a_writer_that_waited_at_a_journal_that_was_taken_away_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flock = fcntl.flock
+
+    def late(descriptor: int, how: int) -> None:
+        monkeypatch.undo()
+        remove_session(folder)
+        flock(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(InvalidInput, match="was taken away"):
+        Journal.resume(folder)
+
+
+def test_a_session_that_another_process_begins_is_not_begun_again(tmp_path: Path) -> None:
+    begun = tmp_path / "session.zarr.begun"
+    with (
+        Journal.create(begun, {"kind": "test"}),
+        pytest.raises(InvalidInput, match="one process at a time"),
+    ):
+        Journal.create(tmp_path / "session.zarr", {"kind": "test"})
