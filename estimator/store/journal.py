@@ -99,6 +99,10 @@ class Journal:
             entries, journal._end = _parsed(path)
             journal.header, *journal.records = entries
             os.ftruncate(descriptor, journal._end)
+            os.pwrite(descriptor, b"\n", journal._end - 1)  # where a crash tore the line feed only
+        except OSError as error:
+            journal.close()
+            raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
         except BaseException:
             journal.close()
             raise
@@ -135,7 +139,10 @@ class Journal:
                 done += os.pwrite(self._descriptor, line[done:], self._end + done)
             os.fsync(self._descriptor)
         except OSError as error:
-            os.ftruncate(self._descriptor, self._end)
+            try:
+                os.ftruncate(self._descriptor, self._end)
+            except OSError:
+                self.close()  # nothing may follow what is left of the line
             raise InvalidInput(
                 f"session must be writable; {self._path.parent} is not: {reason(error)}"
             ) from error
@@ -190,7 +197,10 @@ def _line(number: int, record: Mapping[str, Any]) -> bytes:
 
 def _parsed(path: Path) -> tuple[list[Record], int]:
     """All records of a journal, the header among them, and where they end."""
-    entries, size = parsed_lines(path.read_bytes(), 0, path)
+    data = path.read_bytes()
+    last = data[data.rfind(b"\n") + 1 :]
+    # A line that lacks but its line feed is whole, for those who know that nobody is writing the rest of it.
+    entries, size = parsed_lines(data + b"\n" if _is_whole(last) else data, 0, path)
     if not entries:
         raise CorruptStore(f"session must begin with its header; {path} holds none")
     return entries, size
@@ -206,17 +216,23 @@ def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Record], int
     Raises:
         CorruptStore: A line is damaged.
     """
-    *lines, _ = data.split(b"\n")
+    *lines, last = data.split(b"\n")
+    if _is_whole(last[:-1]):  # what follows a whole line was its line feed
+        lines.append(last)
     entries = []
     for number, line in enumerate(lines, start=first):
-        checksum, _, text = line.partition(b" ")
-        if checksum != b"%08x" % zlib.crc32(text):
+        if not _is_whole(line):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
-        record = json.loads(text)
+        record = json.loads(line.partition(b" ")[2])
         if record.pop("n") != number:
             raise CorruptStore(f"session must hold all its lines; line {number + 1} of {path} is another one")
         entries.append(record)
     return entries, sum(len(line) + 1 for line in lines)
+
+
+def _is_whole(line: bytes) -> bool:
+    checksum, _, text = line.partition(b" ")
+    return checksum == b"%08x" % zlib.crc32(text)
 
 
 def sync(path: Path) -> None:

@@ -10,6 +10,7 @@ import random
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -57,7 +58,7 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
     path = folder / JOURNAL
     whole = path.read_bytes()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
-    for cut in range(last, len(whole)):
+    for cut in range(last, len(whole) - 1):
         path.write_bytes(whole[:cut])
         assert len(load_session(folder).observations) == 2
     with Journal.resume(folder) as journal:
@@ -65,12 +66,20 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
     assert path.read_bytes() == whole
 
 
+def test_a_last_line_without_its_line_feed_is_whole(folder: Path) -> None:
+    path = folder / JOURNAL
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert len(load_session(folder).observations) == 3
+    with Journal.resume(folder):
+        assert path.read_bytes() == whole
+
+
 def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
     path = folder / JOURNAL
     whole = path.read_bytes()
     draw = random.Random(1)
-    for _ in range(200):
-        place = draw.randrange(len(whole) - 1)
+    for place in (*range(len(whole) - 8, len(whole)), *(draw.randrange(len(whole)) for _ in range(200))):
         flipped = bytearray(whole)
         flipped[place] ^= 1 << draw.randrange(8)
         path.write_bytes(flipped)
@@ -112,6 +121,53 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
         assert (folder / JOURNAL).read_bytes() == whole
         journal.append(stop(3).record())
     assert len(load_session(folder).observations) == 4
+
+
+def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_one_sentence(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with Journal.resume(folder) as journal:
+        monkeypatch.setattr(os, "fsync", refuse)
+        monkeypatch.setattr(os, "ftruncate", refuse)
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: Input/output error"):
+            journal.append(stop(3).record())
+        monkeypatch.undo()
+        with pytest.raises(InvalidInput, match="must be writable"):
+            journal.append(stop(4).record())  # would begin where the lost line is
+    with Journal.resume(folder) as journal:
+        assert [record["time_s"] for record in journal.records] == [0.0, 1.0, 2.0, 3.0]  # it was all there
+
+
+@pytest.mark.parametrize("n_writes", [0, 3, 12])
+def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, n_writes: int
+) -> None:
+    left = [n_writes]
+    opened = Path.open
+
+    def full(self: Path, mode: str = "r", *more: Any, **options: Any) -> Any:
+        if set(mode) & set("wxa+"):
+            if not left[0]:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            left[0] -= 1
+        return opened(self, mode, *more, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
+            seal(folder)
+    assert is_growing(folder)
+    assert len(load_session(folder).observations) == 3
+    assert seal(folder).hash == load_session(folder).hash
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    with pytest.raises(InvalidInput, match=r"output must be writable; .*session.zarr is not: "):
+        Journal.create(tmp_path / "file" / "session.zarr", {"kind": "test"})
 
 
 def test_what_exists_is_not_begun_again(folder: Path) -> None:
