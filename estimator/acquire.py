@@ -18,6 +18,7 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from drivers.errors import DeviceFault
 from drivers.protocols import (
     CurrentSource,
     FieldSensor,
@@ -106,7 +107,8 @@ def acquire(
         on_stop: Told after each stop.
     Raises:
         InvalidInput: A sensor gives no new reading, or the journal cannot be written.
-        drivers.errors.DriverError: An instrument failed, or refused what is beyond its limits.
+        drivers.errors.DriverError: An instrument failed, or refused what is beyond its limits; a stop at which the current was not what was
+            asked for is not written down.
     """
     expected_s = durations_s(stops, rig, pace)
     n_before = len(journal.records)
@@ -175,10 +177,7 @@ class _Visit:
             {name: mean_T.tolist() for name, (mean_T, *_) in averages.items()},
             bool(stops.is_validation[row]),
             int(stops.repeat[row]),
-            {
-                name: source.read_current_A(timeout_s=ANSWER_S).value
-                for name, source in self._instruments.sources.items()
-            },
+            {name: self._flowing_A(name) for name in self._instruments.sources},
             {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
             self._pace.n_readings,
             all(is_settled for _, _, is_settled, _ in averages.values()),
@@ -193,6 +192,27 @@ class _Visit:
         """Where the next session finds the arms as this one did."""
         for name, reference in self._references.items():
             self._move(name, _flange_pose(reference))
+
+    def _flowing_A(self, name: str) -> float:
+        """What a supply measures, as long as it is what was asked for, as far as the supply itself can tell (`drivers.guarded` compares).
+
+        Raises:
+            DeviceFault: It is not, or not known.
+        """
+        reading, asked_A = (
+            self._instruments.sources[name].read_current_A(timeout_s=ANSWER_S),
+            self._current_A.get(name, 0.0),
+        )
+        # At zero a supply holds neither voltage nor current, whatever it says.
+        if ReadingFlag.OVER_RANGE in reading.flags and asked_A != 0.0:
+            raise DeviceFault(
+                f"{name} must carry {asked_A:g} A; its supply has reached a limit and measures {reading.value:.4g} A"
+            )
+        if ReadingFlag.STALE in reading.flags or math.isnan(reading.value):
+            raise DeviceFault(
+                f"{name} must carry {asked_A:g} A; its supply does not measure what it carries now"
+            )
+        return reading.value
 
     def _pose(self, name: str) -> FlangePose:
         """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""

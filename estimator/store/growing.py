@@ -113,7 +113,15 @@ def observations_of(records: Sequence[Mapping[str, Any]], rig: Rig) -> Observati
         torch.tensor([one["is_validation"] for one, _ in rows], dtype=torch.bool),
         torch.tensor([one["repeat"] for one, _ in rows], dtype=torch.int64),
         {name: column(_numbers([one.get(name) for one in warmth])) for name in felt},
+        current_measured_A=_measured_A([one for one, _ in rows], rig),
     )
+
+
+def _measured_A(records: Sequence[Mapping[str, Any]], rig: Rig) -> Tensor | None:
+    """What the supplies measured, by coil; None where there is no supply."""
+    found = [_numbers([one.get("measured_A", {}).get(coil.name) for coil in rig.coils]) for one in records]
+    measured_A = torch.tensor(found, dtype=torch.float64).reshape(len(records), len(rig.coils))
+    return None if bool(measured_A.isnan().all()) else measured_A
 
 
 def _nulls(values: Numbers) -> list[float | None]:

@@ -245,6 +245,8 @@ def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.n
     }
     arrays |= {f"motion_{name}": (("reading", "axis"), motion.numpy()) for name, motion in o.motion.items()}
     arrays |= {f"temperature_{name}_C": (("reading",), t.numpy()) for name, t in o.temperature_C.items()}
+    if o.current_measured_A is not None:
+        arrays["current_measured_A"] = ("reading", "coil"), o.current_measured_A.numpy()
     return arrays
 
 
@@ -264,6 +266,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
             for name, data in tensors.items()
             if name.startswith("temperature_")
         },
+        current_measured_A=tensors.get("current_measured_A"),
     )
 
 

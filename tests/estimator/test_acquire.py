@@ -187,6 +187,78 @@ def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
     assert caplog.text.count("coil1 is not known to be off: stuck") == 2
 
 
+class Tripping(MemorySource):
+    """Says at the second stop, where the current stays, that something is wrong."""
+
+    n_read = 0
+    wrong: Any = (3.0, ReadingFlag.NONE)
+
+    def read_current_A(self, *, timeout_s: float) -> Any:
+        self.n_read += 1
+        return (
+            self.counter.reading(*self.wrong)
+            if self.n_read > 1
+            else super().read_current_A(timeout_s=timeout_s)
+        )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ((2.1, ReadingFlag.OVER_RANGE), "must carry 3 A; its supply has reached a limit and measures 2.1 A"),
+        ((3.0, ReadingFlag.STALE), "must carry 3 A; its supply does not measure what it carries now"),
+        ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply does not measure what it carries now"),
+    ],
+)
+def test_a_stop_whose_current_is_not_known_to_be_what_was_asked_for_is_not_written_down(
+    tmp_path: Path, small_rig: Rig, stops: Observations, wrong: Any, words: str
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripping()
+    devices.sources["coil1"].wrong = wrong
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match=words):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert devices.sources["coil1"].told == [("set", 3.0), ("off",)]
+    assert len(load_session(folder).observations) == 1
+
+
+def test_a_supply_is_looked_at_at_every_stop_also_where_its_current_stays(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Tripped(Tripping):
+        """What a guarded supply does once it is off by itself."""
+
+        def read_current_A(self, *, timeout_s: float) -> Any:
+            if self.n_read:
+                raise DeviceFault("coil1 must carry 3 A; it measures 0 A")
+            return super().read_current_A(timeout_s=timeout_s)
+
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripped()
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match="measures 0 A"):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert len(load_session(folder).observations) == 1
+
+
+def test_the_current_that_was_measured_is_part_of_the_session(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"].share = 0.999
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        seal(folder)
+    readings = load_session(folder).observations
+    assert readings.current_measured_A is not None
+    assert readings.current_measured_A.flatten().tolist() == pytest.approx([2.997, -2.997, -2.997])
+    assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
+
+
 def first_record(
     tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 4
 ) -> dict[str, Any]:
