@@ -44,6 +44,7 @@ class LiveState:
         alarms: All so far.
         refreshed: The last posterior and verdict from the background.
         is_refreshing: Whether the next one is on its way.
+        trouble: Why the last one gave nothing; None where it did.
     """
 
     name: str
@@ -56,6 +57,7 @@ class LiveState:
     alarms: Sequence[Alarm]
     refreshed: Refreshed | None
     is_refreshing: bool
+    trouble: str | None = None
 
     @property
     def progress(self) -> str:
@@ -112,6 +114,8 @@ def screen(state: LiveState) -> RenderableType:
         Panel(Text(alarms or "none", style), title=f"alarms: {len(state.alarms)}", title_align="left")
     )
     parts.append(Text(state.verdict + (" (the next is being made)" if state.is_refreshing else "")))
+    if state.trouble is not None:
+        parts.append(Text(state.trouble, "bold red"))
     return Group(*parts)
 
 
@@ -145,6 +149,7 @@ class LiveView:
         self._said_s = -math.inf
         self._n_alarms = 0
         self._verdict = ""
+        self._trouble: str | None = None
         self._screen: Live | None = None
         if sys.stderr.isatty():
             self._screen = Live(console=Console(stderr=True), refresh_per_second=4, transient=True)
@@ -161,7 +166,7 @@ class LiveView:
             self._screen.stop()
 
     def __call__(self, state: LiveState) -> None:
-        """Show one state; in a pipe each alarm and each verdict once, and how far it is now and then."""
+        """Show one state; in a pipe each alarm, verdict and trouble once, and how far it is now and then."""
         if self._screen is not None:
             self._screen.update(screen(state))
             return
@@ -171,6 +176,10 @@ class LiveView:
         if state.refreshed is not None and state.verdict != self._verdict:
             self._verdict = state.verdict
             click.echo(state.verdict, err=True)
+        if state.trouble != self._trouble:
+            self._trouble = state.trouble
+            if state.trouble is not None:
+                click.echo(f"coilcal: {state.trouble}", err=True)
         if state.n_new and time.monotonic() - self._said_s >= LINE_EVERY_S:
             self._said_s = time.monotonic()
             click.echo(state.progress, err=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,16 +15,17 @@ import pytest
 from click.testing import Result
 from rich.console import Console
 
+from estimator.cli import live
 from estimator.cli.live_view import LiveState, screen
 from estimator.diagnosis.watch import Alarm
 from estimator.plan import Plan
 from estimator.records import Observations
-from estimator.refresh import Refreshed
+from estimator.refresh import Background, Refreshed
 from estimator.rig import Rig
 from estimator.simulate import simulate
 from estimator.store.growing import StopRecord, new_header
 from estimator.store.journal import Journal
-from estimator.store.session import seal
+from estimator.store.session import Session, seal
 from estimator.stream import Stream
 
 Run = Callable[..., Result]
@@ -97,6 +99,57 @@ def shown(state: LiveState) -> str:
     console = Console(width=140, record=True, file=io.StringIO())
     console.print(screen(state))
     return console.export_text()
+
+
+class Failing(Background):
+    """A background whose process is killed at every attempt."""
+
+    def __init__(self, seed: int) -> None:
+        self.seen: list[int] = []
+        self._is_busy = False
+        self.trouble: str | None = None
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def wants(self, n_readings: int) -> bool:
+        return n_readings >= 50 and not self.seen
+
+    def offer(self, session: Session) -> None:
+        self.seen.append(len(session.observations))
+        self.trouble = "it was killed"
+
+    def take(self) -> None:
+        pass
+
+    def last(self, session: Session) -> None:
+        self.trouble = f"it was killed twice, at {self.seen} and {len(session.observations)} readings"
+
+
+def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
+    run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "Background", Failing)
+    result = run("live", growing, "--json", "--wait", "20")
+    assert result.exit_code == 0, result.stderr
+    said = json.loads(result.stdout)
+    found = re.fullmatch(r"it was killed twice, at \[(\d+)\] and (\d+) readings", said["trouble"])
+    assert found is not None
+    assert 50 <= int(found[1]) < int(found[2]) == N_STOPS
+    assert (said["readings"], said["refreshed"]) == (N_STOPS, None)
+    assert said["alarms"]
+    assert result.stderr.count("coilcal: it was killed") == 2
+
+
+def test_nothing_is_made_of_the_readings_while_none_is_new(
+    run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+    real = live.observations_of
+    monkeypatch.setattr(live, "observations_of", lambda *given: calls.append(1) or real(*given))
+    monkeypatch.setattr(live, "Background", Failing)
+    assert run("live", growing, "--wait", "20").exit_code == 0
+    assert len(calls) <= N_STOPS + 2  # for each new stop at most, for the one attempt, and for the end
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
