@@ -237,18 +237,19 @@ class _Visit:
         self._stands.pop(name, None)
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
-    def _taken_s(self, name: str, reading: Reading[Any]) -> float:
-        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock."""
+    def _taken_s(self, name: str, reading: Reading[Any], asked_s: float = -math.inf) -> float:
+        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock; not before it was asked for."""
         if reading.device_time_s is None:
             return reading.host_monotonic_s
         clock = self._clocks.setdefault(name, DeviceClock())
-        clock.add(reading.host_monotonic_s, reading.device_time_s)
-        return clock.on_host_s(reading.device_time_s)
+        clock.add(reading.host_monotonic_s, reading.device_time_s, asked_s)
+        return max(asked_s, clock.on_host_s(reading.device_time_s))
 
     def _average(self, name: str) -> tuple[Tensor, Tensor, bool, float]:
         """Mean and scatter of readings whose two halves agree, whether they did in time, and when they were taken."""
         sensor, n = self._instruments.sensors[name], self._pace.n_readings
-        deadline_s = time.monotonic() + self._pace.longest_settle_s
+        asked_s = time.monotonic()
+        deadline_s = asked_s + self._pace.longest_settle_s
         values = [sensor.read_field_T(timeout_s=ANSWER_S)]
         while True:
             field_T = torch.tensor(
@@ -260,7 +261,7 @@ class _Visit:
             allowed_T = FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)
             is_settled = not bool((step_T > allowed_T).any())
             if is_settled or time.monotonic() > deadline_s:
-                taken_s = fmean(self._taken_s(name, reading) for reading in values)
+                taken_s = fmean(self._taken_s(name, reading, asked_s) for reading in values)
                 return field_T.mean(0), field_T.std(dim=0), is_settled, taken_s
             values = values[n // 2 : n]
 

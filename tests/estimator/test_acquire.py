@@ -342,6 +342,34 @@ def test_a_stop_is_dated_by_the_clock_of_its_instrument(
     assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
 
 
+@pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
+def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_s: float
+) -> None:
+    class Set(MemorySensor):
+        """Its clock is set before the second stop."""
+
+        step_s = 0.0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            now_s = time.monotonic()
+            return self.counter.reading(
+                (0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=now_s + self.step_s
+            )
+
+    devices = rig_of_devices(Set())
+
+    def set_clock(progress: Progress) -> None:
+        devices.sensors["hall"].step_s = step_s
+
+    begin_s = time.monotonic()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, set_clock)
+        times_s = [record["time_s"] for record in journal.records]
+    assert times_s == sorted(times_s)
+    assert 0.0 < times_s[-1] < time.monotonic() - begin_s
+
+
 @pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
 def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
     tmp_path: Path, small_rig: Rig, stops: Observations, step_m: float, is_same: bool
