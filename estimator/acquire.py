@@ -16,6 +16,7 @@ from statistics import fmean
 from typing import Any, Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from drivers.errors import DeviceFault
@@ -33,7 +34,7 @@ from estimator.clocks import DeviceClock
 from estimator.errors import InvalidInput
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach, motion_reached
-from estimator.pace import Pace, durations_s
+from estimator.pace import SETTLED_SIGMA, Pace, durations_s
 from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.store.growing import StopRecord
@@ -44,7 +45,6 @@ _LOG = logging.getLogger(__name__)
 
 ANSWER_S = 5.0  # beyond what a ramp, a motion or a measurement takes by itself
 OFF_S = 20.0
-SETTLED_SIGMA = 4.0  # difference of the two halves of the readings that chance makes once in a hundred stops
 FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
 STILL_M, STILL_RAD = (
     2e-5,
@@ -180,7 +180,7 @@ class _Visit:
             {name: self._flowing_A(name) for name in self._instruments.sources},
             {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
             self._pace.n_readings,
-            all(is_settled for _, _, is_settled, _ in averages.values()),
+            all(has_settled for _, _, has_settled, _ in averages.values()),
             {name: clock.delay_s for name, clock in self._clocks.items()},
             {
                 name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
@@ -238,7 +238,7 @@ class _Visit:
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
     def _taken_s(self, name: str, reading: Reading[Any], asked_s: float = -math.inf) -> float:
-        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock; not before it was asked for."""
+        """When a reading was taken, on the host's clock: when it arrived, where the instrument has none; not before it was asked for."""
         if reading.device_time_s is None:
             return reading.host_monotonic_s
         clock = self._clocks.setdefault(name, DeviceClock())
@@ -255,15 +255,20 @@ class _Visit:
             field_T = torch.tensor(
                 [_components_T(reading) for reading in _more(sensor, name, values, n)]
             ).double()
-            step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
-            # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change does not widen it.
-            scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
-            allowed_T = FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)
-            is_settled = not bool((step_T > allowed_T).any())
-            if is_settled or time.monotonic() > deadline_s:
+            has_settled = is_settled(field_T)
+            if has_settled or time.monotonic() > deadline_s:
                 taken_s = fmean(self._taken_s(name, reading, asked_s) for reading in values)
-                return field_T.mean(0), field_T.std(dim=0), is_settled, taken_s
+                return field_T.mean(0), field_T.std(dim=0), has_settled, taken_s
             values = values[n // 2 : n]
+
+
+def is_settled(field_T: Float[Tensor, "reading component"]) -> bool:
+    """Whether the two halves of readings that followed each other agree within what their scatter allows (`estimator.pace`)."""
+    n = len(field_T)
+    step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
+    # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change hardly widens it.
+    scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
+    return not bool((step_T > FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)).any())
 
 
 def _more(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> list[Reading[Vector]]:

@@ -24,7 +24,7 @@ from estimator.cli.plan_limits import check_currents, check_ways
 from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.store.growing import new_header
@@ -57,7 +57,7 @@ class _Task:
 @click.option(
     "--readings",
     "n_readings",
-    type=click.IntRange(2, 100_000),
+    type=click.IntRange(FEWEST_READINGS, 100_000),
     default=10,
     show_default=True,
     help="To average at a stop.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import random
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +17,10 @@ import torch
 
 from drivers.errors import DeviceFault
 from drivers.protocols import ReadingFlag
-from estimator.acquire import Progress, acquire, references_of
+from estimator.acquire import Progress, acquire, is_settled, references_of
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
-from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.rig import Rig
@@ -28,7 +29,7 @@ from estimator.store.journal import Journal, read_journal
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
-PACE = Pace(0.0, 4, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
+PACE = Pace(0.0, 6, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
 PLAN = """\
 schema_version: 1
 name: three stops
@@ -260,7 +261,7 @@ def test_the_current_that_was_measured_is_part_of_the_session(
 
 
 def first_record(
-    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 4
+    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 6
 ) -> dict[str, Any]:
     devices = rig_of_devices(sensor)
     with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
@@ -313,12 +314,11 @@ def test_readings_are_averaged_without_those_that_repeat(
         (0.0, 0.0, 1e-3),
         (0.0, 0.0, 3e-3),
         ((9.0, 9.0, 9.0), ReadingFlag.STALE),
-        (0.0, 0.0, 1e-3),
-        (0.0, 0.0, 3e-3),
+        *[(0.0, 0.0, 1e-3), (0.0, 0.0, 3e-3)] * 2,
     ]
     record = first_record(tmp_path, small_rig, stops, Scripted(*values))
     assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
-    assert record["sd_T"]["hall"][2] == pytest.approx(2e-3 / math.sqrt(3))
+    assert record["sd_T"]["hall"][2] == pytest.approx(1e-3 * math.sqrt(6 / 5))
     assert record["is_settled"]
 
 
@@ -359,7 +359,7 @@ def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
 
     devices = rig_of_devices(Set())
 
-    def set_clock(progress: Progress) -> None:
+    def set_clock(_: Progress) -> None:
         devices.sensors["hall"].step_s = step_s
 
     begin_s = time.monotonic()
@@ -403,6 +403,24 @@ def test_a_field_that_never_settles_is_marked(tmp_path: Path, small_rig: Rig, st
     assert not first_record(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
 
 
+@pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_field_that_changes_steadily_has_not_settled_however_few_readings_there_are(
+    tmp_path: Path, small_rig: Rig, stops: Observations, n_readings: int, noise: float
+) -> None:
+    draw = random.Random(3)
+    rising = [(0.0, 0.0, 1e-6 * (i + draw.gauss(0.0, noise))) for i in range(100_000)]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*rising), n_readings)
+    assert not record["is_settled"]
+
+
+def test_noise_alone_is_taken_for_a_change_at_few_stops() -> None:
+    draw = torch.Generator().manual_seed(5)
+    field_T = torch.randn(2000, FEWEST_READINGS, 3, generator=draw, dtype=torch.float64)
+    n_changing = sum(not is_settled(one) for one in field_T)
+    assert n_changing < 0.03 * len(field_T)
+
+
 def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
     record = first_record(tmp_path, small_rig, stops, Scripted(over))
@@ -426,9 +444,9 @@ def test_a_plan_without_its_instruments_is_refused(small_rig: Rig, stops: Observ
         check_instruments(stops, small_rig, {**every, "sensors": set()})
 
 
-def test_one_reading_cannot_tell_whether_the_field_has_settled() -> None:
-    with pytest.raises(InvalidInput, match="pace.n_readings must be at least 2"):
-        Pace(0.0, 1, 1.0, {}, {})
+def test_few_readings_cannot_tell_whether_the_field_has_settled() -> None:
+    with pytest.raises(InvalidInput, match="pace.n_readings must be at least 6"):
+        Pace(0.0, 5, 1.0, {}, {})
 
 
 def test_times_count_ways_ramps_and_readings(small_rig: Rig, stops: Observations) -> None:
