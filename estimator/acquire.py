@@ -128,6 +128,24 @@ def acquire(
     visit.return_home()
 
 
+@dataclass(frozen=True)
+class _Average:
+    """Readings of one sensor at one stop.
+
+    Attributes:
+        mean_T, sd_T: Of each component.
+        has_settled: Whether their two halves agreed in time.
+        taken_s: When they were taken, on average, on the host's clock.
+        n_gaps: How often the instrument lost readings meanwhile.
+    """
+
+    mean_T: Tensor
+    sd_T: Tensor
+    has_settled: bool
+    taken_s: float
+    n_gaps: int
+
+
 class _Visit:
     """The state of a run: what was set last, so that nothing is sent twice."""
 
@@ -163,7 +181,6 @@ class _Visit:
     def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
         """Average the field, then look where the arms and the currents are, and how warm it is."""
         averages = {name: self._average(name) for name in self._instruments.sensors}
-        taken_s = fmean(time_s for _, _, _, time_s in averages.values())
         motion = {}
         for mover in self._rig.movers:
             pose = self._pose(mover.name)
@@ -171,21 +188,22 @@ class _Visit:
             asked = stops.motion[mover.name][row][None]
             motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
         return StopRecord(
-            taken_s + offset_s,
+            fmean(one.taken_s for one in averages.values()) + offset_s,
             stops.current_A[row].tolist(),
             motion,
-            {name: mean_T.tolist() for name, (mean_T, *_) in averages.items()},
+            {name: one.mean_T.tolist() for name, one in averages.items()},
             bool(stops.is_validation[row]),
             int(stops.repeat[row]),
             {name: self._flowing_A(name) for name in self._instruments.sources},
-            {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
+            {name: one.sd_T.tolist() for name, one in averages.items()},
             self._pace.n_readings,
-            all(has_settled for _, _, has_settled, _ in averages.values()),
+            all(one.has_settled for one in averages.values()),
             {name: clock.delay_s for name, clock in self._clocks.items()},
             {
                 name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
                 for name, thermometer in self._instruments.thermometers.items()
             },
+            {name: one.n_gaps for name, one in averages.items()},
         )
 
     def return_home(self) -> None:
@@ -245,21 +263,20 @@ class _Visit:
         clock.add(reading.host_monotonic_s, reading.device_time_s, asked_s)
         return max(asked_s, clock.on_host_s(reading.device_time_s))
 
-    def _average(self, name: str) -> tuple[Tensor, Tensor, bool, float]:
-        """Mean and scatter of readings whose two halves agree, whether they did in time, and when they were taken."""
+    def _average(self, name: str) -> _Average:
+        """Readings whose two halves agree, or the last ones there was time for."""
         sensor, n = self._instruments.sensors[name], self._pace.n_readings
         asked_s = time.monotonic()
         deadline_s = asked_s + self._pace.longest_settle_s
-        values = [sensor.read_field_T(timeout_s=ANSWER_S)]
+        values, n_gaps = [sensor.read_field_T(timeout_s=ANSWER_S)], 0
         while True:
-            field_T = torch.tensor(
-                [_components_T(reading) for reading in _more(sensor, name, values, n)]
-            ).double()
+            n_gaps += _add(sensor, name, values, n)
+            field_T = torch.tensor([_components_T(reading) for reading in values]).double()
             has_settled = is_settled(field_T)
             if has_settled or time.monotonic() > deadline_s:
                 taken_s = fmean(self._taken_s(name, reading, asked_s) for reading in values)
-                return field_T.mean(0), field_T.std(dim=0), has_settled, taken_s
-            values = values[n // 2 : n]
+                return _Average(field_T.mean(0), field_T.std(dim=0), has_settled, taken_s, n_gaps)
+            values = values[n // 2 :]
 
 
 def is_settled(field_T: Float[Tensor, "reading component"]) -> bool:
@@ -271,17 +288,20 @@ def is_settled(field_T: Float[Tensor, "reading component"]) -> bool:
     return not bool((step_T > FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)).any())
 
 
-def _more(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> list[Reading[Vector]]:
-    """Add readings that are new until there are enough."""
+def _add(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> int:
+    """Add readings that are new until there are enough; how often the instrument lost some."""
     deadline_s = time.monotonic() + ANSWER_S * n
+    n_gaps = 0
     while len(values) < n:
-        values += [r for r in sensor.read_new_T(timeout_s=ANSWER_S) if ReadingFlag.STALE not in r.flags]
+        new = sensor.read_new_T(timeout_s=ANSWER_S)
+        n_gaps += sum(ReadingFlag.DROPPED in reading.flags for reading in new)
+        values += [reading for reading in new if ReadingFlag.STALE not in reading.flags]
         if time.monotonic() > deadline_s:
             raise InvalidInput(
                 f"{name} must give {n} new readings within {ANSWER_S * n:g} s; {len(values)} came"
             )
     del values[n:]
-    return values
+    return n_gaps
 
 
 def _components_T(reading: Reading[Vector]) -> Vector:

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from estimator.cli.live_view import LiveState, LiveView
+from estimator.cli.live_view import LiveState, LiveView, gaps_in
 from estimator.cli.options import json_option, seed_option
 from estimator.cli.output import explain_errors, show
 from estimator.plots.style import shown, with_sd
@@ -123,6 +123,7 @@ class _Live:
             self._refreshed,
             background is not None and background.is_busy,
             self._trouble,
+            self._stream.n_skipped,
         )
 
     def result(self) -> Mapping[str, Any]:
@@ -132,6 +133,8 @@ class _Live:
             "session": str(self._path),
             "stops": len(self._records),
             "readings": 0 if self._estimate is None else self._estimate.n_readings,
+            "skipped": self._stream.n_skipped,
+            "gaps": gaps_in(self._records),
             "parameters": {name: asdict(interval) for name, interval in intervals.items()},
             "alarms": [{**asdict(alarm), "words": alarm.words} for alarm in self._stream.alarms],
             "refreshed": None if self._refreshed is None else asdict(self._refreshed),

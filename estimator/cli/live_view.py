@@ -45,6 +45,7 @@ class LiveState:
         refreshed: The last posterior and verdict from the background.
         is_refreshing: Whether the next one is on its way.
         trouble: Why the last one gave nothing; None where it did.
+        n_skipped: Readings that the estimate does not use: for validation, or without any component.
     """
 
     name: str
@@ -58,6 +59,7 @@ class LiveState:
     refreshed: Refreshed | None
     is_refreshing: bool
     trouble: str | None = None
+    n_skipped: int = 0
 
     @property
     def progress(self) -> str:
@@ -68,6 +70,10 @@ class LiveState:
             words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
         if self.n_new > 1:
             words += f" for {self.n_new} stops at once"
+        if self.n_skipped:
+            words += f"; {self.n_skipped} readings not fitted (validation, or no field)"
+        if n_gaps := gaps_in(self.records):
+            words += f"; READINGS LOST BY AN INSTRUMENT {n_gaps} times"
         if self.silent_s > SILENT_S:
             words += f"; NO STOP FOR {self.silent_s:.0f} s"
         return words
@@ -82,6 +88,11 @@ class LiveState:
         return f"{words}; residuals are off since reading {min(lasting)}" if lasting else words
 
 
+def gaps_in(records: Sequence[Mapping[str, Any]]) -> int:
+    """How often an instrument lost readings; journals of earlier versions do not say."""
+    return sum(sum(record.get("n_gaps", {}).values()) for record in records)
+
+
 def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
     """Each instrument and what it last said."""
     found = []
@@ -89,7 +100,8 @@ def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tu
         numbers = " ".join("over range" if b is None else f"{1e3 * b:+.3f}" for b in field_T)
         scatter_T = max((sd for sd in record["sd_T"].get(name, []) if sd is not None), default=math.nan)
         settled = "settled" if record["is_settled"] else "STILL CHANGING"
-        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}"))
+        lost = ", READINGS LOST" if record.get("n_gaps", {}).get(name) else ""
+        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}{lost}"))
     found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
     for name, celsius in record.get("temperature_C", {}).items():
         found.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))

@@ -39,6 +39,7 @@ class StopRecord:
         is_settled: Whether the field had come to rest.
         delay_s: How late the readings of instruments with clocks of their own arrive.
         temperature_C: Of each coil and sensor that has a thermometer; NaN where that gave no number.
+        n_gaps: How often each sensor lost readings between those that were averaged.
     """
 
     time_s: float
@@ -53,6 +54,7 @@ class StopRecord:
     is_settled: bool = True
     delay_s: Mapping[str, float] = field(default_factory=dict)
     temperature_C: Mapping[str, float] = field(default_factory=dict)
+    n_gaps: Mapping[str, int] = field(default_factory=dict)
 
     def record(self) -> Record:
         """For the journal."""

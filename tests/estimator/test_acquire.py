@@ -427,6 +427,17 @@ def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, sto
     assert record["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
 
 
+def test_what_an_instrument_lost_is_counted_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    one = (0.0, 0.0, 1e-3)
+    lossy = [one, one, (one, ReadingFlag.DROPPED), (one, ReadingFlag.DROPPED | ReadingFlag.STALE), one]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*lossy))
+    assert record["n_gaps"] == {"hall": 2}
+    again = first_record(tmp_path / "again", small_rig, stops, Scripted((one, ReadingFlag.DROPPED), one))
+    assert again["n_gaps"] == {"hall": 0}  # what came before the first reading was not wanted
+
+
 def test_an_overload_without_a_component_takes_all_three(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:

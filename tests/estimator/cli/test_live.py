@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import threading
 import time
@@ -89,6 +90,24 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
     assert f"of {N_STOPS}, estimate after " in result.stderr
 
 
+def test_what_is_not_fitted_and_what_was_lost_is_said(
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopRecord]
+) -> None:
+    path = tmp_path / "session.zarr"
+    stops[3] = replace(stops[3], is_validation=True)
+    stops[4] = replace(stops[4], field_T={"hall": [math.nan] * 3})
+    stops[5] = replace(stops[5], n_gaps={"hall": 2})
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for one in stops[:9]:
+            journal.append(one.record())
+    seal(path)
+    said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
+    assert (said["stops"], said["readings"], said["skipped"], said["gaps"]) == (9, 7, 2, 2)
+    text = run("live", path, "--no-refresh").stdout
+    assert "; 2 readings not fitted (validation, or no field)" in text
+    assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
+
+
 def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
     result = run("live", tmp_path / "none", "--wait", "0")
     assert result.exit_code == 2
@@ -96,7 +115,7 @@ def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
 
 
 def shown(state: LiveState) -> str:
-    console = Console(width=140, record=True, file=io.StringIO())
+    console = Console(width=220, record=True, file=io.StringIO())
     console.print(screen(state))
     return console.export_text()
 
@@ -173,18 +192,30 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(
         stops[0],
+        n_gaps={"hall": 1},
         field_T={"hall": [float("nan"), 1e-3, 2e-3]},
         is_settled=False,
         temperature_C={"coil1": 31.26, "hall": float("nan")},
     ).record()
     text = shown(
         LiveState(
-            "session.zarr", small_rig.movers, 108, [record] * 27, 3, 42.0, estimate, (alarm,), known, True
+            "session.zarr",
+            small_rig.movers,
+            108,
+            [record] * 27,
+            3,
+            42.0,
+            estimate,
+            (alarm,),
+            known,
+            True,
+            None,
+            4,
         )
     )
     for words in (
-        "stop 27 of 108, estimate after 12 ms for 3 stops at once; NO STOP FOR 42 s",
-        "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING",
+        "stop 27 of 108, estimate after 12 ms for 3 stops at once; 4 readings not fitted (validation, or no field); READINGS LOST BY AN INSTRUMENT 27 times; NO STOP FOR 42 s",
+        "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING, READINGS LOST",
         "+2.9980 A",
         "31.3 °C",
         "no number",
