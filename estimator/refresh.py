@@ -37,6 +37,7 @@ class Refreshed:
         verdict: Of the diagnosis.
         causes: That were named, with what they cannot be told from.
         took_s: The work.
+        places: Sensors, coils and movers that the named causes are in.
     """
 
     n_readings: int
@@ -45,6 +46,7 @@ class Refreshed:
     verdict: str
     causes: tuple[str, ...]
     took_s: float
+    places: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:
@@ -74,6 +76,7 @@ def refreshed(session: Session, seed: int) -> Refreshed:
         str(diagnosis["verdict"]),
         causes,
         time.monotonic() - begin_s,
+        tuple(one["place"] for one in diagnosis["causes"] if one.get("place")),
     )
 
 

@@ -138,6 +138,7 @@ class _Live:
             "parameters": {name: asdict(interval) for name, interval in intervals.items()},
             "alarms": [{**asdict(alarm), "words": alarm.words} for alarm in self._stream.alarms],
             "refreshed": None if self._refreshed is None else asdict(self._refreshed),
+            "since": self.state(None).since,
             "trouble": self._trouble,
         }
 

@@ -79,13 +79,20 @@ class LiveState:
         return words
 
     @property
+    def since(self) -> int | None:
+        """Number of the reading from which on residuals are off; those of one sensor only, where that is what the diagnosis names."""
+        lasting = [alarm for alarm in self.alarms if alarm.since < alarm.at]
+        named = () if self.refreshed is None else self.refreshed.places
+        own = [alarm for alarm in lasting if alarm.sensor in named] or lasting
+        return min((alarm.since for alarm in own), default=None)
+
+    @property
     def verdict(self) -> str:
         """Of the last diagnosis, with the reading from which on the residuals are off."""
         if self.refreshed is None:
             return "diagnosis: not yet"
         words = f"diagnosis: {self.refreshed.words}"
-        lasting = [alarm.since for alarm in self.alarms if alarm.since < alarm.at]
-        return f"{words}; residuals are off since reading {min(lasting)}" if lasting else words
+        return words if self.since is None else f"{words}; residuals are off since reading {self.since}"
 
 
 def gaps_in(records: Sequence[Mapping[str, Any]]) -> int:

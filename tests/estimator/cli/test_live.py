@@ -6,6 +6,7 @@ import io
 import json
 import math
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,11 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from click.testing import Result
 from rich.console import Console
 
 from estimator.cli import live
-from estimator.cli.live_view import LiveState, screen
+from estimator.cli.live_view import LiveState, LiveView, screen
 from estimator.diagnosis.watch import Alarm
 from estimator.plan import Plan
 from estimator.records import Observations
@@ -108,6 +110,48 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
 
 
+def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
+    run: Run, tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    """The coil is cold for half the session, then warms up by 12 K, and its current sags by 0.4 % per kelvin."""
+    path = tmp_path / "session.zarr"
+    begin, order = N_STOPS // 2, torch.randperm(N_STOPS, generator=torch.Generator().manual_seed(1))
+    readings = simulate(small_rig, replace(small_plan, repeats=4), small_truth, seed=4).calibration.alone
+    warming_K = [12.0 * max(0.0, row - begin) / (N_STOPS - begin) for row in range(N_STOPS)]
+    warm = [
+        replace(
+            one,
+            time_s=float(row),
+            field_T={"hall": [(1.0 - 0.004 * warming_K[row]) * b for b in one.field_T["hall"]]},
+            temperature_C={"coil1": 22.0 + warming_K[row]},
+        )
+        for row, one in enumerate(records(readings.rows(order).alone, N_STOPS, 1.0))
+    ]
+
+    def write() -> None:
+        with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
+            for one in warm:
+                journal.append(one.record())
+                time.sleep(0.02)
+        seal(path)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    result = run("live", path, "--json", "--wait", "60")
+    writer.join()
+    assert result.exit_code == 0, result.stderr
+    said = json.loads(result.stdout)
+    assert (said["readings"], said["trouble"]) == (N_STOPS, None)
+    assert said["refreshed"]["n_readings"] == N_STOPS
+    assert (said["refreshed"]["verdict"], said["refreshed"]["causes"]) == ("named", ["coil_heating[coil1]"])
+    assert said["refreshed"]["places"] == ["coil1"]
+    assert begin <= said["since"] < begin + 20
+    verdict = f"diagnosis: named: coil_heating[coil1] (after {N_STOPS} readings); residuals are off since reading {said['since']}"
+    assert verdict in result.stderr
+    low, high = said["refreshed"]["ci90"]["coil1.radius_m"]
+    assert low < high
+
+
 def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
     result = run("live", tmp_path / "none", "--wait", "0")
     assert result.exit_code == 2
@@ -177,6 +221,40 @@ def test_nothing_is_made_of_the_readings_while_none_is_new(
     ending.join()
     assert result.exit_code == 0
     assert len(calls) == 2  # for the five, and for the end
+
+
+@pytest.mark.parametrize(
+    ("places", "since"), [(("probe2",), 40), (("probe1",), 21), (("coil1",), 21), ((), 21)]
+)
+def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
+    small_rig: Rig, places: tuple[str, ...], since: int
+) -> None:
+    alarms = (
+        Alarm("probe1", "x", 21, 27, 2.0),
+        Alarm("probe2", "y", 40, 45, 2.0),
+        Alarm("probe2", "x, y and z together", 5, 5, 9.0),
+    )
+    known = Refreshed(60, {}, {}, "named", ("a cause",), 1.0, places)
+    state = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, alarms, known, False)
+    assert state.since == since
+    assert state.verdict.endswith(f"; residuals are off since reading {since}")
+
+
+def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
+    small_rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with LiveView() as view:
+        view(
+            LiveState("session.zarr", small_rig.movers, 7, (), 0, 0.0, None, (), None, False, "it was killed")
+        )
+    assert "stop 0 of 7" in terminal.getvalue()
+    assert "it was killed" in terminal.getvalue()
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
