@@ -112,15 +112,13 @@ def acquire(
     """
     expected_s = durations_s(stops, rig, pace)
     n_before = len(journal.records)
-    visit = _Visit(
-        rig, instruments, pace, {n: _transform(p) for n, p in journal.header["references"].items()}
-    )
     begin_s = time.monotonic()
-    since_s = _time_since(journal)
+    references = {name: _transform(pose) for name, pose in journal.header["references"].items()}
+    visit = _Visit(rig, instruments, pace, references, _time_since(journal) - begin_s)
     with _ending_without_current(instruments):
         for row in range(n_before, len(stops)):
             visit.go_to(stops, row)
-            record = visit.read(stops, row, since_s - begin_s)
+            record = visit.read(stops, row)
             journal.append(record.record())
             if on_stop is not None:
                 share = (time.monotonic() - begin_s) / sum(expected_s[n_before : row + 1])
@@ -150,9 +148,16 @@ class _Visit:
     """The state of a run: what was set last, so that nothing is sent twice."""
 
     def __init__(
-        self, rig: Rig, instruments: Instruments, pace: Pace, references: Mapping[str, Transform]
+        self,
+        rig: Rig,
+        instruments: Instruments,
+        pace: Pace,
+        references: Mapping[str, Transform],
+        session_from_host_s: float,
     ) -> None:
         self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
+        self._session_from_host_s = session_from_host_s
+        self._begin_s = time.monotonic()
         self._motion: dict[str, Tensor] = {}
         self._stands: dict[str, FlangePose] = {}
         self._clocks: dict[str, DeviceClock] = {}
@@ -178,7 +183,7 @@ class _Visit:
                 self._current_A[coil.name] = current_A
         time.sleep(self._pace.settle_s)
 
-    def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
+    def read(self, stops: Observations, row: int) -> StopRecord:
         """Average the field, then look where the arms and the currents are, and how warm it is."""
         averages = {name: self._average(name) for name in self._instruments.sensors}
         motion = {}
@@ -187,23 +192,30 @@ class _Visit:
             here = _transform([*pose.position_m, *pose.rotation_vector_rad])
             asked = stops.motion[mover.name][row][None]
             motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
+        flowing = {name: self._flowing(name) for name in self._instruments.sources}
+        temperature_C = {
+            name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
+            for name, thermometer in self._instruments.thermometers.items()
+        }
+        begin_s, self._begin_s = self._begin_s, time.monotonic()
+        shift_s = self._session_from_host_s
         return StopRecord(
-            fmean(one.taken_s for one in averages.values()) + offset_s,
+            fmean(one.taken_s for one in averages.values()) + shift_s,
             stops.current_A[row].tolist(),
             motion,
             {name: one.mean_T.tolist() for name, one in averages.items()},
             bool(stops.is_validation[row]),
             int(stops.repeat[row]),
-            {name: self._flowing_A(name) for name in self._instruments.sources},
+            {name: reading.value for name, reading in flowing.items()},
             {name: one.sd_T.tolist() for name, one in averages.items()},
             self._pace.n_readings,
             all(one.has_settled for one in averages.values()),
             {name: clock.delay_s for name, clock in self._clocks.items()},
-            {
-                name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
-                for name, thermometer in self._instruments.thermometers.items()
-            },
+            temperature_C,
             {name: one.n_gaps for name, one in averages.items()},
+            {name: reading.host_monotonic_s + shift_s for name, reading in flowing.items()},
+            begin_s + shift_s,
+            self._begin_s + shift_s,
         )
 
     def return_home(self) -> None:
@@ -211,7 +223,7 @@ class _Visit:
         for name, reference in self._references.items():
             self._move(name, _flange_pose(reference))
 
-    def _flowing_A(self, name: str) -> float:
+    def _flowing(self, name: str) -> Reading[float]:
         """What a supply measures, as long as it is what was asked for, as far as the supply itself can tell (`drivers.guarded` compares).
 
         Raises:
@@ -230,7 +242,7 @@ class _Visit:
             raise DeviceFault(
                 f"{name} must carry {asked_A:g} A; its supply does not measure what it carries now"
             )
-        return reading.value
+        return reading
 
     def _pose(self, name: str) -> FlangePose:
         """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
@@ -317,7 +329,8 @@ def _time_since(journal: Journal) -> float:
     if not journal.records:
         return 0.0
     passed_s = time.time() - float(journal.header["begin_s"])
-    return max(passed_s, float(journal.records[-1]["time_s"]))
+    last = journal.records[-1]
+    return max(passed_s, float(last.get("end_s") or last["time_s"]))
 
 
 @contextmanager

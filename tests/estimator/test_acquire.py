@@ -24,7 +24,7 @@ from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, 
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.rig import Rig
-from estimator.store.growing import StopRecord, new_header, observations_of
+from estimator.store.growing import StopRecord, load_so_far, new_header, observations_of
 from estimator.store.journal import Journal, read_journal
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
@@ -99,6 +99,23 @@ def test_a_plan_is_visited_and_nothing_is_sent_twice(
     assert bool((readings.time_s.diff() > 0.0).all())
     assert [(p.n_done, p.n_stops) for p in told] == [(1, 3), (2, 3), (3, 3)]
     assert told[-1].left_s == 0.0 < told[0].left_s
+
+
+def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_its_stop(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = journal.records
+    assert 0.0 <= first["begin_s"] < first["end_s"] == second["begin_s"] < second["end_s"] < third["begin_s"]
+    for record in (first, second, third):
+        assert record["begin_s"] < record["time_s"] < record["measured_s"]["coil1"] < record["end_s"]
+    spells = load_so_far(read_journal(folder)[1], ["coil1"], third["end_s"])["coil1"]
+    assert sum(duration_s for duration_s, _ in spells) == pytest.approx(third["end_s"])
 
 
 @pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])

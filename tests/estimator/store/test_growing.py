@@ -17,7 +17,7 @@ import torch
 
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.rig import Rig
-from estimator.store.growing import StopRecord, new_header
+from estimator.store.growing import StopRecord, load_so_far, new_header
 from estimator.store.journal import JOURNAL, Journal, read_journal
 from estimator.store.session import Session, is_growing, load_session, remove_session, seal
 
@@ -52,6 +52,26 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     assert again.observations.motion["arm1"][:, 0].tolist() == [0.0, 0.001, 0.002, 0.003]
     assert torch.isnan(again.observations.field_sensor_T).sum() == 3
     assert read_journal(folder)[1][0]["measured_A"] == {"coil1": 2.999}
+
+
+def test_what_flowed_in_the_coils_is_known_from_the_journal() -> None:
+    def one(begin_s: float, end_s: float, *current_A: float) -> StopRecord:
+        return StopRecord(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
+
+    stops = [one(1.0, 4.0, 3.0, 0.0), one(4.0, 6.0, -2.0, 1.0), one(100.0, 102.0, 0.0, -5.0)]
+    found = load_so_far([stop.record() for stop in stops], ["a", "b"], 103.0)
+    # Before the first stop nothing; after the second, where a run ended, perhaps for another 3 s; after the last for 1 s.
+    seconds = [1.0, 3.0, 2.0, 3.0, 91.0, 2.0, 1.0]
+    assert found == {
+        "a": list(zip(seconds, [0.0, 3.0, 3.0, 3.0, 0.0, 0.0, 3.0], strict=True)),
+        "b": list(zip(seconds, [0.0, 0.0, 1.0, 1.0, 0.0, 5.0, 5.0], strict=True)),
+    }
+    assert load_so_far([], ["a"], 7.0) == {"a": [(7.0, 0.0)]}
+
+
+def test_the_load_of_a_journal_without_begin_and_end_of_stops_counts_from_reading_to_reading() -> None:
+    records = [{"time_s": 2.0, "current_A": [1.0]}, {"time_s": 5.0, "current_A": [-2.0]}]
+    assert load_so_far(records, ["a"], 5.0) == {"a": [(2.0, 1.0), (3.0, 2.0)]}
 
 
 def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path) -> None:
