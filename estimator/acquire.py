@@ -158,6 +158,7 @@ class _Visit:
         self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
         self._session_from_host_s = session_from_host_s
         self._begin_s = time.monotonic()
+        self._answer_s: dict[str, float] = {}
         self._motion: dict[str, Tensor] = {}
         self._stands: dict[str, FlangePose] = {}
         self._clocks: dict[str, DeviceClock] = {}
@@ -216,6 +217,7 @@ class _Visit:
             {name: reading.host_monotonic_s + shift_s for name, reading in flowing.items()},
             begin_s + shift_s,
             self._begin_s + shift_s,
+            dict(self._answer_s),
         )
 
     def return_home(self) -> None:
@@ -229,10 +231,9 @@ class _Visit:
         Raises:
             DeviceFault: It is not, or not known.
         """
-        reading, asked_A = (
-            self._instruments.sources[name].read_current_A(timeout_s=ANSWER_S),
-            self._current_A.get(name, 0.0),
-        )
+        asked_A = self._current_A.get(name, 0.0)
+        with self._timed(name):
+            reading = self._instruments.sources[name].read_current_A(timeout_s=ANSWER_S)
         # At zero a supply holds neither voltage nor current, whatever it says.
         if ReadingFlag.OVER_RANGE in reading.flags and asked_A != 0.0:
             raise DeviceFault(
@@ -246,7 +247,8 @@ class _Visit:
 
     def _pose(self, name: str) -> FlangePose:
         """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
-        reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
+        with self._timed(name):
+            reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
         pose = reading.value
         self._taken_s(name, reading)
         known = self._stands.get(name)
@@ -275,12 +277,20 @@ class _Visit:
         clock.add(reading.host_monotonic_s, reading.device_time_s, asked_s)
         return max(asked_s, clock.on_host_s(reading.device_time_s))
 
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        """Note how long an instrument takes to answer."""
+        asked_s = time.monotonic()
+        yield
+        self._answer_s[name] = time.monotonic() - asked_s
+
     def _average(self, name: str) -> _Average:
         """Readings whose two halves agree, or the last ones there was time for."""
         sensor, n = self._instruments.sensors[name], self._pace.n_readings
         asked_s = time.monotonic()
         deadline_s = asked_s + self._pace.longest_settle_s
-        values, n_gaps = [sensor.read_field_T(timeout_s=ANSWER_S)], 0
+        with self._timed(name):
+            values, n_gaps = [sensor.read_field_T(timeout_s=ANSWER_S)], 0
         while True:
             n_gaps += _add(sensor, name, values, n)
             field_T = torch.tensor([_components_T(reading) for reading in values]).double()

@@ -37,12 +37,13 @@ class StopRecord:
         sd_T: Scatter of the single readings, by sensor.
         n_readings: That were averaged.
         is_settled: Whether the field had come to rest.
-        delay_s: How late the readings of instruments with clocks of their own arrive.
+        delay_s: How late the readings of instruments with clocks of their own arrive, beyond the quickest of them.
         temperature_C: Of each coil and sensor that has a thermometer; NaN where that gave no number.
         n_gaps: How often each sensor lost readings between those that were averaged.
         measured_s: When each of `measured_A` arrived, since the session began.
         begin_s: When the stop before had ended, or the run began, since the session began.
         end_s: When all was read.
+        answer_s: From question to answer, by instrument: a reading is not older when it arrives.
     """
 
     time_s: float
@@ -61,6 +62,7 @@ class StopRecord:
     measured_s: Mapping[str, float] = field(default_factory=dict)
     begin_s: float | None = None
     end_s: float | None = None
+    answer_s: Mapping[str, float] = field(default_factory=dict)
 
     def record(self) -> Record:
         """For the journal."""

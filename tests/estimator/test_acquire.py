@@ -359,6 +359,20 @@ def test_a_stop_is_dated_by_the_clock_of_its_instrument(
     assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
 
 
+def test_how_old_a_reading_may_be_is_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Slow(MemorySensor):
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            time.sleep(0.05)
+            return super().read_field_T(timeout_s=timeout_s)
+
+    record = first_record(tmp_path, small_rig, stops, Slow())
+    assert sorted(record["answer_s"]) == ["arm1", "coil1", "hall"]
+    assert record["answer_s"]["hall"] >= 0.05
+    assert 0.0 < record["answer_s"]["coil1"] < record["end_s"] - record["begin_s"]
+
+
 @pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
 def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
     tmp_path: Path, small_rig: Rig, stops: Observations, step_s: float
