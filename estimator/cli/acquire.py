@@ -28,7 +28,7 @@ from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, 
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.store.growing import new_header
-from estimator.store.journal import Journal
+from estimator.store.journal import Journal, unwritten
 from estimator.store.session import is_growing, remove_session, seal
 
 MOST_SHOWN = 10
@@ -165,6 +165,9 @@ def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
     journal = stack.enter_context(Journal.resume(out)) if is_resumed else None
     if journal is not None:
         _check_same(journal, task, out)
+    else:
+        with unwritten(out):  # nobody opens the instruments of a measurement that is under way
+            pass
     devices = stack.enter_context(task.bench.opened())
     references = journal.header["references"] if journal is not None else references_of(rig, devices)
     at_reference = {
