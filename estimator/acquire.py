@@ -12,11 +12,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from statistics import fmean
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from drivers.errors import DeviceFault
@@ -28,13 +28,12 @@ from drivers.protocols import (
     ReadingFlag,
     RobotArm,
     Thermometer,
-    Vector,
 )
+from estimator.averages import average
 from estimator.clocks import DeviceClock
-from estimator.errors import InvalidInput
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach, motion_reached
-from estimator.pace import SETTLED_SIGMA, Pace, durations_s
+from estimator.pace import ANSWER_S, Pace, durations_s
 from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.store.growing import StopRecord
@@ -43,9 +42,7 @@ from estimator.units import ICE_POINT_K
 
 _LOG = logging.getLogger(__name__)
 
-ANSWER_S = 5.0  # beyond what a ramp, a motion or a measurement takes by itself
 OFF_S = 20.0
-FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
 STILL_M, STILL_RAD = (
     2e-5,
     1e-4,
@@ -126,24 +123,6 @@ def acquire(
     visit.return_home()
 
 
-@dataclass(frozen=True)
-class _Average:
-    """Readings of one sensor at one stop.
-
-    Attributes:
-        mean_T, sd_T: Of each component.
-        has_settled: Whether their two halves agreed in time.
-        taken_s: When they were taken, on average, on the host's clock.
-        n_gaps: How often the instrument lost readings meanwhile.
-    """
-
-    mean_T: Tensor
-    sd_T: Tensor
-    has_settled: bool
-    taken_s: float
-    n_gaps: int
-
-
 class _Visit:
     """The state of a run: what was set last, so that nothing is sent twice."""
 
@@ -186,7 +165,10 @@ class _Visit:
 
     def read(self, stops: Observations, row: int) -> StopRecord:
         """Average the field, then look where the arms and the currents are, and how warm it is."""
-        averages = {name: self._average(name) for name in self._instruments.sensors}
+        averages = {
+            name: average(sensor, name, self._pace, partial(self._taken_s, name))
+            for name, sensor in self._instruments.sensors.items()
+        }
         motion = {}
         for mover in self._rig.movers:
             pose = self._pose(mover.name)
@@ -217,7 +199,7 @@ class _Visit:
             {name: reading.host_monotonic_s + shift_s for name, reading in flowing.items()},
             begin_s + shift_s,
             self._begin_s + shift_s,
-            dict(self._answer_s),
+            self._answer_s | {name: one.answer_s for name, one in averages.items()},
         )
 
     def return_home(self) -> None:
@@ -283,55 +265,6 @@ class _Visit:
         asked_s = time.monotonic()
         yield
         self._answer_s[name] = time.monotonic() - asked_s
-
-    def _average(self, name: str) -> _Average:
-        """Readings whose two halves agree, or the last ones there was time for."""
-        sensor, n = self._instruments.sensors[name], self._pace.n_readings
-        asked_s = time.monotonic()
-        deadline_s = asked_s + self._pace.longest_settle_s
-        with self._timed(name):
-            values, n_gaps = [sensor.read_field_T(timeout_s=ANSWER_S)], 0
-        while True:
-            n_gaps += _add(sensor, name, values, n)
-            field_T = torch.tensor([_components_T(reading) for reading in values]).double()
-            has_settled = is_settled(field_T)
-            if has_settled or time.monotonic() > deadline_s:
-                taken_s = fmean(self._taken_s(name, reading, asked_s) for reading in values)
-                return _Average(field_T.mean(0), field_T.std(dim=0), has_settled, taken_s, n_gaps)
-            values = values[n // 2 :]
-
-
-def is_settled(field_T: Float[Tensor, "reading component"]) -> bool:
-    """Whether the two halves of readings that followed each other agree within what their scatter allows (`estimator.pace`)."""
-    n = len(field_T)
-    step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
-    # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change hardly widens it.
-    scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
-    return not bool((step_T > FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)).any())
-
-
-def _add(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> int:
-    """Add readings that are new until there are enough; how often the instrument lost some."""
-    deadline_s = time.monotonic() + ANSWER_S * n
-    n_gaps = 0
-    while len(values) < n:
-        new = sensor.read_new_T(timeout_s=ANSWER_S)
-        n_gaps += sum(ReadingFlag.DROPPED in reading.flags for reading in new)
-        values += [reading for reading in new if ReadingFlag.STALE not in reading.flags]
-        if time.monotonic() > deadline_s:
-            raise InvalidInput(
-                f"{name} must give {n} new readings within {ANSWER_S * n:g} s; {len(values)} came"
-            )
-    del values[n:]
-    return n_gaps
-
-
-def _components_T(reading: Reading[Vector]) -> Vector:
-    """NaN for what left the range; all three where the sensor does not say which of them."""
-    is_marked = any(math.isnan(value_T) for value_T in reading.value)
-    if ReadingFlag.OVER_RANGE in reading.flags and not is_marked:
-        return math.nan, math.nan, math.nan
-    return reading.value
 
 
 def _time_since(journal: Journal) -> float:

@@ -21,6 +21,8 @@ READING_S, MOTION_S = (
     0.3,
 )  # guesses of a reading and of what a motion takes besides its way, until it is measured
 
+ANSWER_S = 5.0  # to allow an instrument beyond what a ramp, a motion or a measurement takes by itself
+
 SETTLED_SIGMA = (
     4.0  # difference of the two halves of the readings that chance makes at one or two stops in a hundred
 )

@@ -15,7 +15,7 @@ import torch
 from drivers.interlock import sigterm_as_exception
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
-from estimator.acquire import ANSWER_S, acquire, references_of
+from estimator.acquire import acquire, references_of
 from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench, devices_option
 from estimator.cli.options import json_option, overwrite_option, seed_option
@@ -24,7 +24,15 @@ from estimator.cli.plan_limits import check_currents, check_ways
 from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.pace import (
+    ANSWER_S,
+    FEWEST_READINGS,
+    Pace,
+    check_instruments,
+    digest_of,
+    durations_s,
+    stops_of,
+)
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.store.growing import new_header

@@ -17,7 +17,8 @@ import torch
 
 from drivers.errors import DeviceFault
 from drivers.protocols import ReadingFlag
-from estimator.acquire import Progress, acquire, is_settled, references_of
+from estimator.acquire import Progress, acquire, references_of
+from estimator.averages import is_settled
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
 from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, durations_s, stops_of
