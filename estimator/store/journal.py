@@ -112,7 +112,7 @@ class Journal:
         """Write a record; once this returns, it is on the disk.
 
         Raises:
-            InvalidInput: It cannot be written, and the journal is as it was.
+            InvalidInput: It cannot be written; the journal is as it was, or takes no more.
         """
         self._write(record)
         self.records.append(dict(record))
@@ -160,7 +160,7 @@ def unwritten(folder: Path) -> Iterator[None]:
     if not path.is_file():
         yield
         return
-    descriptor = os.open(path, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDWR)  # a network drive locks what may be written only
     try:
         _lock(descriptor, path)
         yield
