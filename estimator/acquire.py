@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from statistics import fmean
 from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from drivers.errors import DeviceFault
 from drivers.protocols import (
     CurrentSource,
     FieldSensor,
@@ -26,13 +28,12 @@ from drivers.protocols import (
     ReadingFlag,
     RobotArm,
     Thermometer,
-    Vector,
 )
+from estimator.averages import average
 from estimator.clocks import DeviceClock
-from estimator.errors import InvalidInput
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach, motion_reached
-from estimator.pace import Pace, durations_s
+from estimator.pace import ANSWER_S, Pace, durations_s
 from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.store.growing import StopRecord
@@ -41,10 +42,7 @@ from estimator.units import ICE_POINT_K
 
 _LOG = logging.getLogger(__name__)
 
-ANSWER_S = 5.0  # beyond what a ramp, a motion or a measurement takes by itself
 OFF_S = 20.0
-SETTLED_SIGMA = 4.0  # difference of the two halves of the readings that chance makes once in a hundred stops
-FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
 STILL_M, STILL_RAD = (
     2e-5,
     1e-4,
@@ -106,19 +104,18 @@ def acquire(
         on_stop: Told after each stop.
     Raises:
         InvalidInput: A sensor gives no new reading, or the journal cannot be written.
-        drivers.errors.DriverError: An instrument failed, or refused what is beyond its limits.
+        drivers.errors.DriverError: An instrument failed, or refused what is beyond its limits; a stop at which the current was not what was
+            asked for is not written down.
     """
     expected_s = durations_s(stops, rig, pace)
     n_before = len(journal.records)
-    visit = _Visit(
-        rig, instruments, pace, {n: _transform(p) for n, p in journal.header["references"].items()}
-    )
     begin_s = time.monotonic()
-    since_s = _time_since(journal)
+    references = {name: _transform(pose) for name, pose in journal.header["references"].items()}
+    visit = _Visit(rig, instruments, pace, references, _time_since(journal) - begin_s)
     with _ending_without_current(instruments):
         for row in range(n_before, len(stops)):
             visit.go_to(stops, row)
-            record = visit.read(stops, row, since_s - begin_s)
+            record = visit.read(stops, row)
             journal.append(record.record())
             if on_stop is not None:
                 share = (time.monotonic() - begin_s) / sum(expected_s[n_before : row + 1])
@@ -130,9 +127,17 @@ class _Visit:
     """The state of a run: what was set last, so that nothing is sent twice."""
 
     def __init__(
-        self, rig: Rig, instruments: Instruments, pace: Pace, references: Mapping[str, Transform]
+        self,
+        rig: Rig,
+        instruments: Instruments,
+        pace: Pace,
+        references: Mapping[str, Transform],
+        session_from_host_s: float,
     ) -> None:
         self._rig, self._instruments, self._pace, self._references = rig, instruments, pace, references
+        self._session_from_host_s = session_from_host_s
+        self._begin_s = time.monotonic()
+        self._answer_s: dict[str, float] = {}
         self._motion: dict[str, Tensor] = {}
         self._stands: dict[str, FlangePose] = {}
         self._clocks: dict[str, DeviceClock] = {}
@@ -158,35 +163,43 @@ class _Visit:
                 self._current_A[coil.name] = current_A
         time.sleep(self._pace.settle_s)
 
-    def read(self, stops: Observations, row: int, offset_s: float) -> StopRecord:
+    def read(self, stops: Observations, row: int) -> StopRecord:
         """Average the field, then look where the arms and the currents are, and how warm it is."""
-        averages = {name: self._average(name) for name in self._instruments.sensors}
-        taken_s = fmean(time_s for _, _, _, time_s in averages.values())
+        averages = {
+            name: average(sensor, name, self._pace, partial(self._taken_s, name))
+            for name, sensor in self._instruments.sensors.items()
+        }
         motion = {}
         for mover in self._rig.movers:
             pose = self._pose(mover.name)
             here = _transform([*pose.position_m, *pose.rotation_vector_rad])
             asked = stops.motion[mover.name][row][None]
             motion[mover.name] = motion_reached(mover, here, self._references[mover.name], asked)[0].tolist()
+        flowing = {name: self._flowing(name) for name in self._instruments.sources}
+        temperature_C = {
+            name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
+            for name, thermometer in self._instruments.thermometers.items()
+        }
+        begin_s, self._begin_s = self._begin_s, time.monotonic()
+        shift_s = self._session_from_host_s
         return StopRecord(
-            taken_s + offset_s,
+            fmean(one.taken_s for one in averages.values()) + shift_s,
             stops.current_A[row].tolist(),
             motion,
-            {name: mean_T.tolist() for name, (mean_T, *_) in averages.items()},
+            {name: one.mean_T.tolist() for name, one in averages.items()},
             bool(stops.is_validation[row]),
             int(stops.repeat[row]),
-            {
-                name: source.read_current_A(timeout_s=ANSWER_S).value
-                for name, source in self._instruments.sources.items()
-            },
-            {name: sd_T.tolist() for name, (_, sd_T, *_) in averages.items()},
+            {name: reading.value for name, reading in flowing.items()},
+            {name: one.sd_T.tolist() for name, one in averages.items()},
             self._pace.n_readings,
-            all(is_settled for _, _, is_settled, _ in averages.values()),
+            all(one.has_settled for one in averages.values()),
             {name: clock.delay_s for name, clock in self._clocks.items()},
-            {
-                name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
-                for name, thermometer in self._instruments.thermometers.items()
-            },
+            temperature_C,
+            {name: one.n_gaps for name, one in averages.items()},
+            {name: reading.host_monotonic_s + shift_s for name, reading in flowing.items()},
+            begin_s + shift_s,
+            self._begin_s + shift_s,
+            self._answer_s | {name: one.answer_s for name, one in averages.items()},
         )
 
     def return_home(self) -> None:
@@ -194,9 +207,30 @@ class _Visit:
         for name, reference in self._references.items():
             self._move(name, _flange_pose(reference))
 
+    def _flowing(self, name: str) -> Reading[float]:
+        """What a supply measures, as long as it is what was asked for, as far as the supply itself can tell (`drivers.guarded` compares).
+
+        Raises:
+            DeviceFault: It is not, or not known.
+        """
+        asked_A = self._current_A.get(name, 0.0)
+        with self._timed(name):
+            reading = self._instruments.sources[name].read_current_A(timeout_s=ANSWER_S)
+        # At zero a supply holds neither voltage nor current, whatever it says.
+        if ReadingFlag.OVER_RANGE in reading.flags and asked_A != 0.0:
+            raise DeviceFault(
+                f"{name} must carry {asked_A:g} A; its supply has reached a limit and measures {reading.value:.4g} A"
+            )
+        if ReadingFlag.STALE in reading.flags or math.isnan(reading.value):
+            raise DeviceFault(
+                f"{name} must carry {asked_A:g} A; its supply does not measure what it carries now"
+            )
+        return reading
+
     def _pose(self, name: str) -> FlangePose:
         """Where an arm stands; the noise of its encoders makes no other place of one where it stood before."""
-        reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
+        with self._timed(name):
+            reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
         pose = reading.value
         self._taken_s(name, reading)
         known = self._stands.get(name)
@@ -217,53 +251,20 @@ class _Visit:
         self._stands.pop(name, None)
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
-    def _taken_s(self, name: str, reading: Reading[Any]) -> float:
-        """When a reading was taken, on the host's clock: when it arrived, where the instrument has no clock."""
+    def _taken_s(self, name: str, reading: Reading[Any], asked_s: float = -math.inf) -> float:
+        """When a reading was taken, on the host's clock: when it arrived, where the instrument has none; not before it was asked for."""
         if reading.device_time_s is None:
             return reading.host_monotonic_s
         clock = self._clocks.setdefault(name, DeviceClock())
-        clock.add(reading.host_monotonic_s, reading.device_time_s)
-        return clock.on_host_s(reading.device_time_s)
+        clock.add(reading.host_monotonic_s, reading.device_time_s, asked_s)
+        return max(asked_s, clock.on_host_s(reading.device_time_s))
 
-    def _average(self, name: str) -> tuple[Tensor, Tensor, bool, float]:
-        """Mean and scatter of readings whose two halves agree, whether they did in time, and when they were taken."""
-        sensor, n = self._instruments.sensors[name], self._pace.n_readings
-        deadline_s = time.monotonic() + self._pace.longest_settle_s
-        values = [sensor.read_field_T(timeout_s=ANSWER_S)]
-        while True:
-            field_T = torch.tensor(
-                [_components_T(reading) for reading in _more(sensor, name, values, n)]
-            ).double()
-            step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
-            # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change does not widen it.
-            scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
-            allowed_T = FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)
-            is_settled = not bool((step_T > allowed_T).any())
-            if is_settled or time.monotonic() > deadline_s:
-                taken_s = fmean(self._taken_s(name, reading) for reading in values)
-                return field_T.mean(0), field_T.std(dim=0), is_settled, taken_s
-            values = values[n // 2 : n]
-
-
-def _more(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> list[Reading[Vector]]:
-    """Add readings that are new until there are enough."""
-    deadline_s = time.monotonic() + ANSWER_S * n
-    while len(values) < n:
-        values += [r for r in sensor.read_new_T(timeout_s=ANSWER_S) if ReadingFlag.STALE not in r.flags]
-        if time.monotonic() > deadline_s:
-            raise InvalidInput(
-                f"{name} must give {n} new readings within {ANSWER_S * n:g} s; {len(values)} came"
-            )
-    del values[n:]
-    return values
-
-
-def _components_T(reading: Reading[Vector]) -> Vector:
-    """NaN for what left the range; all three where the sensor does not say which of them."""
-    is_marked = any(math.isnan(value_T) for value_T in reading.value)
-    if ReadingFlag.OVER_RANGE in reading.flags and not is_marked:
-        return math.nan, math.nan, math.nan
-    return reading.value
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        """Note how long an instrument takes to answer."""
+        asked_s = time.monotonic()
+        yield
+        self._answer_s[name] = time.monotonic() - asked_s
 
 
 def _time_since(journal: Journal) -> float:
@@ -271,7 +272,8 @@ def _time_since(journal: Journal) -> float:
     if not journal.records:
         return 0.0
     passed_s = time.time() - float(journal.header["begin_s"])
-    return max(passed_s, float(journal.records[-1]["time_s"]))
+    last = journal.records[-1]
+    return max(passed_s, float(last.get("end_s") or last["time_s"]))
 
 
 @contextmanager

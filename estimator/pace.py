@@ -21,6 +21,20 @@ READING_S, MOTION_S = (
     0.3,
 )  # guesses of a reading and of what a motion takes besides its way, until it is measured
 
+ANSWER_S = 5.0  # to allow an instrument beyond what a ramp, a motion or a measurement takes by itself
+
+SETTLED_SIGMA = (
+    4.0  # difference of the two halves of the readings that chance makes at one or two stops in a hundred
+)
+
+FEWEST_READINGS = 6
+"""Of which the halves tell a field that still changes, however little noise there is.
+
+A field that changes by b from reading to reading makes the halves of n readings differ by n b / 2. It also widens their scatter by
+neighbours to b / sqrt(2), which allows a difference of SETTLED_SIGMA 2 / sqrt(n) times that: more than there is until n^(3/2) exceeds
+8 sqrt(2).
+"""
+
 
 @dataclass(frozen=True)
 class Pace:
@@ -28,7 +42,7 @@ class Pace:
 
     Attributes:
         settle_s: Time between the last command and the first reading.
-        n_readings: That are averaged at a stop.
+        n_readings: That are averaged at a stop, `FEWEST_READINGS` at least.
         longest_settle_s: Time after which a field that still changes is taken as it is, and marked so.
         speed_m_per_s: Of each arm.
         slew_A_per_s: Of each supply.
@@ -41,9 +55,9 @@ class Pace:
     slew_A_per_s: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        if self.n_readings < 2:
+        if self.n_readings < FEWEST_READINGS:
             raise InvalidInput(
-                f"pace.n_readings must be at least 2, to tell whether the field has settled; received {self.n_readings}"
+                f"pace.n_readings must be at least {FEWEST_READINGS}, to tell whether the field has settled; received {self.n_readings}"
             )
 
 

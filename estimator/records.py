@@ -26,6 +26,7 @@ class Observations:
         temperature_C: Per sensor or coil name, where it was recorded.
         whole: The session that these readings were chosen from, in the order of time; None where they are all of it.
         chosen: Their rows in it.
+        current_measured_A: What the supplies measured at each reading; NaN where there is none, None where nobody looked.
     """
 
     time_s: Float[Tensor, " reading"]
@@ -38,6 +39,7 @@ class Observations:
     temperature_C: Mapping[str, Float[Tensor, " reading"]]
     whole: Observations | None = field(default=None, repr=False)
     chosen: Int[Tensor, " reading"] | None = field(default=None, repr=False)
+    current_measured_A: Float[Tensor, "reading coil"] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.time_s.shape[0]
@@ -72,6 +74,7 @@ class Observations:
             {name: values[index] for name, values in self.temperature_C.items()},
             whole,
             chosen,
+            None if self.current_measured_A is None else self.current_measured_A[index],
         )
 
     @property
@@ -80,7 +83,7 @@ class Observations:
         return self._taken(torch.arange(len(self)), None, None)
 
     def followed_by(self, later: Observations) -> Observations:
-        """One session of these readings and later ones; temperatures that only one of them has are left out."""
+        """One session of these readings and later ones; temperatures and measured currents that only one of them has are left out."""
 
         def both(one: Tensor, other: Tensor) -> Tensor:
             return torch.cat((one, other))
@@ -98,6 +101,11 @@ class Observations:
                 for name, values in self.temperature_C.items()
                 if name in later.temperature_C
             },
+            current_measured_A=(
+                None
+                if self.current_measured_A is None or later.current_measured_A is None
+                else both(self.current_measured_A, later.current_measured_A)
+            ),
         )
 
     @property

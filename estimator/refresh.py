@@ -7,8 +7,9 @@ import os
 import signal
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.pool import AsyncResult
+from multiprocessing.connection import Connection
 from types import TracebackType
 
 import torch
@@ -36,6 +37,7 @@ class Refreshed:
         verdict: Of the diagnosis.
         causes: That were named, with what they cannot be told from.
         took_s: The work.
+        places: Sensors, coils and movers that the named causes are in.
     """
 
     n_readings: int
@@ -44,6 +46,7 @@ class Refreshed:
     verdict: str
     causes: tuple[str, ...]
     took_s: float
+    places: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:
@@ -73,54 +76,90 @@ def refreshed(session: Session, seed: int) -> Refreshed:
         str(diagnosis["verdict"]),
         causes,
         time.monotonic() - begin_s,
+        tuple(one["place"] for one in diagnosis["causes"] if one.get("place")),
     )
 
 
 class Background:
-    """Refreshes one session after another, each begun when the one before is done; leaving its `with` block ends it at once."""
+    """Refreshes one session after another, each begun when the one before is done; leaving its `with` block ends it at once.
+
+    Attributes:
+        trouble: Why the last refreshment gave nothing, in a sentence, though there were readings enough; None where it did.
+    """
 
     def __init__(self, seed: int) -> None:
+        self.trouble: str | None = None
         self._seed = seed
-        self._pool = multiprocessing.get_context("spawn").Pool(1, _prepare)
-        self._running: AsyncResult[Refreshed] | None = None
+        self._is_busy = False
         self._n_seen = 0
+        self._start()
 
     @property
     def is_busy(self) -> bool:
         """Whether a refreshment is under way or has not been taken."""
-        return self._running is not None
+        return self._is_busy
+
+    def wants(self, n_readings: int) -> bool:
+        """Whether there is nothing else to do, and a session of this size has grown enough."""
+        return not self._is_busy and n_readings >= max(FEWEST_READINGS, GROWTH * self._n_seen)
 
     def offer(self, session: Session) -> None:
-        """Begin with a session, if there is nothing else to do and it has grown enough."""
-        if not self.is_busy and len(session.observations) >= max(FEWEST_READINGS, GROWTH * self._n_seen):
+        """Begin with a session, if it is wanted."""
+        if self.wants(len(session.observations)):
             self._begin(session)
 
     def take(self) -> Refreshed | None:
-        """What was found, once; None where it is not ready, or the readings do not support a fit yet."""
-        if self._running is None or not self._running.ready():
-            return None
-        running, self._running = self._running, None
-        try:
-            return running.get()
-        except InvalidInput:
-            return None
+        """What was found, once; None where it is not ready, the readings do not support a fit yet, or there was trouble."""
+        return self._answer() if self._is_busy and self._pipe.poll() else None
 
     def last(self, session: Session) -> Refreshed | None:
         """Posterior and verdict of a session that will not grow any more; waits for them."""
         found = self._wait()
-        if len(session.observations) > self._n_seen:
+        if len(session.observations) > self._n_seen or self.trouble is not None:
             self._begin(session)
             found = self._wait() or found
         return found
 
+    def _start(self) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._pipe, theirs = spawn.Pipe()
+        self._process = spawn.Process(target=_serve, args=(theirs, self._seed), daemon=True)
+        self._process.start()
+        theirs.close()  # so that the end of the process is the end of the pipe
+
     def _begin(self, session: Session) -> None:
-        self._n_seen = len(session.observations)
-        self._running = self._pool.apply_async(refreshed, (session, self._seed))
+        self._n_seen, self._is_busy = len(session.observations), True
+        if not self._process.is_alive():
+            self._end()
+            self._start()
+        with suppress(OSError):  # it ended just now, which the answer will tell
+            self._pipe.send(
+                session
+            )  # does not wait for the process to begin: tensors travel in shared memory
+
+    def _answer(self) -> Refreshed | None:
+        self._is_busy = False
+        try:
+            answer: Refreshed | str | None = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            answer = f"their process ended with exit status {self._process.exitcode}"
+        if isinstance(answer, str):
+            self.trouble = f"posterior and diagnosis after {self._n_seen} readings gave nothing: {answer}"
+            return None
+        self.trouble = None
+        return answer
 
     def _wait(self) -> Refreshed | None:
-        if self._running is not None:
-            self._running.wait()
-        return self.take()
+        if not self._is_busy:
+            return None
+        self._pipe.poll(None)
+        return self._answer()
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
 
     def __enter__(self) -> Background:
         return self
@@ -128,15 +167,27 @@ class Background:
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._pool.terminate()
-        self._pool.join()
+        self._end()
 
 
-def _prepare() -> None:
-    """Of the process: the readings come first, Ctrl-C is for the program that started it."""
+def _serve(pipe: Connection, seed: int) -> None:
+    """Body of the process: the readings come first, and Ctrl-C is for the program that started it, with which it ends."""
     os.nice(NICENESS)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            session = pipe.recv()
+        except (EOFError, OSError):
+            return
+        answer: Refreshed | str | None
+        try:
+            answer = refreshed(session, seed)
+        except InvalidInput:  # the readings do not support a fit yet
+            answer = None
+        except Exception as error:  # whatever it is, the estimate goes on without it
+            answer = f"{type(error).__name__}: {error}"
+        pipe.send(answer)
 
 
 def _label(cause: Mapping[str, str]) -> str:

@@ -15,7 +15,7 @@ import torch
 from drivers.interlock import sigterm_as_exception
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
-from estimator.acquire import ANSWER_S, acquire, references_of
+from estimator.acquire import acquire, references_of
 from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench, devices_option
 from estimator.cli.options import json_option, overwrite_option, seed_option
@@ -24,11 +24,19 @@ from estimator.cli.plan_limits import check_currents, check_ways
 from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.pace import (
+    ANSWER_S,
+    FEWEST_READINGS,
+    Pace,
+    check_instruments,
+    digest_of,
+    durations_s,
+    stops_of,
+)
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.store.growing import new_header
-from estimator.store.journal import Journal
+from estimator.store.journal import Journal, unwritten
 from estimator.store.session import is_growing, remove_session, seal
 
 MOST_SHOWN = 10
@@ -57,7 +65,7 @@ class _Task:
 @click.option(
     "--readings",
     "n_readings",
-    type=click.IntRange(2, 100_000),
+    type=click.IntRange(FEWEST_READINGS, 100_000),
     default=10,
     show_default=True,
     help="To average at a stop.",
@@ -165,6 +173,9 @@ def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
     journal = stack.enter_context(Journal.resume(out)) if is_resumed else None
     if journal is not None:
         _check_same(journal, task, out)
+    else:
+        with unwritten(out):  # nobody opens the instruments of a measurement that is under way
+            pass
     devices = stack.enter_context(task.bench.opened())
     references = journal.header["references"] if journal is not None else references_of(rig, devices)
     at_reference = {

@@ -52,11 +52,11 @@ class StopReporter:
         if self._bar is not None:
             fields = "  ".join(f"{name} {_shown(field)}" for name, field in progress.stop.field_T.items())
             self._bar.update(self._task, completed=progress.n_done, description=f"{left}  {fields}")
-            if not progress.stop.is_settled:
-                self._bar.console.print(_unsettled(progress.n_done))
+            for words in _remarks(progress):
+                self._bar.console.print(words)
             return
-        if not progress.stop.is_settled:
-            click.echo(_unsettled(progress.n_done), err=True)
+        for words in _remarks(progress):
+            click.echo(words, err=True)
         now_s = time.monotonic()
         if now_s - self._said_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
             click.echo(f"stop {progress.n_done} of {progress.n_stops}, {left}", err=True)
@@ -67,5 +67,11 @@ def _shown(field_T: Sequence[float]) -> str:
     return " ".join(f"{1e3 * value_T:+.3f}" for value_T in field_T) + " mT"
 
 
-def _unsettled(number: int) -> str:
-    return f"coilcal: the field at stop {number} had not settled; it is marked so in the journal"
+def _remarks(progress: Progress) -> list[str]:
+    """What is not as it should be with a stop; the journal says so, too."""
+    found = [
+        f"{name} lost readings at stop {progress.n_done}" for name, n in progress.stop.n_gaps.items() if n
+    ]
+    if not progress.stop.is_settled:
+        found.append(f"the field at stop {progress.n_done} had not settled")
+    return [f"coilcal: {words}; it is marked so in the journal" for words in found]

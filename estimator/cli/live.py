@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from estimator.cli.live_view import LiveState, LiveView
+from estimator.cli.live_view import LiveState, LiveView, gaps_in
 from estimator.cli.options import json_option, seed_option
 from estimator.cli.output import explain_errors, show
 from estimator.plots.style import shown, with_sd
@@ -74,10 +74,11 @@ class _Live:
         self._rig = self._follower.rig
         self._stream = Stream(self._rig)
         self._records: list[Record] = []
-        self._n_new, self._has_ended = 0, False
+        self._n_new, self._n_readings, self._has_ended = 0, 0, False
         self._last_s = time.monotonic()
         self._estimate: Estimate | None = None
         self._refreshed: Refreshed | None = None
+        self._trouble: str | None = None
 
     def step(self, background: Background | None) -> bool:
         """Take what is new; whether there may be more."""
@@ -85,7 +86,9 @@ class _Live:
         new = self._follower.records()
         self._n_new = len(new)
         if new:
-            self._estimate = self._stream.update(observations_of(new, self._rig))
+            readings = observations_of(new, self._rig)
+            self._estimate = self._stream.update(readings)
+            self._n_readings += len(readings)
             self._records += new
             self._last_s = time.monotonic()
         elif has_ended:
@@ -94,8 +97,8 @@ class _Live:
         else:
             time.sleep(POLL_S)
         if background is not None:
-            self._take(background.take())
-            if not background.is_busy and self._records:
+            self._take(background.take(), background)
+            if background.wants(self._n_readings):
                 background.offer(self._session())
         return True
 
@@ -104,7 +107,7 @@ class _Live:
         if background is None:
             return
         click.echo("coilcal: the session is whole; posterior and diagnosis follow", err=True)
-        self._take(background.last(self._session()))
+        self._take(background.last(self._session()), background)
 
     def state(self, background: Background | None) -> LiveState:
         """For the view."""
@@ -119,6 +122,8 @@ class _Live:
             self._stream.alarms,
             self._refreshed,
             background is not None and background.is_busy,
+            self._trouble,
+            self._stream.n_skipped,
         )
 
     def result(self) -> Mapping[str, Any]:
@@ -128,9 +133,13 @@ class _Live:
             "session": str(self._path),
             "stops": len(self._records),
             "readings": 0 if self._estimate is None else self._estimate.n_readings,
+            "skipped": self._stream.n_skipped,
+            "gaps": gaps_in(self._records),
             "parameters": {name: asdict(interval) for name, interval in intervals.items()},
             "alarms": [{**asdict(alarm), "words": alarm.words} for alarm in self._stream.alarms],
             "refreshed": None if self._refreshed is None else asdict(self._refreshed),
+            "since": self.state(None).since,
+            "trouble": self._trouble,
         }
 
     def text(self) -> str:
@@ -144,9 +153,11 @@ class _Live:
             )
         lines += [f"alarm: {alarm.words}" for alarm in self._stream.alarms] or ["no alarms"]
         lines.append(self.state(None).verdict)
+        lines += [self._trouble] if self._trouble else []
         return "\n".join(lines)
 
-    def _take(self, refreshed: Refreshed | None) -> None:
+    def _take(self, refreshed: Refreshed | None, background: Background) -> None:
+        self._trouble = background.trouble
         if refreshed is not None:
             self._refreshed = refreshed
             self._stream.improve(refreshed.best)

@@ -44,6 +44,8 @@ class LiveState:
         alarms: All so far.
         refreshed: The last posterior and verdict from the background.
         is_refreshing: Whether the next one is on its way.
+        trouble: Why the last one gave nothing; None where it did.
+        n_skipped: Readings that the estimate does not use: for validation, or without any component.
     """
 
     name: str
@@ -56,6 +58,8 @@ class LiveState:
     alarms: Sequence[Alarm]
     refreshed: Refreshed | None
     is_refreshing: bool
+    trouble: str | None = None
+    n_skipped: int = 0
 
     @property
     def progress(self) -> str:
@@ -66,9 +70,21 @@ class LiveState:
             words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
         if self.n_new > 1:
             words += f" for {self.n_new} stops at once"
+        if self.n_skipped:
+            words += f"; {self.n_skipped} readings not fitted (validation, or no field)"
+        if n_gaps := gaps_in(self.records):
+            words += f"; READINGS LOST BY AN INSTRUMENT {n_gaps} times"
         if self.silent_s > SILENT_S:
             words += f"; NO STOP FOR {self.silent_s:.0f} s"
         return words
+
+    @property
+    def since(self) -> int | None:
+        """Number of the reading from which on residuals are off; those of one sensor only, where that is what the diagnosis names."""
+        lasting = [alarm for alarm in self.alarms if alarm.since < alarm.at]
+        named = () if self.refreshed is None else self.refreshed.places
+        own = [alarm for alarm in lasting if alarm.sensor in named] or lasting
+        return min((alarm.since for alarm in own), default=None)
 
     @property
     def verdict(self) -> str:
@@ -76,8 +92,12 @@ class LiveState:
         if self.refreshed is None:
             return "diagnosis: not yet"
         words = f"diagnosis: {self.refreshed.words}"
-        lasting = [alarm.since for alarm in self.alarms if alarm.since < alarm.at]
-        return f"{words}; residuals are off since reading {min(lasting)}" if lasting else words
+        return words if self.since is None else f"{words}; residuals are off since reading {self.since}"
+
+
+def gaps_in(records: Sequence[Mapping[str, Any]]) -> int:
+    """How often an instrument lost readings; journals of earlier versions do not say."""
+    return sum(sum(record.get("n_gaps", {}).values()) for record in records)
 
 
 def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
@@ -87,7 +107,8 @@ def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tu
         numbers = " ".join("over range" if b is None else f"{1e3 * b:+.3f}" for b in field_T)
         scatter_T = max((sd for sd in record["sd_T"].get(name, []) if sd is not None), default=math.nan)
         settled = "settled" if record["is_settled"] else "STILL CHANGING"
-        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}"))
+        lost = ", READINGS LOST" if record.get("n_gaps", {}).get(name) else ""
+        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}{lost}"))
     found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
     for name, celsius in record.get("temperature_C", {}).items():
         found.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
@@ -112,6 +133,8 @@ def screen(state: LiveState) -> RenderableType:
         Panel(Text(alarms or "none", style), title=f"alarms: {len(state.alarms)}", title_align="left")
     )
     parts.append(Text(state.verdict + (" (the next is being made)" if state.is_refreshing else "")))
+    if state.trouble is not None:
+        parts.append(Text(state.trouble, "bold red"))
     return Group(*parts)
 
 
@@ -145,6 +168,7 @@ class LiveView:
         self._said_s = -math.inf
         self._n_alarms = 0
         self._verdict = ""
+        self._trouble: str | None = None
         self._screen: Live | None = None
         if sys.stderr.isatty():
             self._screen = Live(console=Console(stderr=True), refresh_per_second=4, transient=True)
@@ -161,7 +185,7 @@ class LiveView:
             self._screen.stop()
 
     def __call__(self, state: LiveState) -> None:
-        """Show one state; in a pipe each alarm and each verdict once, and how far it is now and then."""
+        """Show one state; in a pipe each alarm, verdict and trouble once, and how far it is now and then."""
         if self._screen is not None:
             self._screen.update(screen(state))
             return
@@ -171,6 +195,10 @@ class LiveView:
         if state.refreshed is not None and state.verdict != self._verdict:
             self._verdict = state.verdict
             click.echo(state.verdict, err=True)
+        if state.trouble != self._trouble:
+            self._trouble = state.trouble
+            if state.trouble is not None:
+                click.echo(f"coilcal: {state.trouble}", err=True)
         if state.n_new and time.monotonic() - self._said_s >= LINE_EVERY_S:
             self._said_s = time.monotonic()
             click.echo(state.progress, err=True)

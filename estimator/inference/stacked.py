@@ -27,13 +27,13 @@ FIRST_ITERATIONS = 12  # from every start, before the highest one climbs on
 def settings_hash(rig: Rig, observations: Observations) -> str:
     """SHA-256 of all that a prediction needs: sessions that share it can be stacked.
 
-    The readings themselves are no part of it, only which of their components were measured; times and temperatures are where the rig has
-    effects, which may depend on them.
+    The readings themselves are no part of it, only which of their components were measured; nor are measured currents, which no prediction
+    uses. Times and temperatures are where the rig has effects, which may depend on them.
     """
     arrays = observation_arrays(observations)
     dimensions, _ = arrays.pop("field_sensor_T")
     arrays["is_measured"] = dimensions, observations.is_measured.numpy()
-    ignored = ("repeat",) if rig.effects else ("repeat", "time_s", "temperature_")
+    ignored = ("repeat", "current_measured_A", *(() if rig.effects else ("time_s", "temperature_")))
     return digest(
         {name: array for name, array in arrays.items() if not name.startswith(ignored)}, {"rig": rig.hash}
     )

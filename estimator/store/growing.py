@@ -37,8 +37,13 @@ class StopRecord:
         sd_T: Scatter of the single readings, by sensor.
         n_readings: That were averaged.
         is_settled: Whether the field had come to rest.
-        delay_s: How late the readings of instruments with clocks of their own arrive.
+        delay_s: How late the readings of instruments with clocks of their own arrive, beyond the quickest of them.
         temperature_C: Of each coil and sensor that has a thermometer; NaN where that gave no number.
+        n_gaps: How often each sensor lost readings between those that were averaged.
+        measured_s: When each of `measured_A` arrived, since the session began.
+        begin_s: When the stop before had ended, or the run began, since the session began.
+        end_s: When all was read.
+        answer_s: From question to answer, by instrument: a reading is not older when it arrives.
     """
 
     time_s: float
@@ -53,6 +58,11 @@ class StopRecord:
     is_settled: bool = True
     delay_s: Mapping[str, float] = field(default_factory=dict)
     temperature_C: Mapping[str, float] = field(default_factory=dict)
+    n_gaps: Mapping[str, int] = field(default_factory=dict)
+    measured_s: Mapping[str, float] = field(default_factory=dict)
+    begin_s: float | None = None
+    end_s: float | None = None
+    answer_s: Mapping[str, float] = field(default_factory=dict)
 
     def record(self) -> Record:
         """For the journal."""
@@ -113,7 +123,61 @@ def observations_of(records: Sequence[Mapping[str, Any]], rig: Rig) -> Observati
         torch.tensor([one["is_validation"] for one, _ in rows], dtype=torch.bool),
         torch.tensor([one["repeat"] for one, _ in rows], dtype=torch.int64),
         {name: column(_numbers([one.get(name) for one in warmth])) for name in felt},
+        current_measured_A=_measured_A([one for one, _ in rows], rig),
     )
+
+
+def _measured_A(records: Sequence[Mapping[str, Any]], rig: Rig) -> Tensor | None:
+    """What the supplies measured, by coil; None where there is no supply."""
+    found = [_numbers([one.get("measured_A", {}).get(coil.name) for coil in rig.coils]) for one in records]
+    measured_A = torch.tensor(found, dtype=torch.float64).reshape(len(records), len(rig.coils))
+    return None if bool(measured_A.isnan().all()) else measured_A
+
+
+def load_so_far(
+    records: Sequence[Mapping[str, Any]], coils: Sequence[str], now_s: float
+) -> dict[str, list[tuple[float, float]]]:
+    """What flowed in each coil until now, for whoever keeps count of how warm a coil is by its own current.
+
+    While a stop is prepared, the greater of its current and the one before flows at most. A run that was interrupted may have gone on after
+    its last record: with the largest current so far, for as long as the longest stop took. After that, and between runs, nothing flowed.
+
+    Args:
+        records: Of a journal.
+        coils: Of its rig, in order.
+        now_s: Since the session began.
+    Returns: By coil, spells of a duration in seconds and a current in ampere, oldest first; a cold coil began with them.
+
+    Examples:
+        >>> stop = {"time_s": 4.5, "begin_s": 0.0, "end_s": 5.0, "current_A": [3.0]}
+        >>> load_so_far([stop], ["coil1"], 60.0)
+        {'coil1': [(5.0, 3.0), (5.0, 3.0), (50.0, 0.0)]}
+    """
+    spells: dict[str, list[tuple[float, float]]] = {name: [] for name in coils}
+    largest_A, before_A = [0.0] * len(coils), [0.0] * len(coils)
+    end_s, longest_s = 0.0, 0.0
+
+    def add(duration_s: float, current_A: Sequence[float]) -> None:
+        for name, one_A in zip(coils, current_A, strict=True):
+            if duration_s > 0.0:
+                spells[name].append((duration_s, one_A))
+
+    def add_pause(until_s: float) -> None:
+        unknown_s = min(until_s - end_s, longest_s)
+        add(unknown_s, largest_A)
+        add(until_s - end_s - unknown_s, [0.0] * len(coils))
+
+    for one in records:
+        if (one.get("begin_s") or end_s) > end_s:
+            add_pause(one["begin_s"])
+            end_s, before_A = one["begin_s"], [0.0] * len(coils)
+        begin_s, end_s = end_s, one.get("end_s") or one["time_s"]
+        add(end_s - begin_s, [max(abs(a), abs(b)) for a, b in zip(before_A, one["current_A"], strict=True)])
+        before_A = one["current_A"]
+        largest_A = [max(abs(a), b) for a, b in zip(before_A, largest_A, strict=True)]
+        longest_s = max(longest_s, end_s - begin_s)
+    add_pause(now_s)
+    return spells
 
 
 def _nulls(values: Numbers) -> list[float | None]:

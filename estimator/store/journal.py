@@ -12,7 +12,8 @@ import json
 import os
 import shutil
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
@@ -57,14 +58,15 @@ class Journal:
         begun = folder.with_name(folder.name + ".begun")
         path = begun / JOURNAL
         try:
-            shutil.rmtree(begun, ignore_errors=True)
+            with unwritten(begun):
+                shutil.rmtree(begun, ignore_errors=True)
             begun.mkdir(parents=True)
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
         journal = cls(descriptor, folder / JOURNAL)
         try:
-            journal._lock()
+            _lock(descriptor, path)
             journal._write(header)
             sync(begun)
             begun.rename(folder)  # now there is a session, and it has a header
@@ -93,10 +95,14 @@ class Journal:
             raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
         journal = cls(descriptor, path)
         try:
-            journal._lock()
+            _lock(descriptor, path)
             entries, journal._end = _parsed(path)
             journal.header, *journal.records = entries
             os.ftruncate(descriptor, journal._end)
+            os.pwrite(descriptor, b"\n", journal._end - 1)  # where a crash tore the line feed only
+        except OSError as error:
+            journal.close()
+            raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
         except BaseException:
             journal.close()
             raise
@@ -106,7 +112,7 @@ class Journal:
         """Write a record; once this returns, it is on the disk.
 
         Raises:
-            InvalidInput: It cannot be written, and the journal is as it was.
+            InvalidInput: It cannot be written; the journal is as it was, or takes no more.
         """
         self._write(record)
         self.records.append(dict(record))
@@ -125,14 +131,6 @@ class Journal:
     ) -> None:
         self.close()
 
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InvalidInput(
-                f"session must be written by one process at a time; another writes {self._path.parent}"
-            ) from error
-
     def _write(self, record: Mapping[str, Any]) -> None:
         line = _line(len(self.records) + bool(self.header), record)
         try:
@@ -141,11 +139,33 @@ class Journal:
                 done += os.pwrite(self._descriptor, line[done:], self._end + done)
             os.fsync(self._descriptor)
         except OSError as error:
-            os.ftruncate(self._descriptor, self._end)
+            try:
+                os.ftruncate(self._descriptor, self._end)
+            except OSError:
+                self.close()  # nothing may follow what is left of the line
             raise InvalidInput(
                 f"session must be writable; {self._path.parent} is not: {reason(error)}"
             ) from error
         self._end += len(line)
+
+
+@contextmanager
+def unwritten(folder: Path) -> Iterator[None]:
+    """Keep writers out of a journal for a block, in which it may be taken away; does nothing where there is none.
+
+    Raises:
+        InvalidInput: A process writes it.
+    """
+    path = folder / JOURNAL
+    if not path.is_file():
+        yield
+        return
+    descriptor = os.open(path, os.O_RDWR)  # a network drive locks what may be written only
+    try:
+        _lock(descriptor, path)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def read_journal(folder: Path) -> tuple[Record, list[Record]]:
@@ -158,6 +178,18 @@ def read_journal(folder: Path) -> tuple[Record, list[Record]]:
     return header, records
 
 
+def _lock(descriptor: int, path: Path) -> None:
+    """Become the only writer of a file, as long as it is the one that stands at its path and was not taken away meanwhile."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise InvalidInput(
+            f"session must be written by one process at a time; another writes {path.parent}"
+        ) from error
+    if not path.is_file() or not os.path.samestat(os.fstat(descriptor), path.stat()):
+        raise InvalidInput(f"session must be there while it is written; {path.parent} was taken away")
+
+
 def _line(number: int, record: Mapping[str, Any]) -> bytes:
     text = json.dumps({"n": number, **record}, allow_nan=False).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
@@ -165,7 +197,10 @@ def _line(number: int, record: Mapping[str, Any]) -> bytes:
 
 def _parsed(path: Path) -> tuple[list[Record], int]:
     """All records of a journal, the header among them, and where they end."""
-    entries, size = parsed_lines(path.read_bytes(), 0, path)
+    data = path.read_bytes()
+    last = data[data.rfind(b"\n") + 1 :]
+    # A line that lacks but its line feed is whole, for those who know that nobody is writing the rest of it.
+    entries, size = parsed_lines(data + b"\n" if _is_whole(last) else data, 0, path)
     if not entries:
         raise CorruptStore(f"session must begin with its header; {path} holds none")
     return entries, size
@@ -181,17 +216,23 @@ def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Record], int
     Raises:
         CorruptStore: A line is damaged.
     """
-    *lines, _ = data.split(b"\n")
+    *lines, last = data.split(b"\n")
+    if _is_whole(last[:-1]):  # what follows a whole line was its line feed
+        lines.append(last)
     entries = []
     for number, line in enumerate(lines, start=first):
-        checksum, _, text = line.partition(b" ")
-        if checksum != b"%08x" % zlib.crc32(text):
+        if not _is_whole(line):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
-        record = json.loads(text)
+        record = json.loads(line.partition(b" ")[2])
         if record.pop("n") != number:
             raise CorruptStore(f"session must hold all its lines; line {number + 1} of {path} is another one")
         entries.append(record)
     return entries, sum(len(line) + 1 for line in lines)
+
+
+def _is_whole(line: bytes) -> bool:
+    checksum, _, text = line.partition(b" ")
+    return checksum == b"%08x" % zlib.crc32(text)
 
 
 def sync(path: Path) -> None:

@@ -29,7 +29,7 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.records import Observations
 from estimator.rig import Body, Mover, Rig
 from estimator.store.growing import GROWING, observations_of
-from estimator.store.journal import JOURNAL, read_journal, sync
+from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -80,7 +80,7 @@ class Session:
         """Write the session, whole or not at all.
 
         Raises:
-            InvalidInput: The path exists and `overwrite` is not set, or it cannot be written.
+            InvalidInput: The path exists and `overwrite` is not set, a process measures into it, or it cannot be written.
         """
         path = path.absolute()
         if path.exists() and not overwrite:
@@ -90,9 +90,10 @@ class Session:
             if path.exists() and not _is_session(path):
                 raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
             path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.rmtree(partial, ignore_errors=True)
-            self._write(partial)
-            replace_folder(partial, path)
+            with unwritten(path):
+                shutil.rmtree(partial, ignore_errors=True)
+                self._write(partial)
+                replace_folder(partial, path)
         except OSError as error:
             shutil.rmtree(partial, ignore_errors=True)
             raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
@@ -195,12 +196,13 @@ def remove_session(path: Path) -> None:
     """Take away a session that is to be measured anew.
 
     Raises:
-        InvalidInput: Something else is there, or it cannot be taken away.
+        InvalidInput: Something else is there, a process writes it, or it cannot be taken away.
     """
     if not _is_session(path):
         raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
     try:
-        shutil.rmtree(path)
+        with unwritten(path):
+            shutil.rmtree(path)
     except OSError as error:
         raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
 
@@ -243,6 +245,8 @@ def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.n
     }
     arrays |= {f"motion_{name}": (("reading", "axis"), motion.numpy()) for name, motion in o.motion.items()}
     arrays |= {f"temperature_{name}_C": (("reading",), t.numpy()) for name, t in o.temperature_C.items()}
+    if o.current_measured_A is not None:
+        arrays["current_measured_A"] = ("reading", "coil"), o.current_measured_A.numpy()
     return arrays
 
 
@@ -262,6 +266,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
             for name, data in tensors.items()
             if name.startswith("temperature_")
         },
+        current_measured_A=tensors.get("current_measured_A"),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import random
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -17,18 +18,19 @@ import torch
 from drivers.errors import DeviceFault
 from drivers.protocols import ReadingFlag
 from estimator.acquire import Progress, acquire, references_of
+from estimator.averages import is_settled
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
-from estimator.pace import Pace, check_instruments, digest_of, durations_s, stops_of
+from estimator.pace import FEWEST_READINGS, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.rig import Rig
-from estimator.store.growing import StopRecord, new_header, observations_of
+from estimator.store.growing import StopRecord, load_so_far, new_header, observations_of
 from estimator.store.journal import Journal, read_journal
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
-PACE = Pace(0.0, 4, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
+PACE = Pace(0.0, 6, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
 PLAN = """\
 schema_version: 1
 name: three stops
@@ -98,6 +100,23 @@ def test_a_plan_is_visited_and_nothing_is_sent_twice(
     assert bool((readings.time_s.diff() > 0.0).all())
     assert [(p.n_done, p.n_stops) for p in told] == [(1, 3), (2, 3), (3, 3)]
     assert told[-1].left_s == 0.0 < told[0].left_s
+
+
+def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_its_stop(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = journal.records
+    assert 0.0 <= first["begin_s"] < first["end_s"] == second["begin_s"] < second["end_s"] < third["begin_s"]
+    for record in (first, second, third):
+        assert record["begin_s"] < record["time_s"] < record["measured_s"]["coil1"] < record["end_s"]
+    spells = load_so_far(read_journal(folder)[1], ["coil1"], third["end_s"])["coil1"]
+    assert sum(duration_s for duration_s, _ in spells) == pytest.approx(third["end_s"])
 
 
 @pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])
@@ -187,8 +206,80 @@ def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
     assert caplog.text.count("coil1 is not known to be off: stuck") == 2
 
 
+class Tripping(MemorySource):
+    """Says at the second stop, where the current stays, that something is wrong."""
+
+    n_read = 0
+    wrong: Any = (3.0, ReadingFlag.NONE)
+
+    def read_current_A(self, *, timeout_s: float) -> Any:
+        self.n_read += 1
+        return (
+            self.counter.reading(*self.wrong)
+            if self.n_read > 1
+            else super().read_current_A(timeout_s=timeout_s)
+        )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ((2.1, ReadingFlag.OVER_RANGE), "must carry 3 A; its supply has reached a limit and measures 2.1 A"),
+        ((3.0, ReadingFlag.STALE), "must carry 3 A; its supply does not measure what it carries now"),
+        ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply does not measure what it carries now"),
+    ],
+)
+def test_a_stop_whose_current_is_not_known_to_be_what_was_asked_for_is_not_written_down(
+    tmp_path: Path, small_rig: Rig, stops: Observations, wrong: Any, words: str
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripping()
+    devices.sources["coil1"].wrong = wrong
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match=words):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert devices.sources["coil1"].told == [("set", 3.0), ("off",)]
+    assert len(load_session(folder).observations) == 1
+
+
+def test_a_supply_is_looked_at_at_every_stop_also_where_its_current_stays(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Tripped(Tripping):
+        """What a guarded supply does once it is off by itself."""
+
+        def read_current_A(self, *, timeout_s: float) -> Any:
+            if self.n_read:
+                raise DeviceFault("coil1 must carry 3 A; it measures 0 A")
+            return super().read_current_A(timeout_s=timeout_s)
+
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripped()
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match="measures 0 A"):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert len(load_session(folder).observations) == 1
+
+
+def test_the_current_that_was_measured_is_part_of_the_session(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"].share = 0.999
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        seal(folder)
+    readings = load_session(folder).observations
+    assert readings.current_measured_A is not None
+    assert readings.current_measured_A.flatten().tolist() == pytest.approx([2.997, -2.997, -2.997])
+    assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
+
+
 def first_record(
-    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 4
+    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 6
 ) -> dict[str, Any]:
     devices = rig_of_devices(sensor)
     with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
@@ -241,12 +332,11 @@ def test_readings_are_averaged_without_those_that_repeat(
         (0.0, 0.0, 1e-3),
         (0.0, 0.0, 3e-3),
         ((9.0, 9.0, 9.0), ReadingFlag.STALE),
-        (0.0, 0.0, 1e-3),
-        (0.0, 0.0, 3e-3),
+        *[(0.0, 0.0, 1e-3), (0.0, 0.0, 3e-3)] * 2,
     ]
     record = first_record(tmp_path, small_rig, stops, Scripted(*values))
     assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
-    assert record["sd_T"]["hall"][2] == pytest.approx(2e-3 / math.sqrt(3))
+    assert record["sd_T"]["hall"][2] == pytest.approx(1e-3 * math.sqrt(6 / 5))
     assert record["is_settled"]
 
 
@@ -268,6 +358,48 @@ def test_a_stop_is_dated_by_the_clock_of_its_instrument(
     assert record["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
     again = first_record(tmp_path / "again", small_rig, stops, MemorySensor())
     assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
+
+
+def test_how_old_a_reading_may_be_is_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Slow(MemorySensor):
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            time.sleep(0.05)
+            return super().read_field_T(timeout_s=timeout_s)
+
+    record = first_record(tmp_path, small_rig, stops, Slow())
+    assert sorted(record["answer_s"]) == ["arm1", "coil1", "hall"]
+    assert record["answer_s"]["hall"] >= 0.05
+    assert 0.0 < record["answer_s"]["coil1"] < record["end_s"] - record["begin_s"]
+
+
+@pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
+def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_s: float
+) -> None:
+    class Set(MemorySensor):
+        """Its clock is set before the second stop."""
+
+        step_s = 0.0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            now_s = time.monotonic()
+            return self.counter.reading(
+                (0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=now_s + self.step_s
+            )
+
+    devices = rig_of_devices(Set())
+
+    def set_clock(_: Progress) -> None:
+        devices.sensors["hall"].step_s = step_s
+
+    begin_s = time.monotonic()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, set_clock)
+        times_s = [record["time_s"] for record in journal.records]
+    assert times_s == sorted(times_s)
+    assert 0.0 < times_s[-1] < time.monotonic() - begin_s
 
 
 @pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
@@ -303,10 +435,39 @@ def test_a_field_that_never_settles_is_marked(tmp_path: Path, small_rig: Rig, st
     assert not first_record(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
 
 
+@pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_field_that_changes_steadily_has_not_settled_however_few_readings_there_are(
+    tmp_path: Path, small_rig: Rig, stops: Observations, n_readings: int, noise: float
+) -> None:
+    draw = random.Random(3)
+    rising = [(0.0, 0.0, 1e-6 * (i + draw.gauss(0.0, noise))) for i in range(100_000)]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*rising), n_readings)
+    assert not record["is_settled"]
+
+
+def test_noise_alone_is_taken_for_a_change_at_few_stops() -> None:
+    draw = torch.Generator().manual_seed(5)
+    field_T = torch.randn(2000, FEWEST_READINGS, 3, generator=draw, dtype=torch.float64)
+    n_changing = sum(not is_settled(one) for one in field_T)
+    assert n_changing < 0.03 * len(field_T)
+
+
 def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
     record = first_record(tmp_path, small_rig, stops, Scripted(over))
     assert record["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
+
+
+def test_what_an_instrument_lost_is_counted_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    one = (0.0, 0.0, 1e-3)
+    lossy = [one, one, (one, ReadingFlag.DROPPED), (one, ReadingFlag.DROPPED | ReadingFlag.STALE), one]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*lossy))
+    assert record["n_gaps"] == {"hall": 2}
+    again = first_record(tmp_path / "again", small_rig, stops, Scripted((one, ReadingFlag.DROPPED), one))
+    assert again["n_gaps"] == {"hall": 0}  # what came before the first reading was not wanted
 
 
 def test_an_overload_without_a_component_takes_all_three(
@@ -326,9 +487,9 @@ def test_a_plan_without_its_instruments_is_refused(small_rig: Rig, stops: Observ
         check_instruments(stops, small_rig, {**every, "sensors": set()})
 
 
-def test_one_reading_cannot_tell_whether_the_field_has_settled() -> None:
-    with pytest.raises(InvalidInput, match="pace.n_readings must be at least 2"):
-        Pace(0.0, 1, 1.0, {}, {})
+def test_few_readings_cannot_tell_whether_the_field_has_settled() -> None:
+    with pytest.raises(InvalidInput, match="pace.n_readings must be at least 6"):
+        Pace(0.0, 5, 1.0, {}, {})
 
 
 def test_times_count_ways_ramps_and_readings(small_rig: Rig, stops: Observations) -> None:

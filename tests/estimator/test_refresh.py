@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 
 import pytest
@@ -41,6 +42,44 @@ def test_leaving_it_ends_the_work_at_once(small_session: Session) -> None:
         background.offer(small_session)
         begin_s = time.monotonic()
     assert time.monotonic() - begin_s < 5.0
+
+
+def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_session: Session) -> None:
+    with Background(seed=1) as background:
+        background.offer(of_first(small_session, 20))
+        (process,) = multiprocessing.active_children()
+        process.kill()
+        deadline_s = time.monotonic() + 60.0
+        while background.is_busy:
+            assert background.take() is None
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        assert background.trouble is not None
+        assert background.trouble.endswith(
+            "after 20 readings gave nothing: their process ended with exit status -9"
+        )
+        assert not background.wants(20)  # what killed it would do so again
+        found = background.last(of_first(small_session, 20))
+        assert (found is not None, background.trouble) == (True, None)
+
+
+def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_session: Session) -> None:
+    with Background(seed=1) as background:
+        (process,) = multiprocessing.active_children()
+        process.kill()
+        process.join()
+        assert background.last(of_first(small_session, 20)) is not None
+
+
+def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_session: Session) -> None:
+    session = of_first(small_session, 20)
+    object.__setattr__(session, "rig", None)  # as a bug might
+    with Background(seed=1) as background:
+        assert background.last(session) is None
+        assert background.trouble is not None
+        assert "after 20 readings gave nothing: AttributeError: " in background.trouble
+        assert background.last(small_session) is not None
+        assert background.trouble is None
 
 
 @pytest.mark.parametrize(

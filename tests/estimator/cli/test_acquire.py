@@ -16,7 +16,9 @@ from click.testing import Result
 
 from drivers.open import open_devices
 from drivers.protocols import FlangePose
-from estimator.store.journal import JOURNAL
+from estimator.config import load_rig
+from estimator.store.growing import new_header
+from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
 
@@ -163,6 +165,23 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
     assert message in result.stderr
     assert not out.exists()
     assert is_off(folder)
+
+
+def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_are_not_opened(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
+    text = (folder / "devices.yaml").read_text()
+    (tmp_path / "devices.yaml").write_text(text.replace("/dev/pts/", "/dev/none/"), encoding="utf-8")
+    for name in ("rig.yaml", "plan.yaml"):
+        (tmp_path / name).write_text((folder / name).read_text(), encoding="utf-8")
+    out = tmp_path / "session.zarr"
+    header = new_header(load_rig(folder / "rig.yaml"), "a test", "plan", {})
+    with Journal.create(out, header):
+        for more in ((), ("--overwrite",)):
+            result = run(*call(tmp_path, out, *more))
+            assert result.exit_code == 2
+            assert "must be written by one process at a time" in result.stderr
+    assert is_growing(out)
 
 
 @pytest.mark.parametrize(("how", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import math
+import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,19 +14,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from click.testing import Result
 from rich.console import Console
 
-from estimator.cli.live_view import LiveState, screen
+from estimator.cli import live
+from estimator.cli.live_view import LiveState, LiveView, screen
 from estimator.diagnosis.watch import Alarm
 from estimator.plan import Plan
 from estimator.records import Observations
-from estimator.refresh import Refreshed
+from estimator.refresh import Background, Refreshed
 from estimator.rig import Rig
 from estimator.simulate import simulate
 from estimator.store.growing import StopRecord, new_header
 from estimator.store.journal import Journal
-from estimator.store.session import seal
+from estimator.store.session import Session, seal
 from estimator.stream import Stream
 
 Run = Callable[..., Result]
@@ -87,6 +92,66 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
     assert f"of {N_STOPS}, estimate after " in result.stderr
 
 
+def test_what_is_not_fitted_and_what_was_lost_is_said(
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopRecord]
+) -> None:
+    path = tmp_path / "session.zarr"
+    stops[3] = replace(stops[3], is_validation=True)
+    stops[4] = replace(stops[4], field_T={"hall": [math.nan] * 3})
+    stops[5] = replace(stops[5], n_gaps={"hall": 2})
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for one in stops[:9]:
+            journal.append(one.record())
+    seal(path)
+    said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
+    assert (said["stops"], said["readings"], said["skipped"], said["gaps"]) == (9, 7, 2, 2)
+    text = run("live", path, "--no-refresh").stdout
+    assert "; 2 readings not fitted (validation, or no field)" in text
+    assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
+
+
+def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
+    run: Run, tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    """The coil is cold for half the session, then warms up by 12 K, and its current sags by 0.4 % per kelvin."""
+    path = tmp_path / "session.zarr"
+    begin, order = N_STOPS // 2, torch.randperm(N_STOPS, generator=torch.Generator().manual_seed(1))
+    readings = simulate(small_rig, replace(small_plan, repeats=4), small_truth, seed=4).calibration.alone
+    warming_K = [12.0 * max(0.0, row - begin) / (N_STOPS - begin) for row in range(N_STOPS)]
+    warm = [
+        replace(
+            one,
+            time_s=float(row),
+            field_T={"hall": [(1.0 - 0.004 * warming_K[row]) * b for b in one.field_T["hall"]]},
+            temperature_C={"coil1": 22.0 + warming_K[row]},
+        )
+        for row, one in enumerate(records(readings.rows(order).alone, N_STOPS, 1.0))
+    ]
+
+    def write() -> None:
+        with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
+            for one in warm:
+                journal.append(one.record())
+                time.sleep(0.02)
+        seal(path)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    result = run("live", path, "--json", "--wait", "60")
+    writer.join()
+    assert result.exit_code == 0, result.stderr
+    said = json.loads(result.stdout)
+    assert (said["readings"], said["trouble"]) == (N_STOPS, None)
+    assert said["refreshed"]["n_readings"] == N_STOPS
+    assert (said["refreshed"]["verdict"], said["refreshed"]["causes"]) == ("named", ["coil_heating[coil1]"])
+    assert said["refreshed"]["places"] == ["coil1"]
+    assert begin <= said["since"] < begin + 20
+    verdict = f"diagnosis: named: coil_heating[coil1] (after {N_STOPS} readings); residuals are off since reading {said['since']}"
+    assert verdict in result.stderr
+    low, high = said["refreshed"]["ci90"]["coil1.radius_m"]
+    assert low < high
+
+
 def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
     result = run("live", tmp_path / "none", "--wait", "0")
     assert result.exit_code == 2
@@ -94,9 +159,102 @@ def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
 
 
 def shown(state: LiveState) -> str:
-    console = Console(width=140, record=True, file=io.StringIO())
+    console = Console(width=220, record=True, file=io.StringIO())
     console.print(screen(state))
     return console.export_text()
+
+
+class Failing(Background):
+    """A background whose process is killed at every attempt."""
+
+    def __init__(self, seed: int) -> None:
+        self.seen: list[int] = []
+        self._is_busy = False
+        self.trouble: str | None = None
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def wants(self, n_readings: int) -> bool:
+        return n_readings >= 50 and not self.seen
+
+    def offer(self, session: Session) -> None:
+        self.seen.append(len(session.observations))
+        self.trouble = "it was killed"
+
+    def take(self) -> None:
+        pass
+
+    def last(self, session: Session) -> None:
+        self.trouble = f"it was killed twice, at {self.seen} and {len(session.observations)} readings"
+
+
+def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
+    run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "Background", Failing)
+    result = run("live", growing, "--json", "--wait", "20")
+    assert result.exit_code == 0, result.stderr
+    said = json.loads(result.stdout)
+    found = re.fullmatch(r"it was killed twice, at \[(\d+)\] and (\d+) readings", said["trouble"])
+    assert found is not None
+    assert 50 <= int(found[1]) < int(found[2]) == N_STOPS
+    assert (said["readings"], said["refreshed"]) == (N_STOPS, None)
+    assert said["alarms"]
+    assert result.stderr.count("coilcal: it was killed") == 2
+
+
+def test_nothing_is_made_of_the_readings_while_none_is_new(
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "session.zarr"
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for one in stops[:5]:
+            journal.append(one.record())
+    calls = []
+    real = live.observations_of
+    monkeypatch.setattr(live, "observations_of", lambda *given: calls.append(1) or real(*given))
+    monkeypatch.setattr(live, "Background", Failing)
+    ending = threading.Timer(1.0, seal, [path])
+    ending.start()
+    result = run("live", path)
+    ending.join()
+    assert result.exit_code == 0
+    assert len(calls) == 2  # for the five, and for the end
+
+
+@pytest.mark.parametrize(
+    ("places", "since"), [(("probe2",), 40), (("probe1",), 21), (("coil1",), 21), ((), 21)]
+)
+def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
+    small_rig: Rig, places: tuple[str, ...], since: int
+) -> None:
+    alarms = (
+        Alarm("probe1", "x", 21, 27, 2.0),
+        Alarm("probe2", "y", 40, 45, 2.0),
+        Alarm("probe2", "x, y and z together", 5, 5, 9.0),
+    )
+    known = Refreshed(60, {}, {}, "named", ("a cause",), 1.0, places)
+    state = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, alarms, known, False)
+    assert state.since == since
+    assert state.verdict.endswith(f"; residuals are off since reading {since}")
+
+
+def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
+    small_rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with LiveView() as view:
+        view(
+            LiveState("session.zarr", small_rig.movers, 7, (), 0, 0.0, None, (), None, False, "it was killed")
+        )
+    assert "stop 0 of 7" in terminal.getvalue()
+    assert "it was killed" in terminal.getvalue()
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
@@ -112,18 +270,30 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(
         stops[0],
+        n_gaps={"hall": 1},
         field_T={"hall": [float("nan"), 1e-3, 2e-3]},
         is_settled=False,
         temperature_C={"coil1": 31.26, "hall": float("nan")},
     ).record()
     text = shown(
         LiveState(
-            "session.zarr", small_rig.movers, 108, [record] * 27, 3, 42.0, estimate, (alarm,), known, True
+            "session.zarr",
+            small_rig.movers,
+            108,
+            [record] * 27,
+            3,
+            42.0,
+            estimate,
+            (alarm,),
+            known,
+            True,
+            None,
+            4,
         )
     )
     for words in (
-        "stop 27 of 108, estimate after 12 ms for 3 stops at once; NO STOP FOR 42 s",
-        "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING",
+        "stop 27 of 108, estimate after 12 ms for 3 stops at once; 4 readings not fitted (validation, or no field); READINGS LOST BY AN INSTRUMENT 27 times; NO STOP FOR 42 s",
+        "over range +1.000 +2.000 mT, scatter 3.0 µT, STILL CHANGING, READINGS LOST",
         "+2.9980 A",
         "31.3 °C",
         "no number",

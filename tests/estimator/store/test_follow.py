@@ -51,8 +51,9 @@ def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
     with Journal.resume(folder) as journal:
         journal.append(stop(0).record())
     whole = (folder / JOURNAL).read_bytes()
-    (folder / JOURNAL).write_bytes(whole[:-9])
-    assert follower.records() == []
+    for n_missing in (9, 1):
+        (folder / JOURNAL).write_bytes(whole[:-n_missing])
+        assert follower.records() == []
     (folder / JOURNAL).write_bytes(whole)
     assert len(follower.records()) == 1
     assert follower.records() == []

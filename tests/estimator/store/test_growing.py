@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import math
 import os
 import random
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.rig import Rig
-from estimator.store.growing import StopRecord, new_header
+from estimator.store.growing import StopRecord, load_so_far, new_header
 from estimator.store.journal import JOURNAL, Journal, read_journal
-from estimator.store.session import is_growing, load_session, seal
+from estimator.store.session import Session, is_growing, load_session, remove_session, seal
 
 ROOT = Path(__file__).parents[3]
 
@@ -52,11 +54,31 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     assert read_journal(folder)[1][0]["measured_A"] == {"coil1": 2.999}
 
 
+def test_what_flowed_in_the_coils_is_known_from_the_journal() -> None:
+    def one(begin_s: float, end_s: float, *current_A: float) -> StopRecord:
+        return StopRecord(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
+
+    stops = [one(1.0, 4.0, 3.0, 0.0), one(4.0, 6.0, -2.0, 1.0), one(100.0, 102.0, 0.0, -5.0)]
+    found = load_so_far([stop.record() for stop in stops], ["a", "b"], 103.0)
+    # Before the first stop nothing; after the second, where a run ended, perhaps for another 3 s; after the last for 1 s.
+    seconds = [1.0, 3.0, 2.0, 3.0, 91.0, 2.0, 1.0]
+    assert found == {
+        "a": list(zip(seconds, [0.0, 3.0, 3.0, 3.0, 0.0, 0.0, 3.0], strict=True)),
+        "b": list(zip(seconds, [0.0, 0.0, 1.0, 1.0, 0.0, 5.0, 5.0], strict=True)),
+    }
+    assert load_so_far([], ["a"], 7.0) == {"a": [(7.0, 0.0)]}
+
+
+def test_the_load_of_a_journal_without_begin_and_end_of_stops_counts_from_reading_to_reading() -> None:
+    records = [{"time_s": 2.0, "current_A": [1.0]}, {"time_s": 5.0, "current_A": [-2.0]}]
+    assert load_so_far(records, ["a"], 5.0) == {"a": [(2.0, 1.0), (3.0, 2.0)]}
+
+
 def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path) -> None:
     path = folder / JOURNAL
     whole = path.read_bytes()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
-    for cut in range(last, len(whole)):
+    for cut in range(last, len(whole) - 1):
         path.write_bytes(whole[:cut])
         assert len(load_session(folder).observations) == 2
     with Journal.resume(folder) as journal:
@@ -64,12 +86,20 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
     assert path.read_bytes() == whole
 
 
+def test_a_last_line_without_its_line_feed_is_whole(folder: Path) -> None:
+    path = folder / JOURNAL
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert len(load_session(folder).observations) == 3
+    with Journal.resume(folder):
+        assert path.read_bytes() == whole
+
+
 def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
     path = folder / JOURNAL
     whole = path.read_bytes()
     draw = random.Random(1)
-    for _ in range(200):
-        place = draw.randrange(len(whole) - 1)
+    for place in (*range(len(whole) - 8, len(whole)), *(draw.randrange(len(whole)) for _ in range(200))):
         flipped = bytearray(whole)
         flipped[place] ^= 1 << draw.randrange(8)
         path.write_bytes(flipped)
@@ -111,6 +141,53 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
         assert (folder / JOURNAL).read_bytes() == whole
         journal.append(stop(3).record())
     assert len(load_session(folder).observations) == 4
+
+
+def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_one_sentence(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with Journal.resume(folder) as journal:
+        monkeypatch.setattr(os, "fsync", refuse)
+        monkeypatch.setattr(os, "ftruncate", refuse)
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: Input/output error"):
+            journal.append(stop(3).record())
+        monkeypatch.undo()
+        with pytest.raises(InvalidInput, match="must be writable"):
+            journal.append(stop(4).record())  # would begin where the lost line is
+    with Journal.resume(folder) as journal:
+        assert [record["time_s"] for record in journal.records] == [0.0, 1.0, 2.0, 3.0]  # it was all there
+
+
+@pytest.mark.parametrize("n_writes", [0, 3, 12])
+def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, n_writes: int
+) -> None:
+    left = [n_writes]
+    opened = Path.open
+
+    def full(self: Path, mode: str = "r", *more: Any, **options: Any) -> Any:
+        if set(mode) & set("wxa+"):
+            if not left[0]:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            left[0] -= 1
+        return opened(self, mode, *more, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
+            seal(folder)
+    assert is_growing(folder)
+    assert len(load_session(folder).observations) == 3
+    assert seal(folder).hash == load_session(folder).hash
+
+
+def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    with pytest.raises(InvalidInput, match=r"output must be writable; .*session.zarr is not: "):
+        Journal.create(tmp_path / "file" / "session.zarr", {"kind": "test"})
 
 
 def test_what_exists_is_not_begun_again(folder: Path) -> None:
@@ -202,3 +279,44 @@ def test_killed_before_its_header_is_written_a_session_is_not_there(
     assert not folder.exists()
     Journal.create(folder, {"kind": "test"}).close()
     assert [path.name for path in tmp_path.iterdir()] == ["session.zarr"]
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_what_a_process_writes_is_not_taken_away(folder: Path, small_session: Session, how: str) -> None:
+    def take_away() -> None:
+        if how == "removed":
+            remove_session(folder)
+        else:
+            small_session.save(folder, overwrite=True)
+
+    with Journal.resume(folder) as journal:
+        with pytest.raises(InvalidInput, match=r"one process at a time; another writes .*session\.zarr$"):
+            take_away()
+        journal.append(stop(3).record())
+    assert len(read_journal(folder)[1]) == 4
+    take_away()
+    assert not is_growing(folder)
+
+
+def test_a_writer_that_waited_at_a_journal_that_was_taken_away_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flock = fcntl.flock
+
+    def late(descriptor: int, how: int) -> None:
+        monkeypatch.undo()
+        remove_session(folder)
+        flock(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(InvalidInput, match="was taken away"):
+        Journal.resume(folder)
+
+
+def test_a_session_that_another_process_begins_is_not_begun_again(tmp_path: Path) -> None:
+    begun = tmp_path / "session.zarr.begun"
+    with (
+        Journal.create(begun, {"kind": "test"}),
+        pytest.raises(InvalidInput, match="one process at a time"),
+    ):
+        Journal.create(tmp_path / "session.zarr", {"kind": "test"})

@@ -48,6 +48,7 @@ def make_session(rig: Rig | None = None) -> Session:
         numbers(N) > 0.2,
         torch.randint(4, (N,), generator=random),
         {"coil2": numbers(N), "hall_a": numbers(N)},
+        current_measured_A=numbers(N, 2),
     )
     return Session(rig or rig_from_text(RIG), observations, "by hand", truth={"coil1.radius_m": 0.05})
 
@@ -75,7 +76,9 @@ def assert_equal(found: Session, expected: Session) -> None:
             torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
 
 
-def tensors(value: torch.Tensor | dict[str, torch.Tensor]) -> list[torch.Tensor]:
+def tensors(value: torch.Tensor | dict[str, torch.Tensor] | None) -> list[torch.Tensor]:
+    if value is None:
+        return []
     return [value] if isinstance(value, torch.Tensor) else [value[key] for key in sorted(value)]
 
 
@@ -86,6 +89,18 @@ def files(store: Path) -> list[Path]:
 def test_a_session_is_read_back_equal(session: Session, store: Path) -> None:
     assert_equal(load_session(store), session)
     assert load_session(str(store)).hash == session.hash
+
+
+def test_measured_currents_are_in_a_session_where_somebody_looked(session: Session, tmp_path: Path) -> None:
+    without = replace(session, observations=replace(session.observations, current_measured_A=None))
+    assert without.hash != session.hash
+    without.save(tmp_path / "without.zarr")
+    assert_equal(load_session(tmp_path / "without.zarr"), without)
+    for one, is_there in ((session, True), (without, False)):
+        readings = one.observations
+        parts = readings.rows(torch.arange(9)).alone, readings.rows(torch.arange(9, N)).alone
+        assert (parts[0].followed_by(parts[1]).current_measured_A is not None) is is_there
+    assert parts[0].followed_by(session.observations).current_measured_A is None
 
 
 def test_what_was_set_or_fixed_after_the_rig_was_read_is_kept(tmp_path: Path) -> None:
@@ -132,6 +147,7 @@ def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Pa
             "repeat": ("reading",),
             "motion_arm": ("reading", "axis"),
             "motion_stage": ("reading", "axis"),
+            "current_measured_A": ("reading", "coil"),
             "temperature_coil2_C": ("reading",),
             "temperature_hall_a_C": ("reading",),
         }
