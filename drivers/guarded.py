@@ -143,6 +143,7 @@ class GuardedArm(ClosesItself):
     def __init__(self, arm: RobotArm, limits: ArmLimits, interlock: Interlock, *, name: str) -> None:
         self._arm, self._limits, self._interlock, self._name = arm, limits, interlock, name
         interlock.add(name, lambda: arm.stop(timeout_s=_STOP_S))
+        interlock.add_condition(name, arm.require_safe)
 
     def identify(self, *, timeout_s: float) -> str:
         """See `Device.identify`."""
@@ -152,6 +153,10 @@ class GuardedArm(ClosesItself):
         """See `RobotArm.read_pose`."""
         with self._interlock.guard(self._name):
             return self._arm.read_pose(timeout_s=timeout_s)
+
+    def require_safe(self) -> None:
+        """See `RobotArm.require_safe`; trips where it is not."""
+        self._interlock.check_conditions()
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """See `RobotArm.move_to`.

@@ -29,12 +29,27 @@ class Interlock:
         self.reason: str | None = None
         self.not_at_rest: list[str] = []
         self._actions: dict[str, Callable[[], None]] = {}
+        self._conditions: dict[str, Callable[[], None]] = {}
         self._lock = threading.Lock()
         self._has_acted = threading.Event()
 
     def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
         """Register what brings a device to rest; called from a thread of its own, and more than once if need be."""
         self._actions[name] = bring_to_rest
+
+    def add_condition(self, name: str, check: Callable[[], None]) -> None:
+        """Register what must hold before each command to any device; it raises where it does not, and takes no time."""
+        self._conditions[name] = check
+
+    def check_conditions(self) -> None:
+        """Trip where a condition does not hold.
+
+        Raises:
+            DriverError: It does not; the rig has been brought to rest.
+        """
+        for name, check in self._conditions.items():
+            with self._tripping(name):
+                check()
 
     def require_no_trip(self) -> None:
         """Refuse a command after a fault, once the rig has been brought to rest: nobody is to get in the way of that.
@@ -83,8 +98,14 @@ class Interlock:
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:
-        """Trip where the block fails, even by Ctrl-C; a command that was refused sent nothing and trips nothing."""
+        """Trip where the block fails, even by Ctrl-C, or a condition of the rig; what was refused sent nothing and trips nothing."""
         self.require_no_trip()
+        self.check_conditions()
+        with self._tripping(what):
+            yield
+
+    @contextmanager
+    def _tripping(self, what: str) -> Iterator[None]:
         try:
             yield
         except Refused:

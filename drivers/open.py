@@ -55,7 +55,6 @@ from drivers.supplies.commands import SupplyCommands
 from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
-from drivers.temperature_watch import TemperatureWatch
 from drivers.thermometers import lakeshore_224
 from drivers.transport.port import Port
 from drivers.transport.pumped import PumpedPort
@@ -63,6 +62,7 @@ from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
 from drivers.transport.usbtmc import UsbtmcPort
+from drivers.watch import Watch
 
 SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
 SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
@@ -99,10 +99,11 @@ class DeviceSet(ClosesItself):
         """All of them."""
         return {**self.sources, **self.arms, **self.sensors, **self.monitors}
 
-    def temperature_watch(self) -> TemperatureWatch:
-        """Checks the coils that have a highest temperature, all the time in its `with` block."""
+    def watch(self) -> Watch:
+        """Checks the safety of the arms and the temperatures of the coils all the time in its `with` block."""
         guarded = [source for source in self.sources.values() if isinstance(source, GuardedSource)]
-        return TemperatureWatch([source.check_temperature for source in guarded if source.has_thermometer])
+        temperatures = [source.check_temperature for source in guarded if source.has_thermometer]
+        return Watch([self.interlock.check_conditions, *temperatures])
 
     def close(self) -> None:
         """Close all, even where one fails.

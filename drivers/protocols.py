@@ -145,6 +145,14 @@ class RobotArm(Device, Protocol):
         """Pose of the flange that the controller measures, also during a motion."""
         ...
 
+    def require_safe(self) -> None:
+        """Find fault with an arm that a safety stop holds, or that cannot be heard; sends nothing and is quick.
+
+        Raises:
+            DriverError: It is held, moving or not, and the text says by what; or its controller has fallen silent.
+        """
+        ...
+
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """Move the flange on a straight line; returns when the controller reports arrival.
 

@@ -75,7 +75,7 @@ class Bench:
 
     @contextmanager
     def opened(self) -> Iterator[DeviceSet]:
-        """All devices for a block in which the temperatures of the coils are watched; closed after it.
+        """All devices for a block in which coils and arms are watched; closed after it.
 
         Raises:
             DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest.
@@ -83,7 +83,7 @@ class Bench:
         devices = self.open()
         interlock = devices.interlock
         try:
-            with devices, devices.temperature_watch():
+            with devices, devices.watch():
                 yield devices
         except DriverError as error:
             if interlock.reason is None:

@@ -67,6 +67,11 @@ class MemoryArm(MemoryDevice):
     """Is at once where it is sent."""
 
     pose = HOME
+    held_by = None
+
+    def require_safe(self):
+        if self.held_by is not None:
+            raise DeviceFault(self.held_by)
 
     def read_pose(self, *, timeout_s):
         return self.counter.reading(self.pose)

@@ -14,7 +14,7 @@ from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThe
 from drivers.interlock import Interlock, sigterm_as_exception
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, RobotArm
 from drivers.safety import ArmLimits, CurrentLimits
-from drivers.temperature_watch import TemperatureWatch
+from drivers.watch import Watch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
 LIMITS = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=10.0)
@@ -120,7 +120,7 @@ def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits
         slow(timeout_s=timeout_s)
 
     rig.memory_source.output_off = off
-    with TemperatureWatch([rig.source.check_temperature], every_s=0.02):
+    with Watch([rig.source.check_temperature], every_s=0.02):
         time.sleep(0.1)
         assert rig.interlock.reason is None
         temperature_K[0] = 351.0
@@ -130,6 +130,30 @@ def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits
                 time.sleep(0.01)
         assert rig.is_at_rest
     assert rig.interlock.not_at_rest == []
+
+
+def test_an_arm_that_is_held_while_it_stands_brings_all_to_rest_and_no_current_is_taken_after():
+    rig = Rig()
+    rig.use()
+    rig.memory_arm.held_by = "its emergency stop is pressed"
+    with Watch([rig.interlock.check_conditions], every_s=0.01):
+        end_s = time.monotonic() + 10.0
+        while not rig.is_at_rest:
+            assert time.monotonic() < end_s, "nobody noticed"
+            time.sleep(0.01)
+    n_told = len(rig.memory_source.told)
+    with pytest.raises(Refused, match="because arm failed: its emergency stop is pressed"):
+        rig.source.set_current_A(-2.0, timeout_s=0.2)
+    assert len(rig.memory_source.told) == n_told
+
+
+def test_no_current_is_set_beside_an_arm_that_is_held_even_where_nobody_watches():
+    rig = Rig()
+    rig.memory_arm.held_by = "its emergency stop is pressed"
+    with pytest.raises(DeviceFault, match="emergency stop"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+    assert ("set", 2.0) not in rig.memory_source.told
+    assert rig.interlock.reason == "arm failed: its emergency stop is pressed"
 
 
 def test_a_second_fault_waits_until_the_first_has_brought_all_to_rest():

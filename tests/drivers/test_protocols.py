@@ -97,6 +97,9 @@ class MemoryArm(MemoryDevice):
     def move_to(self, base_from_flange, *, speed_m_per_s, timeout_s):
         self.pose = base_from_flange
 
+    def require_safe(self):
+        pass
+
     def stop(self, *, timeout_s):
         pass
 

@@ -74,16 +74,22 @@ def test_the_arm_moves_to_a_pose_and_reads_it(rig, world):
     arm.move_to(HOME, speed_m_per_s=0.1, timeout_s=5.0)
 
 
-@both_models
-def test_no_package_is_lost_and_their_clock_ticks_evenly(rig):
+def test_poses_carry_the_clock_of_the_controller_and_what_was_repeated_would_show(rig):
     _, arm = rig
-    arm.read_pose(timeout_s=1.0)
-    time.sleep(0.5)
-    readings = arm.read_new_poses(timeout_s=1.0)
-    assert [reading.sequence for reading in readings] == list(range(1, len(readings) + 1))
-    assert all(reading.flags == ReadingFlag.NONE for reading in readings)
-    steps_s = {round(b.device_time_s - a.device_time_s, 6) for a, b in itertools.pairwise(readings)}
-    assert steps_s in ({0.002}, {0.008})
+    readings = [arm.read_pose(timeout_s=5.0) for _ in range(20)]
+    assert [reading.sequence for reading in readings] == list(range(20))
+    assert all(b.device_time_s > a.device_time_s for a, b in itertools.pairwise(readings))
+    assert not any(ReadingFlag.STALE in reading.flags for reading in readings)
+
+
+def test_an_arm_that_stands_tells_by_what_it_is_held(rig):
+    simulator, arm = rig
+    arm.require_safe()
+    simulator.faults.fault = Fault.EMERGENCY_STOP
+    with pytest.raises(DeviceFault, match="must be free to move; its emergency stop is pressed"):  # noqa: PT012
+        for _ in range(1000):
+            arm.require_safe()
+            time.sleep(0.01)
 
 
 def test_the_arm_turns_in_place(rig):

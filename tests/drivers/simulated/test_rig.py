@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from drivers.errors import DriverError, Refused
@@ -80,6 +82,26 @@ def test_a_fault_of_one_device_switches_off_all_currents(rig, device, fault):
             devices.close()
     else:
         devices.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (Fault.EMERGENCY_STOP, "emergency stop is pressed"),
+        (Fault.PROTECTIVE_STOP, "protective stop"),
+        (Fault.DROP, ""),
+    ],
+)
+def test_an_arm_that_is_stopped_while_it_stands_switches_off_all_currents(rig, fault, sentence):
+    with open_devices(rig.section) as devices, devices.watch():
+        devices.sources["coil1"].set_current_A(2.0, timeout_s=5.0)
+        rig.simulators["arm1"].faults.fault = fault
+        end_s = time.monotonic() + 20.0
+        while rig.world.snapshot().currents_A[0] > 1e-6:
+            assert time.monotonic() < end_s, "the current still flows"
+            time.sleep(0.02)
+        with pytest.raises(Refused, match=f"because arm1 failed.*{sentence}"):
+            devices.sources["coil1"].set_current_A(-2.0, timeout_s=5.0)
 
 
 def test_what_is_missing_is_named():
