@@ -12,7 +12,7 @@ from drivers.interlock import Interlock
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Thermometer, Vector
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits, check_current, check_motion, check_temperature
 
-_OFF_S, _STOP_S = 10.0, 3.0
+_STOP_S = 3.0
 _POLL_S = 0.05
 
 
@@ -49,13 +49,13 @@ class GuardedSource(ClosesItself):
             raise Refused(
                 f"{name} must have a thermometer, since its limits state a temperature; it has none"
             )
-        self.slew_A_per_s = source.slew_A_per_s
+        self.slew_A_per_s, self.longest_off_s = source.slew_A_per_s, source.longest_off_s
         self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
         self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
         # A coil of unknown past is taken to be cold: rigs are switched on in the morning.
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
-        interlock.add(name, lambda: source.output_off(timeout_s=_OFF_S))
+        interlock.add(name, lambda: source.output_off(timeout_s=source.longest_off_s))
 
     def identify(self, *, timeout_s: float) -> str:
         """See `Device.identify`."""

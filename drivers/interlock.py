@@ -14,8 +14,6 @@ from drivers.errors import Refused
 
 _LOG = logging.getLogger(__name__)
 
-_LONGEST_ACTION_S = 30.0
-
 
 class Interlock:
     """Joins the devices of a rig; once tripped it refuses every command until it is reset.
@@ -34,7 +32,7 @@ class Interlock:
         self._has_acted = threading.Event()
 
     def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
-        """Register what brings a device to rest; called from a thread of its own, and more than once if need be."""
+        """Register what brings a device to rest; called from a thread of its own, it must end by itself in due time."""
         self._actions[name] = bring_to_rest
 
     def add_condition(self, name: str, check: Callable[[], None]) -> None:
@@ -58,7 +56,7 @@ class Interlock:
             Refused: The rig has tripped.
         """
         if self.reason is not None:
-            self._has_acted.wait(_LONGEST_ACTION_S)
+            self._has_acted.wait()
             raise Refused(
                 f"the rig must be reset before it goes on; it was brought to rest because {self.reason}"
             )
@@ -69,7 +67,7 @@ class Interlock:
             is_first = self.reason is None
             self.reason = self.reason or reason
         if not is_first:
-            self._has_acted.wait(_LONGEST_ACTION_S)
+            self._has_acted.wait()
             return
         _LOG.error("bringing the rig to rest because %s", reason)
         threads = [threading.Thread(target=self._bring_to_rest, args=item) for item in self._actions.items()]

@@ -52,7 +52,7 @@ from drivers.safety import CurrentLimits
 from drivers.settings import Settings
 from drivers.supplies import korad_ka3005p
 from drivers.supplies.commands import SupplyCommands
-from drivers.supplies.ramped import RampedSource
+from drivers.supplies.ramped import RampedSource, longest_off_s
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
 from drivers.thermometers import lakeshore_224
@@ -268,8 +268,11 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     serial = korad_ka3005p.SERIAL if kind == "korad_ka3005p" else _SCPI_SERIAL
     open_port = _port(settings, serial)
     make = partial(_make_source, kind, open_port, limits, compliance_V, slew_A_per_s, tolerance_A)
+    off_s = longest_off_s(max(-limits.lowest_A, limits.highest_A), slew_A_per_s)
     source: CurrentSource = (
-        make(threading.Event()) if is_replayed else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s)
+        make(threading.Event())
+        if is_replayed
+        else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s)
     )
 
     def read_temperature_K() -> float:

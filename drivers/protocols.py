@@ -119,6 +119,11 @@ class CurrentSource(Device, Protocol):
         """Rate of change that it does not exceed."""
         ...
 
+    @property
+    def longest_off_s(self) -> float:
+        """Time that `output_off` may take, from the largest current: what to allow for it."""
+        ...
+
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
         """Ramp to a current, with the output on; returns when the device has accepted the last set-point.
 

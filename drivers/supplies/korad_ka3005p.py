@@ -23,6 +23,9 @@ HIGHEST_A = 5.0
 RESOLUTION_A = 1e-3
 
 _GAP_S = 0.1
+STEP_S = 0.25
+"""Between two set-points: two gaps, one for the set-point and one for reading it back, and its answer."""
+
 _NUMBER_BYTES = 5
 _CONSTANT_VOLTAGE_BIT, _OUTPUT_BIT = 1 << 0, 1 << 6
 
@@ -75,6 +78,7 @@ class KoradKA3005P:
 
     lowest_A = 0.0
     resolution_A = RESOLUTION_A
+    step_s = STEP_S
 
     def __init__(self, port: Port, *, compliance_V: float, highest_A: float = HIGHEST_A) -> None:
         self._channel = Channel(port)

@@ -18,6 +18,9 @@ from drivers.transport.port import Port
 _FLOW_CONTROL = "\x11\x13"
 """XON and XOFF, which a Kepco leaves in its answers."""
 
+STEP_S = 0.1
+"""Between two set-points; at 9600 baud one and its reading back are 80 characters."""
+
 _COMPLIANCE_SHARE = 0.98
 """At this share of the voltage limit the supply is taken to regulate the voltage."""
 
@@ -89,6 +92,8 @@ def decode_line(line: bytes, n_answers: int, command: str) -> list[str]:
 
 class ScpiSupply:
     """The commands of a supply that speaks SCPI."""
+
+    step_s = STEP_S
 
     def __init__(
         self,

@@ -14,14 +14,20 @@ from drivers.supplies.ramped import RampedSource
 _LOG = logging.getLogger(__name__)
 
 _START_S = 10.0
-_CLOSE_S = 30.0
+_CLOSE_S = 2.0
+"""Beyond switching off."""
 
 
 class SupervisedSource(ClosesItself):
     """A `CurrentSource`, with the supply's port owned by a child process."""
 
     def __init__(
-        self, make: Callable[[threading.Event], RampedSource], name: str, *, slew_A_per_s: float
+        self,
+        make: Callable[[threading.Event], RampedSource],
+        name: str,
+        *,
+        slew_A_per_s: float,
+        longest_off_s: float,
     ) -> None:
         """Start the child, which opens the port.
 
@@ -29,8 +35,9 @@ class SupervisedSource(ClosesItself):
             make: Makes the source in the child; the event ends a ramp.
             name: What to call it in messages.
             slew_A_per_s: Of the source that is made.
+            longest_off_s: Of the source that is made.
         """
-        self.slew_A_per_s = slew_A_per_s
+        self.slew_A_per_s, self.longest_off_s = slew_A_per_s, longest_off_s
         self._make, self._name = make, name
         self._supervised = self._start()
         self._is_closed = False
@@ -63,7 +70,7 @@ class SupervisedSource(ClosesItself):
         if not self._is_closed:
             self._is_closed = True
             self._require_child()
-            self._supervised.close(timeout_s=_CLOSE_S)
+            self._supervised.close(timeout_s=self.longest_off_s + _CLOSE_S)
 
     def _start(self) -> Supervised:
         return Supervised(self._make, self._name, start_timeout_s=_START_S)

@@ -37,6 +37,7 @@ class MemorySource(MemoryDevice):
     """Delivers a share of what it is asked for."""
 
     slew_A_per_s = 10.0
+    longest_off_s = 5.0
     share = 1.0
     current_A = 0.0
 

@@ -156,6 +156,16 @@ def test_no_current_is_set_beside_an_arm_that_is_held_even_where_nobody_watches(
     assert rig.interlock.reason == "arm failed: its emergency stop is pressed"
 
 
+def test_a_source_gets_the_time_that_its_ramp_takes_to_come_to_rest():
+    source, allowed_s = MemorySource(), []
+    source.longest_off_s = 80.0
+    source.output_off = lambda *, timeout_s: allowed_s.append(timeout_s)
+    interlock = Interlock()
+    GuardedSource(source, LIMITS, interlock, name="coil1", tolerance_A=0.01)
+    interlock.trip("of a test")
+    assert allowed_s == [80.0]
+
+
 def test_a_second_fault_waits_until_the_first_has_brought_all_to_rest():
     rig = Rig()
     rig.use()

@@ -51,6 +51,7 @@ class MemorySource(MemoryDevice):
 
     current_A = 0.0
     slew_A_per_s = 100.0
+    longest_off_s = 1.0
 
     def set_current_A(self, current_A, *, timeout_s):
         if timeout_s <= 0:
