@@ -9,7 +9,16 @@ from drivers.deadline import Deadline
 from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
 from drivers.interlock import Interlock
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Thermometer, Vector
+from drivers.protocols import (
+    CurrentSource,
+    FieldSensor,
+    FlangePose,
+    Reading,
+    ReadingFlag,
+    RobotArm,
+    Thermometer,
+    Vector,
+)
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits, check_current, check_motion, check_temperature
 
 _STOP_S = 3.0
@@ -37,7 +46,7 @@ class GuardedSource(ClosesItself):
             limits: Of the coil.
             interlock: Of the rig.
             name: What the operator calls it.
-            tolerance_A: How far the measured current may be off the one asked for.
+            tolerance_A: How far the measured current may be off the one asked for: accuracy, resolution and noise of the supply.
             hold_s: Shortest time for which a current must be bearable to be allowed.
             read_temperature_K: Thermometer of the coil; must be given where the limits state a temperature.
         """
@@ -55,6 +64,8 @@ class GuardedSource(ClosesItself):
         # A coil of unknown past is taken to be cold: rigs are switched on in the morning.
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
+        self._asked_A: float | None = None
+        """What must flow; None while it changes, and where nothing was asked for."""
         interlock.add(name, lambda: source.output_off(timeout_s=source.longest_off_s))
 
     def identify(self, *, timeout_s: float) -> str:
@@ -76,13 +87,31 @@ class GuardedSource(ClosesItself):
             self._check_temperature()
             # The greater of both flows at most until the ramp has ended.
             self._flowing_A = max(abs(current_A), abs(self._flowing_A))
+            self._asked_A = None
             self._source.set_current_A(current_A, timeout_s=deadline.remaining_s)
             self._wait_for(current_A, deadline)
+            self._asked_A = current_A
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
-        """See `CurrentSource.read_current_A`; trips where the coil is too hot, or by its currents must be."""
+        """See `CurrentSource.read_current_A`; whoever relies on a current calls this while it flows.
+
+        Raises:
+            DeviceFault: It is not the current that was set, the voltage limit holds it back, or the coil is too hot, or must be by what it
+                has carried; the rig is brought to rest.
+        """
         with self._interlock.guard(self._name):
-            return self._read(timeout_s)
+            reading = self._read(timeout_s)
+            if self._asked_A is not None and not self._delivers(self._asked_A, reading):
+                is_held_back = ReadingFlag.OVER_RANGE in reading.flags
+                reason = (
+                    "its voltage limit holds it back"
+                    if is_held_back
+                    else "it has switched itself off or is limited"
+                )
+                raise DeviceFault(
+                    f"{self._name} delivers {reading.value:.4g} A where {self._asked_A:g} A were set: {reason}"
+                )
+            return reading
 
     @property
     def has_thermometer(self) -> bool:
@@ -96,6 +125,7 @@ class GuardedSource(ClosesItself):
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; allowed at any time."""
+        self._asked_A = None
         self._source.output_off(timeout_s=timeout_s)
         self._update_load(self._flowing_A)
         self._flowing_A = 0.0
@@ -123,14 +153,20 @@ class GuardedSource(ClosesItself):
 
     def _wait_for(self, current_A: float, deadline: Deadline) -> None:
         while True:
-            measured_A = self._read(max(deadline.remaining_s, _POLL_S)).value
-            if abs(measured_A - current_A) <= self._tolerance_A:
+            reading = self._read(max(deadline.remaining_s, _POLL_S))
+            if self._delivers(current_A, reading):
                 return
             if deadline.is_over:
                 raise DeviceFault(
-                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {measured_A:.4g} A"
+                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {reading.value:.4g} A"
+                    f"{', held back by its voltage limit' if ReadingFlag.OVER_RANGE in reading.flags else ''}"
                 )
             time.sleep(min(_POLL_S, deadline.remaining_s))
+
+    def _delivers(self, current_A: float, reading: Reading[float]) -> bool:
+        """Whether a current flows and is regulated: one that the voltage limit holds wanders with the coil's temperature."""
+        is_held_back = ReadingFlag.OVER_RANGE in reading.flags
+        return abs(reading.value - current_A) <= self._tolerance_A and not is_held_back
 
     def _update_load(self, current_A: float) -> None:
         self._load = self._load.after(current_A, time.monotonic(), self._limits)

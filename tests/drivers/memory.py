@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.device import ClosesItself
 from drivers.errors import DeadlineExceeded, DeviceFault
-from drivers.protocols import FlangePose
+from drivers.protocols import FlangePose, ReadingFlag
 from drivers.readings import ReadingCounter
 
 HOME = FlangePose((0.3, 0.0, 0.4), (0.0, 0.0, 0.0))
@@ -40,13 +40,14 @@ class MemorySource(MemoryDevice):
     longest_off_s = 5.0
     share = 1.0
     current_A = 0.0
+    flags = ReadingFlag.NONE
 
     def set_current_A(self, current_A, *, timeout_s):
         self.obey("set", current_A, timeout_s=timeout_s)
         self.current_A = self.share * current_A
 
     def read_current_A(self, *, timeout_s):
-        return self.counter.reading(self.current_A)
+        return self.counter.reading(self.current_A, self.flags)
 
     def output_off(self, *, timeout_s):
         self.told.append(("off",))

@@ -12,7 +12,7 @@ import pytest
 from drivers.errors import DeviceFault, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
 from drivers.interlock import Interlock, sigterm_as_exception
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, RobotArm
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, ReadingFlag, RobotArm
 from drivers.safety import ArmLimits, CurrentLimits
 from drivers.watch import Watch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
@@ -94,6 +94,40 @@ def test_a_current_that_does_not_come_trips():
     with pytest.raises(DeviceFault, match=r"coil1 must carry 2 A within 0.2 s; it measures 1.8 A"):
         rig.source.set_current_A(2.0, timeout_s=0.2)
     assert rig.is_at_rest
+
+
+def test_a_supply_that_switches_itself_off_is_found_out_where_its_current_is_read():
+    rig = Rig()
+    rig.use()
+    rig.source.read_current_A(timeout_s=1.0)
+    rig.memory_source.current_A = 0.0
+    with pytest.raises(
+        DeviceFault, match="coil1 delivers 0 A where 2 A were set: it has switched itself off or is limited"
+    ):
+        rig.source.read_current_A(timeout_s=1.0)
+    assert rig.is_at_rest
+
+
+def test_a_current_that_the_voltage_limit_holds_back_trips():
+    rig = Rig()
+    rig.use()
+    rig.memory_source.flags = ReadingFlag.OVER_RANGE
+    with pytest.raises(DeviceFault, match="coil1 delivers 2 A where 2 A were set: its voltage limit"):
+        rig.source.read_current_A(timeout_s=1.0)
+    assert rig.is_at_rest
+    rig = Rig()
+    rig.memory_source.flags = ReadingFlag.OVER_RANGE
+    with pytest.raises(DeviceFault, match="measures 2 A, held back by its voltage limit"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+
+
+def test_nothing_is_expected_of_a_supply_that_was_not_asked_or_was_switched_off():
+    rig = Rig()
+    rig.memory_source.current_A = 1.3
+    assert rig.source.read_current_A(timeout_s=1.0).value == 1.3
+    rig.use()
+    rig.source.output_off(timeout_s=1.0)
+    assert rig.source.read_current_A(timeout_s=1.0).value == 0.0
 
 
 def test_a_coil_that_gets_too_hot_trips_while_it_is_read():

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from drivers.errors import DriverError, Refused
+from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.open import check_devices, open_devices
 from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
@@ -82,6 +82,18 @@ def test_a_fault_of_one_device_switches_off_all_currents(rig, device, fault):
             devices.close()
     else:
         devices.close()
+
+
+def test_a_supply_that_switches_itself_off_brings_the_others_to_rest(rig):
+    with open_devices(rig.section) as devices:
+        devices.sources["coil1"].set_current_A(1.0, timeout_s=5.0)
+        devices.sources["coil2"].set_current_A(2.0, timeout_s=5.0)
+        assert devices.sources["coil2"].read_current_A(timeout_s=5.0).value == pytest.approx(2.0, abs=2e-3)
+        rig.world.drive(1, 0.0)
+        with pytest.raises(DeviceFault, match="coil2 delivers .* A where 2 A were set"):  # noqa: PT012
+            for _ in range(100):  # its current dies away as the coil lets it
+                devices.sources["coil2"].read_current_A(timeout_s=5.0)
+        assert rig.world.snapshot().currents_A[0] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
