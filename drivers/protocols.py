@@ -79,6 +79,8 @@ class Device(Protocol):
     def close(self) -> None:
         """Bring the device to rest (output off, motion stopped) and release it; a second call does nothing.
 
+        A supply that was only looked at, told neither a current nor to switch off, is left as it was found.
+
         Raises:
             DriverError: The device is released, but is not known to be at rest.
         """

@@ -79,6 +79,7 @@ class RampedSource(ClosesItself):
         self._is_switching_off = threading.Event()
         self._lock = threading.RLock()
         self._set_point_A: float | None = None
+        self._was_told = False
         self._is_closed = False
         self._counter = ReadingCounter()
 
@@ -118,7 +119,7 @@ class RampedSource(ClosesItself):
         Raises:
             DriverError: The output is not known to be off.
         """
-        deadline = Deadline.after(timeout_s)
+        deadline, self._was_told = Deadline.after(timeout_s), True
         self._is_switching_off.set()  # the ramp of another thread ends at its next step
         is_mine = self._lock.acquire(timeout=deadline.remaining_s)
         try:
@@ -134,7 +135,8 @@ class RampedSource(ClosesItself):
             return
         self._is_closed = True
         try:
-            self.output_off(timeout_s=self.longest_off_s)
+            if self._was_told:
+                self.output_off(timeout_s=self.longest_off_s)
         finally:
             self._supply.close()
 
@@ -171,7 +173,7 @@ class RampedSource(ClosesItself):
 
     def _prepared_set_point_A(self, deadline: Deadline) -> float:
         """The present set-point, with the output on; switching on happens at zero."""
-        supply = self._supply
+        supply, self._was_told = self._supply, True
         if self._set_point_A is None:
             supply.prepare(deadline)
             if supply.is_output_on(deadline):

@@ -62,21 +62,18 @@ class SupervisedSource(ClosesItself):
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; ends a ramp of another thread. A dead child is replaced for this."""
-        self._require_child()
+        if self._supervised.has_ended:
+            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
+            self._supervised = self._start()
         self._supervised.call("output_off", timeout_s=timeout_s, is_urgent=True)
 
     def close(self) -> None:
         """See `Device.close`."""
         if not self._is_closed:
             self._is_closed = True
-            self._require_child()
+            if self._supervised.has_ended:
+                self.output_off(timeout_s=self.longest_off_s)
             self._supervised.close(timeout_s=self.longest_off_s + _CLOSE_S)
 
     def _start(self) -> Supervised:
         return Supervised(self._make, self._name, start_timeout_s=_START_S)
-
-    def _require_child(self) -> None:
-        """A current that flows must be ramped down by somebody."""
-        if self._supervised.has_ended:
-            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
-            self._supervised = self._start()

@@ -196,8 +196,17 @@ def test_the_time_to_switch_off_is_enough_for_a_ramp_from_the_largest_current(
     assert source.longest_off_s == longest_off_s(largest_A, slew_A_per_s)
 
 
+def test_a_supply_that_was_only_looked_at_is_left_as_it_was_found(supply):
+    supply.is_on, supply.set_point_A = True, 2.0
+    with RampedSource(supply, slew_A_per_s=20.0) as source:
+        source.identify(timeout_s=1.0)
+        assert source.read_current_A(timeout_s=1.0).value == 2.0
+    assert (supply.is_on, supply.set_point_A, supply.is_closed) == (True, 2.0, True)
+
+
 def test_closing_allows_that_time(supply):
     source = RampedSource(supply, slew_A_per_s=0.1)
+    source.set_current_A(0.0, timeout_s=1.0)
     allowed_s = []
     source.output_off = lambda *, timeout_s: allowed_s.append(timeout_s)
     source.close()
