@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
+from drivers.on_channel import identity_landmark
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ascii_text, number
 from drivers.transport.port import Port
@@ -101,7 +102,7 @@ class MetrolabTHM1176(HallSensor):
             range_T: Largest field to expect.
             n_averaged: Samples of each axis in a reading; one alone scatters by 0.5 mT.
         """
-        super().__init__(port)
+        super().__init__(port, landmark=identity_landmark(b"\n", b"\n"))
         self._range_T, self._n_averaged = choose_range_T(range_T), n_averaged
 
     def _identity(self, deadline: Deadline) -> str:

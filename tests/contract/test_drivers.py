@@ -120,6 +120,8 @@ def test_answers_in_pieces_are_put_together(kind, started, world):
 def test_a_lost_connection_is_a_fault_that_names_the_port(kind, started):
     simulator, device = started(DEVICES[kind])
     device.identify(timeout_s=TIMEOUT_S)
+    if isinstance(device, CurrentSource):
+        device.set_current_A(1.0, timeout_s=TIMEOUT_S)
     simulator.faults.fault = Fault.DROP
     with pytest.raises(DeviceFault, match="must stay connected") as caught:  # noqa: PT012
         for _ in range(20):
