@@ -6,7 +6,10 @@ A line reads `seconds > b'sent'` or `seconds < b'received'`, bytes as Python wri
 from __future__ import annotations
 
 import ast
+import logging
+import os
 import re
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from typing import Literal
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.transport.port import Port
+
+_LOG = logging.getLogger(__name__)
 
 _LINE = re.compile(r"(?P<time_s>\d+\.\d+) (?P<direction>[<>]) (?P<data>b['\"].*)")
 
@@ -130,14 +135,20 @@ class ReplayedPort:
 
 
 class RecordingPort:
-    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last."""
+    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last.
+
+    One thread may send while another receives (`PumpedPort`). Where the disk is full the recording ends and the instrument goes on:
+    a supply must be switched off all the same.
+    """
 
     def __init__(self, port: Port, path: Path) -> None:
         """Record to a file; what it held is kept."""
         self.name = port.name
         self.arrived_s = port.arrived_s
-        self._port, self._file = port, path.open("a", encoding="utf-8")
+        self._port = port
+        self._file: int | None = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._start_s = time.monotonic()
+        self._lock = threading.Lock()
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`."""
@@ -154,8 +165,23 @@ class RecordingPort:
     def close(self) -> None:
         """See `Port.close`."""
         self._port.close()
-        self._file.close()
+        with self._lock:
+            self._end()
 
     def _write(self, direction: Literal["<", ">"], data: bytes) -> None:
-        self._file.write(encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n")
-        self._file.flush()
+        with self._lock:
+            if self._file is None:
+                return
+            try:
+                os.write(
+                    self._file,
+                    (encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n").encode("ascii"),
+                )
+            except OSError as error:
+                _LOG.error("the recording of %s ends here: %s", self.name, error)
+                self._end()
+
+    def _end(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None

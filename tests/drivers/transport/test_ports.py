@@ -6,6 +6,7 @@ import os
 import socket
 import time
 import tty
+from pathlib import Path
 
 import pytest
 
@@ -132,6 +133,16 @@ def test_what_is_recorded_can_be_replayed(tcp_line, tmp_path):
     replayed.send(ALL_BYTES, soon())
     assert replayed.receive(soon()) == b"'quoted\"\n"
     assert replayed.is_over
+
+
+def test_a_recording_on_a_full_disk_ends_and_the_instrument_goes_on(tcp_line, caplog):
+    port, connection = tcp_line
+    recording = RecordingPort(port, Path("/dev/full"))
+    for _ in range(2):
+        recording.send(b"OUT0", soon())
+        assert connection.recv(4) == b"OUT0"
+    recording.close()
+    assert caplog.text.count("the recording of") == 1
 
 
 @pytest.mark.parametrize("line", ["0.1 > 'text'", "0.1 ? b'x'", "0.1 > b'x", "0.1 > b'x' + b'y'", "> b'x'"])
