@@ -118,7 +118,10 @@ class UniversalRobot(ClosesItself):
             if self._motion is not None and not self._motion.has_ended:
                 self._motion.call("stop", timeout_s=deadline.remaining_s / 2, is_urgent=True)
         except DriverError as error:
-            _LOG.warning("stopping through the dashboard, since the child failed: %s", error)
+            # Alive, it would go on kicking the watchdog and keep its inputs from the next child.
+            _LOG.warning("stopping by the watchdog and the dashboard, since the child failed: %s", error)
+            if self._motion is not None:
+                self._motion.kill()
             self._motion = None
         if self._motion is None or self._motion.has_ended:
             self._dashboard(("stop",), deadline)

@@ -182,6 +182,18 @@ def test_an_arm_whose_child_is_killed_is_stopped_by_its_watchdog(rig, world):
     arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=5.0)
 
 
+def test_an_arm_whose_child_does_not_answer_is_stopped_and_gets_another_child(rig, world):
+    _, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=20.0)
+    pid = arm.motion_pid
+    os.kill(pid, signal.SIGSTOP)
+    arm.stop(timeout_s=4.0)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    arm.move_to(HOME, speed_m_per_s=0.2, timeout_s=20.0)
+    assert not world.is_moving(0)
+
+
 def test_an_arm_stops_when_the_host_program_is_killed(rig, world):
     simulator, _ = rig
     program = f"""
