@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -61,7 +62,8 @@ class GuardedSource(ClosesItself):
         self.slew_A_per_s, self.longest_off_s = source.slew_A_per_s, source.longest_off_s
         self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
         self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
-        # A coil of unknown past is taken to be cold: rigs are switched on in the morning.
+        # A coil of unknown past is taken to be cold: rigs are switched on in the morning; see `begin_with`.
+        self._load_lock = threading.Lock()  # the watch looks at it, too
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
         self._asked_A: float | None = None
@@ -81,8 +83,7 @@ class GuardedSource(ClosesItself):
         """
         deadline = Deadline.after(timeout_s)
         self._interlock.require_no_trip()
-        self._update_load(self._flowing_A)
-        check_current(current_A, self._hold_s, self._load, self._limits)
+        check_current(current_A, self._hold_s, self._update_load(self._flowing_A), self._limits)
         with self._interlock.guard(self._name):
             self._check_temperature()
             # The greater of both flows at most until the ramp has ended.
@@ -113,15 +114,20 @@ class GuardedSource(ClosesItself):
                 )
             return reading
 
-    @property
-    def has_thermometer(self) -> bool:
-        """Whether the temperature of the coil is checked."""
-        return self._read_temperature_K is not None
-
-    def check_temperature(self) -> None:
-        """Trip where the coil is too hot, or its thermometer fails; sends nothing to the source."""
+    def check_coil(self) -> None:
+        """Trip where the coil is too hot, must be by the current that was set, or its thermometer fails; sends nothing to the source."""
         with self._interlock.guard(self._name):
             self._check_temperature()
+            self._check_duty(self._flowing_A)
+
+    def begin_with(self, load: CoilLoad) -> None:
+        """Take over what the coil has carried before this program began.
+
+        Args:
+            load: By earlier runs, on any clock, as of now; a coil of unknown past is taken to be cold.
+        """
+        with self._load_lock:
+            self._load = CoilLoad(time.monotonic(), load.mean_square_A2)
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; allowed at any time."""
@@ -137,15 +143,16 @@ class GuardedSource(ClosesItself):
     def _read(self, timeout_s: float) -> Reading[float]:
         self._check_temperature()
         reading = self._source.read_current_A(timeout_s=timeout_s)
-        self._update_load(reading.value)
-        if (
-            self._load.mean_square_A2 > self._limits.continuous_A**2
-            and abs(reading.value) > self._limits.continuous_A
-        ):
-            raise DeviceFault(
-                f"{self._name} must cool: it has carried more than {self._limits.continuous_A:g} A for too long"
-            )
+        self._check_duty(reading.value)
         return reading
+
+    def _check_duty(self, flowing_A: float) -> None:
+        load = self._update_load(flowing_A)
+        continuous_A = self._limits.continuous_A
+        if load.mean_square_A2 > continuous_A**2 and abs(flowing_A) > continuous_A:
+            raise DeviceFault(
+                f"{self._name} must cool: it has carried more than {continuous_A:g} A for too long"
+            )
 
     def _check_temperature(self) -> None:
         if self._read_temperature_K is not None:
@@ -168,9 +175,12 @@ class GuardedSource(ClosesItself):
         is_held_back = ReadingFlag.OVER_RANGE in reading.flags
         return abs(reading.value - current_A) <= self._tolerance_A and not is_held_back
 
-    def _update_load(self, current_A: float) -> None:
-        self._load = self._load.after(current_A, time.monotonic(), self._limits)
-        self._flowing_A = current_A
+    def _update_load(self, current_A: float) -> CoilLoad:
+        """The load now, when a current has flowed since the last look."""
+        with self._load_lock:
+            self._load = self._load.after(current_A, time.monotonic(), self._limits)
+            self._flowing_A = current_A
+            return self._load
 
 
 class GuardedArm(ClosesItself):

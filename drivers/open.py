@@ -48,7 +48,7 @@ from drivers.interlock import Interlock
 from drivers.limits_section import arm_limits, current_limits, limits_of
 from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, TemperatureMonitor, Thermometer
 from drivers.readings import ICE_POINT_K
-from drivers.safety import CurrentLimits
+from drivers.safety import CoilLoad, CurrentLimits
 from drivers.settings import Settings
 from drivers.supplies import korad_ka3005p
 from drivers.supplies.commands import SupplyCommands
@@ -100,10 +100,16 @@ class DeviceSet(ClosesItself):
         return {**self.sources, **self.arms, **self.sensors, **self.monitors}
 
     def watch(self) -> Watch:
-        """Checks the safety of the arms and the temperatures of the coils all the time in its `with` block."""
-        guarded = [source for source in self.sources.values() if isinstance(source, GuardedSource)]
-        temperatures = [source.check_temperature for source in guarded if source.has_thermometer]
-        return Watch([self.interlock.check_conditions, *temperatures])
+        """Checks the safety of the arms, and temperature and duty of the coils, all the time in its `with` block."""
+        coils = [source.check_coil for source in self.sources.values() if isinstance(source, GuardedSource)]
+        return Watch([self.interlock.check_conditions, *coils])
+
+    def begin_with(self, loads: Mapping[str, CoilLoad]) -> None:
+        """Tell the guards of the coils, by name, what these have carried before (`drivers.safety.load_of`)."""
+        for name, load in loads.items():
+            source = self.sources.get(name)
+            if isinstance(source, GuardedSource):
+                source.begin_with(load)
 
     def close(self) -> None:
         """Close all, even where one fails.

@@ -13,7 +13,7 @@ from drivers.errors import DeviceFault, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
 from drivers.interlock import Interlock, sigterm_as_exception
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, ReadingFlag, RobotArm
-from drivers.safety import ArmLimits, CurrentLimits
+from drivers.safety import ArmLimits, CoilLoad, CurrentLimits
 from drivers.watch import Watch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
@@ -154,7 +154,7 @@ def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits
         slow(timeout_s=timeout_s)
 
     rig.memory_source.output_off = off
-    with Watch([rig.source.check_temperature], every_s=0.02):
+    with Watch([rig.source.check_coil], every_s=0.02):
         time.sleep(0.1)
         assert rig.interlock.reason is None
         temperature_K[0] = 351.0
@@ -237,6 +237,25 @@ def test_a_coil_that_carries_too_much_for_too_long_trips():
             rig.source.read_current_A(timeout_s=1.0)
             time.sleep(0.05)
     assert rig.is_at_rest
+
+
+def test_a_coil_that_carries_too_much_for_too_long_trips_even_where_nobody_reads_its_current():
+    rig = Rig(CurrentLimits(-5.0, 5.0, 10.0, continuous_A=1.0, thermal_time_constant_s=1.5))
+    rig.source.set_current_A(1.2, timeout_s=0.2)
+    with Watch([rig.source.check_coil], every_s=0.01):
+        end_s = time.monotonic() + 20.0
+        while not rig.is_at_rest:
+            assert time.monotonic() < end_s, "nobody noticed"
+            time.sleep(0.01)
+    assert "coil1 must cool" in rig.interlock.reason
+
+
+def test_what_a_coil_carried_before_counts():
+    cold, warm = Rig(), Rig()
+    warm.source.begin_with(CoilLoad(-1e6, 8.9))
+    cold.source.set_current_A(5.0, timeout_s=0.2)
+    with pytest.raises(Refused, match="must leave time to cool: 5 A may flow for 0.1 s now"):
+        warm.source.set_current_A(5.0, timeout_s=0.2)
 
 
 def test_a_source_that_ramps_too_fast_or_lacks_its_thermometer_is_refused():
