@@ -13,9 +13,9 @@ from functools import partial
 
 import pytest
 
+from drivers.motion import interpolate
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
-from drivers.simulated.motion import interpolate
 from drivers.simulated.process import Simulator
 from drivers.simulated.scpi import short_form
 from drivers.simulated.thermometers import Simulated224
