@@ -16,7 +16,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Interlock:
-    """Joins the devices of a rig; once tripped it refuses every command until it is reset.
+    """Joins the devices of a rig; once tripped it refuses every command: somebody has to look, and open the rig anew.
 
     Attributes:
         reason: Why it tripped, in one sentence; None while all is well.
@@ -58,7 +58,7 @@ class Interlock:
         if self.reason is not None:
             self._has_acted.wait()
             raise Refused(
-                f"the rig must be reset before it goes on; it was brought to rest because {self.reason}"
+                f"the rig must be opened anew before it goes on; it was brought to rest because {self.reason}"
             )
 
     def trip(self, reason: str) -> None:
@@ -78,21 +78,6 @@ class Interlock:
                 thread.join()
         finally:
             self._has_acted.set()
-
-    def reset(self) -> None:
-        """Allow commands again, after somebody has looked.
-
-        Raises:
-            Refused: A device still cannot be brought to rest.
-        """
-        self.not_at_rest.clear()
-        if self.reason is not None:
-            for item in self._actions.items():
-                self._bring_to_rest(*item)
-        if self.not_at_rest:
-            raise Refused(f"all devices must be at rest; {'; '.join(self.not_at_rest)}")
-        self.reason = None
-        self._has_acted.clear()
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:

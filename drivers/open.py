@@ -146,20 +146,6 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
     return devices
 
 
-def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, str]:
-    """Identify each device and read one value; nothing moves and no current changes.
-
-    Returns: By device, what it says of itself and the value, or what went wrong.
-    """
-    report = {}
-    for name, device in devices.devices.items():
-        try:
-            report[name] = ": ".join(check_device(device, timeout_s=timeout_s))
-        except DriverError as error:
-            report[name] = f"FAULT: {error}"
-    return report
-
-
 def check_device(device: Device, *, timeout_s: float = 5.0) -> tuple[str, str]:
     """Identify one device and read one value; nothing moves and no current changes.
 

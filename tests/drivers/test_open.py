@@ -11,7 +11,7 @@ import yaml
 
 import drivers.open
 from drivers.errors import DeviceFault, DriverError, Refused
-from drivers.open import check_devices, open_devices
+from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.process import Simulator
@@ -65,7 +65,7 @@ def section(world):
 
 def test_a_rig_is_opened_checked_and_measures(section, world):
     with open_devices(section) as devices:
-        report = check_devices(devices)
+        report = {name: ": ".join(check_device(device)) for name, device in devices.devices.items()}
         assert report["hall"].startswith("LSCI,F71")
         assert report["hall"].endswith("mT")
         assert report["coil1"] == "KEPCO,BOP 50-20M,A12345,2.1: 0 A"
@@ -123,7 +123,9 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
                 DeviceFault, match=r"too hot: coil.temperature_C must be at most 21.5; it is 22."
             ):
                 devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
-            assert check_devices(devices)["warmth"].startswith("LSCI,MODEL224,LSA224A/LSA224B,1.0: coil1 22.")
+            identity, value = check_device(devices.devices["warmth"])
+            assert identity == "LSCI,MODEL224,LSA224A/LSA224B,1.0"
+            assert value.startswith("coil1 22.")
         assert world.snapshot().currents_A == (0.0,)
 
 

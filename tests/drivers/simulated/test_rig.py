@@ -7,7 +7,7 @@ import time
 import pytest
 
 from drivers.errors import DeviceFault, DriverError, Refused
-from drivers.open import check_devices, open_devices
+from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
@@ -45,9 +45,9 @@ def rig():
 
 def test_all_its_devices_open_share_one_world_and_come_to_rest(rig):
     with open_devices(rig.section) as devices:
-        report = check_devices(devices)
-        assert sorted(report) == sorted(SECTION)
-        assert not any(text.startswith("FAULT") for text in report.values())
+        assert sorted(devices.devices) == sorted(SECTION)
+        for device in devices.devices.values():
+            check_device(device)
         devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
         devices.sources["coil2"].set_current_A(2.0, timeout_s=3.0)
         devices.arms["arm2"].move_to(
@@ -75,7 +75,7 @@ def test_a_fault_of_one_device_switches_off_all_currents(rig, device, fault):
             devices.arms["arm1"].read_pose(timeout_s=2.0)
     assert devices.interlock.reason is not None
     assert rig.world.snapshot().currents_A[1] == pytest.approx(0.0, abs=1e-6)
-    with pytest.raises(Refused, match="must be reset"):
+    with pytest.raises(Refused, match="must be opened anew"):
         devices.sources["coil2"].set_current_A(1.0, timeout_s=3.0)
     if device == "coil1":
         with pytest.raises(DriverError):

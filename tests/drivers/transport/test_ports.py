@@ -121,6 +121,16 @@ def test_a_replay_answers_as_recorded_and_refuses_other_questions():
         port.send(b"c?", soon())
 
 
+def test_a_line_that_takes_nothing_is_given_the_time_allowed_and_no_more(serial_line):
+    port, _ = serial_line
+    begin_s = time.monotonic()
+    with pytest.raises(
+        DeadlineExceeded, match="must take what is sent within 1.5 s; its handshake says stop"
+    ):
+        port.send(bytes(10_000_000), Deadline.after(1.5))
+    assert 1.4 < time.monotonic() - begin_s < 10.0
+
+
 def test_what_is_recorded_can_be_replayed(tcp_line, tmp_path):
     port, connection = tcp_line
     path = tmp_path / "recorded.txt"
