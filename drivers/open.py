@@ -1,7 +1,8 @@
 """Opens the devices of a rig from the `devices` section of its file, each behind the limits that stand beside it.
 
-A supply runs in a process of its own, which switches it off when this one is gone. With `replay`, the transcript of a recorded
-conversation takes the place of the instrument; with `record`, one is written. As YAML, the section reads
+A supply runs in a process of its own, which switches it off when this one is gone. With `record`, the conversation with an instrument
+is written down; with `replay`, that transcript takes its place: the same questions again get the same answers (`ReplayedPort`), which
+is enough for `coilcal devices check`, and not for another measurement. Arms are not recorded. As YAML, the section reads
 
     devices:
       hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0

@@ -82,9 +82,10 @@ def decode(text: str, place: str) -> list[Chunk]:
 
 
 class ReplayedPort:
-    """Plays the instrument's part of a transcript; the driver must say what it said when it was recorded.
+    """Plays the instrument's part of a transcript, at the pace of then; the driver must say what it said when it was recorded.
 
-    Nothing is waited for: what the instrument sent next is there at once.
+    What it is not: an instrument. It answers the questions that were recorded in their order, such as those of `coilcal devices check`,
+    and falls silent at its end; a measurement with other stops, or as many readings at each as it takes, is none of those.
     """
 
     def __init__(self, chunks: list[Chunk], name: str) -> None:
@@ -92,6 +93,8 @@ class ReplayedPort:
         self.arrived_s = time.monotonic()
         self._left = deque(chunks)
         self._arrived: deque[bytes] = deque()
+        # A moment on the host's clock and on that of the recording; the clocks are set with each command.
+        self._set_s, self._set_recorded_s = time.monotonic(), chunks[0].time_s if chunks else 0.0
 
     @classmethod
     def from_file(cls, path: Path) -> ReplayedPort:
@@ -113,25 +116,31 @@ class ReplayedPort:
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`; raises DeviceFault where the recorded driver said something else."""
-        self._take_arrived()
-        expected = self._left.popleft().data if self._left else b"nothing more"
-        if data != expected:
-            raise DeviceFault(f"{self.name} must be sent {expected!r} next; received {data!r}")
+        while self._left and self._left[0].direction == "<":
+            self._arrived.append(self._left.popleft().data)
+        expected = self._left.popleft() if self._left else None
+        if expected is None or data != expected.data:
+            wanted = "nothing more" if expected is None else repr(expected.data)
+            raise DeviceFault(f"{self.name} must be sent {wanted} next; received {data!r}")
+        self._set_s, self._set_recorded_s = time.monotonic(), expected.time_s
 
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
-        self._take_arrived()
-        if not self._arrived:
-            raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+        while not self._arrived:
+            if not self._left or self._left[0].direction == ">":
+                raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+            wait_s = self._left[0].time_s - self._set_recorded_s - (time.monotonic() - self._set_s)
+            if wait_s <= 0:
+                self._arrived.append(self._left.popleft().data)
+            elif deadline.is_over:
+                raise deadline.exceeded(f"{self.name} must receive", "what comes next was recorded later")
+            else:
+                time.sleep(min(wait_s, deadline.remaining_s))
         self.arrived_s = time.monotonic()
         return self._arrived.popleft()
 
     def close(self) -> None:
         """See `Port.close`."""
-
-    def _take_arrived(self) -> None:
-        while self._left and self._left[0].direction == "<":
-            self._arrived.append(self._left.popleft().data)
 
 
 class RecordingPort:
