@@ -141,6 +141,7 @@ def test_a_device_identifies_itself(kind, started):
     maker = {
         "3mh6": "Senis",
         "kepco": "KEPCO",
+        "kepco_supervised": "KEPCO",
         "korad": "KORAD",
         "scpi_tcp": "COILCAL",
         "thm1176": "Metrolab",
