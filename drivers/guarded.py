@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -9,10 +10,19 @@ from drivers.deadline import Deadline
 from drivers.device import ClosesItself
 from drivers.errors import DeviceFault, Refused
 from drivers.interlock import Interlock
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, Reading, RobotArm, Thermometer, Vector
+from drivers.protocols import (
+    CurrentSource,
+    FieldSensor,
+    FlangePose,
+    Reading,
+    ReadingFlag,
+    RobotArm,
+    Thermometer,
+    Vector,
+)
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits, check_current, check_motion, check_temperature
 
-_OFF_S, _STOP_S = 10.0, 3.0
+_STOP_S = 3.0
 _POLL_S = 0.05
 
 
@@ -37,7 +47,7 @@ class GuardedSource(ClosesItself):
             limits: Of the coil.
             interlock: Of the rig.
             name: What the operator calls it.
-            tolerance_A: How far the measured current may be off the one asked for.
+            tolerance_A: How far the measured current may be off the one asked for: accuracy, resolution and noise of the supply.
             hold_s: Shortest time for which a current must be bearable to be allowed.
             read_temperature_K: Thermometer of the coil; must be given where the limits state a temperature.
         """
@@ -49,13 +59,16 @@ class GuardedSource(ClosesItself):
             raise Refused(
                 f"{name} must have a thermometer, since its limits state a temperature; it has none"
             )
-        self.slew_A_per_s = source.slew_A_per_s
+        self.slew_A_per_s, self.longest_off_s = source.slew_A_per_s, source.longest_off_s
         self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
         self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
-        # A coil of unknown past is taken to be cold: rigs are switched on in the morning.
+        # A coil of unknown past is taken to be cold: rigs are switched on in the morning; see `begin_with`.
+        self._load_lock = threading.Lock()  # the watch looks at it, too
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
-        interlock.add(name, lambda: source.output_off(timeout_s=_OFF_S))
+        self._asked_A: float | None = None
+        """What must flow; None while it changes, and where nothing was asked for."""
+        interlock.add(name, lambda: source.output_off(timeout_s=source.longest_off_s))
 
     def identify(self, *, timeout_s: float) -> str:
         """See `Device.identify`."""
@@ -70,32 +83,55 @@ class GuardedSource(ClosesItself):
         """
         deadline = Deadline.after(timeout_s)
         self._interlock.require_no_trip()
-        self._update_load(self._flowing_A)
-        check_current(current_A, self._hold_s, self._load, self._limits)
+        check_current(current_A, self._hold_s, self._update_load(self._flowing_A), self._limits)
         with self._interlock.guard(self._name):
             self._check_temperature()
             # The greater of both flows at most until the ramp has ended.
             self._flowing_A = max(abs(current_A), abs(self._flowing_A))
+            self._asked_A = None
             self._source.set_current_A(current_A, timeout_s=deadline.remaining_s)
             self._wait_for(current_A, deadline)
+            self._asked_A = current_A
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
-        """See `CurrentSource.read_current_A`; trips where the coil is too hot, or by its currents must be."""
+        """See `CurrentSource.read_current_A`; whoever relies on a current calls this while it flows.
+
+        Raises:
+            DeviceFault: It is not the current that was set, the voltage limit holds it back, or the coil is too hot, or must be by what it
+                has carried; the rig is brought to rest.
+        """
         with self._interlock.guard(self._name):
-            return self._read(timeout_s)
+            reading = self._read(timeout_s)
+            if self._asked_A is not None and not self._delivers(self._asked_A, reading):
+                is_held_back = ReadingFlag.OVER_RANGE in reading.flags
+                reason = (
+                    "its voltage limit holds it back"
+                    if is_held_back
+                    else "it has switched itself off or is limited"
+                )
+                raise DeviceFault(
+                    f"{self._name} delivers {reading.value:.4g} A where {self._asked_A:g} A were set: {reason}"
+                )
+            return reading
 
-    @property
-    def has_thermometer(self) -> bool:
-        """Whether the temperature of the coil is checked."""
-        return self._read_temperature_K is not None
-
-    def check_temperature(self) -> None:
-        """Trip where the coil is too hot, or its thermometer fails; sends nothing to the source."""
+    def check_coil(self) -> None:
+        """Trip where the coil is too hot, must be by the current that was set, or its thermometer fails; sends nothing to the source."""
         with self._interlock.guard(self._name):
             self._check_temperature()
+            self._check_duty(self._flowing_A)
+
+    def begin_with(self, load: CoilLoad) -> None:
+        """Take over what the coil has carried before this program began.
+
+        Args:
+            load: By earlier runs, on any clock, as of now; a coil of unknown past is taken to be cold.
+        """
+        with self._load_lock:
+            self._load = CoilLoad(time.monotonic(), load.mean_square_A2)
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; allowed at any time."""
+        self._asked_A = None
         self._source.output_off(timeout_s=timeout_s)
         self._update_load(self._flowing_A)
         self._flowing_A = 0.0
@@ -107,15 +143,16 @@ class GuardedSource(ClosesItself):
     def _read(self, timeout_s: float) -> Reading[float]:
         self._check_temperature()
         reading = self._source.read_current_A(timeout_s=timeout_s)
-        self._update_load(reading.value)
-        if (
-            self._load.mean_square_A2 > self._limits.continuous_A**2
-            and abs(reading.value) > self._limits.continuous_A
-        ):
-            raise DeviceFault(
-                f"{self._name} must cool: it has carried more than {self._limits.continuous_A:g} A for too long"
-            )
+        self._check_duty(reading.value)
         return reading
+
+    def _check_duty(self, flowing_A: float) -> None:
+        load = self._update_load(flowing_A)
+        continuous_A = self._limits.continuous_A
+        if load.mean_square_A2 > continuous_A**2 and abs(flowing_A) > continuous_A:
+            raise DeviceFault(
+                f"{self._name} must cool: it has carried more than {continuous_A:g} A for too long"
+            )
 
     def _check_temperature(self) -> None:
         if self._read_temperature_K is not None:
@@ -123,18 +160,27 @@ class GuardedSource(ClosesItself):
 
     def _wait_for(self, current_A: float, deadline: Deadline) -> None:
         while True:
-            measured_A = self._read(max(deadline.remaining_s, _POLL_S)).value
-            if abs(measured_A - current_A) <= self._tolerance_A:
+            reading = self._read(max(deadline.remaining_s, _POLL_S))
+            if self._delivers(current_A, reading):
                 return
             if deadline.is_over:
                 raise DeviceFault(
-                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {measured_A:.4g} A"
+                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {reading.value:.4g} A"
+                    f"{', held back by its voltage limit' if ReadingFlag.OVER_RANGE in reading.flags else ''}"
                 )
             time.sleep(min(_POLL_S, deadline.remaining_s))
 
-    def _update_load(self, current_A: float) -> None:
-        self._load = self._load.after(current_A, time.monotonic(), self._limits)
-        self._flowing_A = current_A
+    def _delivers(self, current_A: float, reading: Reading[float]) -> bool:
+        """Whether a current flows and is regulated: one that the voltage limit holds wanders with the coil's temperature."""
+        is_held_back = ReadingFlag.OVER_RANGE in reading.flags
+        return abs(reading.value - current_A) <= self._tolerance_A and not is_held_back
+
+    def _update_load(self, current_A: float) -> CoilLoad:
+        """The load now, when a current has flowed since the last look."""
+        with self._load_lock:
+            self._load = self._load.after(current_A, time.monotonic(), self._limits)
+            self._flowing_A = current_A
+            return self._load
 
 
 class GuardedArm(ClosesItself):
@@ -143,6 +189,7 @@ class GuardedArm(ClosesItself):
     def __init__(self, arm: RobotArm, limits: ArmLimits, interlock: Interlock, *, name: str) -> None:
         self._arm, self._limits, self._interlock, self._name = arm, limits, interlock, name
         interlock.add(name, lambda: arm.stop(timeout_s=_STOP_S))
+        interlock.add_condition(name, arm.require_safe)
 
     def identify(self, *, timeout_s: float) -> str:
         """See `Device.identify`."""
@@ -152,6 +199,10 @@ class GuardedArm(ClosesItself):
         """See `RobotArm.read_pose`."""
         with self._interlock.guard(self._name):
             return self._arm.read_pose(timeout_s=timeout_s)
+
+    def require_safe(self) -> None:
+        """See `RobotArm.require_safe`; trips where it is not."""
+        self._interlock.check_conditions()
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """See `RobotArm.move_to`.

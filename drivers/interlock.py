@@ -14,11 +14,9 @@ from drivers.errors import Refused
 
 _LOG = logging.getLogger(__name__)
 
-_LONGEST_ACTION_S = 30.0
-
 
 class Interlock:
-    """Joins the devices of a rig; once tripped it refuses every command until it is reset.
+    """Joins the devices of a rig; once tripped it refuses every command: somebody has to look, and open the rig anew.
 
     Attributes:
         reason: Why it tripped, in one sentence; None while all is well.
@@ -29,12 +27,27 @@ class Interlock:
         self.reason: str | None = None
         self.not_at_rest: list[str] = []
         self._actions: dict[str, Callable[[], None]] = {}
+        self._conditions: dict[str, Callable[[], None]] = {}
         self._lock = threading.Lock()
         self._has_acted = threading.Event()
 
     def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
-        """Register what brings a device to rest; called from a thread of its own, and more than once if need be."""
+        """Register what brings a device to rest; called from a thread of its own, it must end by itself in due time."""
         self._actions[name] = bring_to_rest
+
+    def add_condition(self, name: str, check: Callable[[], None]) -> None:
+        """Register what must hold before each command to any device; it raises where it does not, and takes no time."""
+        self._conditions[name] = check
+
+    def check_conditions(self) -> None:
+        """Trip where a condition does not hold.
+
+        Raises:
+            DriverError: It does not; the rig has been brought to rest.
+        """
+        for name, check in self._conditions.items():
+            with self._tripping(name):
+                check()
 
     def require_no_trip(self) -> None:
         """Refuse a command after a fault, once the rig has been brought to rest: nobody is to get in the way of that.
@@ -43,9 +56,9 @@ class Interlock:
             Refused: The rig has tripped.
         """
         if self.reason is not None:
-            self._has_acted.wait(_LONGEST_ACTION_S)
+            self._has_acted.wait()
             raise Refused(
-                f"the rig must be reset before it goes on; it was brought to rest because {self.reason}"
+                f"the rig must be opened anew before it goes on; it was brought to rest because {self.reason}"
             )
 
     def trip(self, reason: str) -> None:
@@ -54,7 +67,7 @@ class Interlock:
             is_first = self.reason is None
             self.reason = self.reason or reason
         if not is_first:
-            self._has_acted.wait(_LONGEST_ACTION_S)
+            self._has_acted.wait()
             return
         _LOG.error("bringing the rig to rest because %s", reason)
         threads = [threading.Thread(target=self._bring_to_rest, args=item) for item in self._actions.items()]
@@ -66,25 +79,16 @@ class Interlock:
         finally:
             self._has_acted.set()
 
-    def reset(self) -> None:
-        """Allow commands again, after somebody has looked.
-
-        Raises:
-            Refused: A device still cannot be brought to rest.
-        """
-        self.not_at_rest.clear()
-        if self.reason is not None:
-            for item in self._actions.items():
-                self._bring_to_rest(*item)
-        if self.not_at_rest:
-            raise Refused(f"all devices must be at rest; {'; '.join(self.not_at_rest)}")
-        self.reason = None
-        self._has_acted.clear()
-
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:
-        """Trip where the block fails, even by Ctrl-C; a command that was refused sent nothing and trips nothing."""
+        """Trip where the block fails, even by Ctrl-C, or a condition of the rig; what was refused sent nothing and trips nothing."""
         self.require_no_trip()
+        self.check_conditions()
+        with self._tripping(what):
+            yield
+
+    @contextmanager
+    def _tripping(self, what: str) -> Iterator[None]:
         try:
             yield
         except Refused:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,10 +10,28 @@ from contextlib import contextmanager
 from drivers.deadline import Deadline
 from drivers.device import ClosesItself
 from drivers.readings import ReadingCounter
-from drivers.transport.channel import Channel
+from drivers.transport.channel import Channel, Landmark
 from drivers.transport.port import Port
 
 _NEVER = -1
+
+_IDENTITY = re.compile(rb'[^"]*[A-Za-z]{3}[^",]*,[^"]*')
+"""Has a word, as no measured value has, and no error state behind it."""
+
+
+def identity_landmark(end: bytes, answer_end: bytes) -> Landmark:
+    r"""`*IDN?`, as most instruments know it.
+
+    Args:
+        end: Of lines sent.
+        answer_end: Of lines received.
+
+    Examples:
+        >>> pattern = identity_landmark(b"\n", b"\r\n").pattern
+        >>> bool(pattern.fullmatch(b"LSCI,MODEL460,0,022499")), bool(pattern.fullmatch(b"+12.50,-0.25, OL ,+00.00"))
+        (True, False)
+    """
+    return Landmark(b"*IDN?" + end, answer_end, _IDENTITY)
 
 
 class OnChannel(ClosesItself):
@@ -21,9 +40,9 @@ class OnChannel(ClosesItself):
     After a fault it may have been switched off and on, so it is set up again.
     """
 
-    def __init__(self, port: Port, *, quieten: bytes = b"") -> None:
-        """Own a port; `quieten` is the command that ends a stream."""
-        self._channel = Channel(port, quieten=quieten)
+    def __init__(self, port: Port, *, quieten: bytes = b"", landmark: Landmark | None = None) -> None:
+        """Own a port; `quieten` is the command that ends a stream, `landmark` a question that finds the way back after a fault."""
+        self._channel = Channel(port, quieten, landmark.find if landmark else None)
         self._counter = ReadingCounter()
         self._set_up_at_fault = _NEVER
 

@@ -1,7 +1,8 @@
 """Opens the devices of a rig from the `devices` section of its file, each behind the limits that stand beside it.
 
-A supply runs in a process of its own, which switches it off when this one is gone. With `replay`, the transcript of a recorded
-conversation takes the place of the instrument; with `record`, one is written. As YAML, the section reads
+A supply runs in a process of its own, which switches it off when this one is gone. With `record`, the conversation with an instrument
+is written down; with `replay`, that transcript takes its place: the same questions again get the same answers (`ReplayedPort`), which
+is enough for `coilcal devices check`, and not for another measurement. Arms are not recorded. As YAML, the section reads
 
     devices:
       hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
@@ -48,14 +49,13 @@ from drivers.interlock import Interlock
 from drivers.limits_section import arm_limits, current_limits, limits_of
 from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, TemperatureMonitor, Thermometer
 from drivers.readings import ICE_POINT_K
-from drivers.safety import CurrentLimits
+from drivers.safety import CoilLoad, CurrentLimits
 from drivers.settings import Settings
 from drivers.supplies import korad_ka3005p
 from drivers.supplies.commands import SupplyCommands
-from drivers.supplies.ramped import RampedSource
+from drivers.supplies.ramped import RampedSource, longest_off_s
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
-from drivers.temperature_watch import TemperatureWatch
 from drivers.thermometers import lakeshore_224
 from drivers.transport.port import Port
 from drivers.transport.pumped import PumpedPort
@@ -63,6 +63,7 @@ from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
 from drivers.transport.usbtmc import UsbtmcPort
+from drivers.watch import Watch
 
 SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
 SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
@@ -99,10 +100,17 @@ class DeviceSet(ClosesItself):
         """All of them."""
         return {**self.sources, **self.arms, **self.sensors, **self.monitors}
 
-    def temperature_watch(self) -> TemperatureWatch:
-        """Checks the coils that have a highest temperature, all the time in its `with` block."""
-        guarded = [source for source in self.sources.values() if isinstance(source, GuardedSource)]
-        return TemperatureWatch([source.check_temperature for source in guarded if source.has_thermometer])
+    def watch(self) -> Watch:
+        """Checks the safety of the arms, and temperature and duty of the coils, all the time in its `with` block."""
+        coils = [source.check_coil for source in self.sources.values() if isinstance(source, GuardedSource)]
+        return Watch([self.interlock.check_conditions, *coils])
+
+    def begin_with(self, loads: Mapping[str, CoilLoad]) -> None:
+        """Tell the guards of the coils, by name, what these have carried before (`drivers.safety.load_of`)."""
+        for name, load in loads.items():
+            source = self.sources.get(name)
+            if isinstance(source, GuardedSource):
+                source.begin_with(load)
 
     def close(self) -> None:
         """Close all, even where one fails.
@@ -137,20 +145,6 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
         devices.close()
         raise
     return devices
-
-
-def check_devices(devices: DeviceSet, *, timeout_s: float = 5.0) -> dict[str, str]:
-    """Identify each device and read one value; nothing moves and no current changes.
-
-    Returns: By device, what it says of itself and the value, or what went wrong.
-    """
-    report = {}
-    for name, device in devices.devices.items():
-        try:
-            report[name] = ": ".join(check_device(device, timeout_s=timeout_s))
-        except DriverError as error:
-            report[name] = f"FAULT: {error}"
-    return report
 
 
 def check_device(device: Device, *, timeout_s: float = 5.0) -> tuple[str, str]:
@@ -267,8 +261,11 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     serial = korad_ka3005p.SERIAL if kind == "korad_ka3005p" else _SCPI_SERIAL
     open_port = _port(settings, serial)
     make = partial(_make_source, kind, open_port, limits, compliance_V, slew_A_per_s, tolerance_A)
+    off_s = longest_off_s(max(-limits.lowest_A, limits.highest_A), slew_A_per_s)
     source: CurrentSource = (
-        make(threading.Event()) if is_replayed else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s)
+        make(threading.Event())
+        if is_replayed
+        else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s)
     )
 
     def read_temperature_K() -> float:

@@ -79,6 +79,8 @@ class Device(Protocol):
     def close(self) -> None:
         """Bring the device to rest (output off, motion stopped) and release it; a second call does nothing.
 
+        A supply that was only looked at, told neither a current nor to switch off, is left as it was found.
+
         Raises:
             DriverError: The device is released, but is not known to be at rest.
         """
@@ -119,6 +121,11 @@ class CurrentSource(Device, Protocol):
         """Rate of change that it does not exceed."""
         ...
 
+    @property
+    def longest_off_s(self) -> float:
+        """Time that `output_off` may take, from the largest current: what to allow for it."""
+        ...
+
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
         """Ramp to a current, with the output on; returns when the device has accepted the last set-point.
 
@@ -143,6 +150,14 @@ class RobotArm(Device, Protocol):
 
     def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
         """Pose of the flange that the controller measures, also during a motion."""
+        ...
+
+    def require_safe(self) -> None:
+        """Find fault with an arm that a safety stop holds, or that cannot be heard; sends nothing and is quick.
+
+        Raises:
+            DriverError: It is held, moving or not, and the text says by what; or its controller has fallen silent.
+        """
         ...
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:

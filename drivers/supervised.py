@@ -59,7 +59,7 @@ class _Answer:
     error: Exception | None
 
 
-_INTERRUPT = "interrupt"
+_INTERRUPT, _GIVEN_UP = "interrupt", "given up"
 _LOST = 3
 """Exit code of a child whose connection to its device broke."""
 
@@ -126,6 +126,8 @@ class Supervised:
         if is_urgent:
             self._send(_INTERRUPT)
         if not self._lock.acquire(timeout=deadline.remaining_s):
+            if is_urgent:
+                self._send(_GIVEN_UP)
             raise deadline.exceeded(f"{self.name} must be free", "a call of another thread goes on")
         try:
             self._number += 1
@@ -133,6 +135,12 @@ class Supervised:
             return self._receive(self._number, deadline)
         finally:
             self._lock.release()
+
+    def kill(self) -> None:
+        """End a child that does not answer, at once; what it leaves behind is for the watchdog of its device."""
+        self._process.kill()
+        self._process.join(_GRACE_S)
+        self._abandon()
 
     def close(self, *, timeout_s: float) -> None:
         """Let the child bring its device to rest and end.
@@ -188,7 +196,7 @@ class Supervised:
 def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> None:
     """Body of the child."""
     os.setsid()  # Ctrl-C in the terminal is for the host's program, which then closes the device in order
-    interrupt = threading.Event()
+    interrupt, is_given_up = threading.Event(), threading.Event()
     calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
 
     def end(*_: object) -> None:
@@ -205,7 +213,7 @@ def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> No
             if isinstance(message, _Call):
                 calls.put(message)
             else:
-                interrupt.set()
+                (interrupt if message == _INTERRUPT else is_given_up).set()
 
     signal.signal(signal.SIGTERM, end)
     threading.Thread(target=listen, daemon=True).start()
@@ -215,18 +223,24 @@ def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> No
         _answer(connection, _Answer(0, None, _portable(error)))
         return
     _answer(connection, _Answer(0, None, None))
-    _work(device, calls, interrupt, connection)
+    _work(device, calls, interrupt, is_given_up, connection)
 
 
 def _work(
-    device: Any, calls: queue.SimpleQueue[_Call | None], interrupt: threading.Event, connection: Connection
+    device: Any,
+    calls: queue.SimpleQueue[_Call | None],
+    interrupt: threading.Event,
+    is_given_up: threading.Event,
+    connection: Connection,
 ) -> None:
     while True:
         call = _next_call(device, calls)
         if call is None or call.method == "close":
             break
-        if call.is_urgent:
+        if call.is_urgent or is_given_up.is_set():
+            # Whoever interrupted the call before is served now, or had no patience left; this one is another.
             interrupt.clear()
+            is_given_up.clear()
         _answer(connection, _carry_out(device, call))
         if isinstance(device, KeptAlive) and device.is_lost:
             end_at_once()

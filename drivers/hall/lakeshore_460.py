@@ -12,6 +12,7 @@ import math
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
+from drivers.on_channel import identity_landmark
 from drivers.protocols import Reading, Vector
 from drivers.readings import ascii_text, number, over_range
 from drivers.transport.port import Port
@@ -88,7 +89,7 @@ class LakeShore460(HallSensor):
     """
 
     def __init__(self, port: Port, *, range_T: float, update_s: float = UPDATE_S) -> None:
-        super().__init__(port)
+        super().__init__(port, landmark=identity_landmark(b"\r\n", b"\r\n"))
         self._range = choose_range(range_T)
         self._update_s = update_s
         self._tesla_per_unit: Vector = (math.nan, math.nan, math.nan)

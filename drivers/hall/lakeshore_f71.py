@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.hall.sensor import HallSensor
+from drivers.on_channel import identity_landmark
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range
 from drivers.transport.port import Port
@@ -114,7 +115,7 @@ class LakeShoreF71(HallSensor):
     """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point; its probe is a `Thermometer`."""
 
     def __init__(self, port: Port, *, range_T: float | None = None, n_averaged: int = 1) -> None:
-        super().__init__(port)
+        super().__init__(port, landmark=identity_landmark(b"\n", b"\r\n"))
         self._range_T, self._n_averaged = range_T, n_averaged
         self._last_time_s: float | None = None
         self._temperatures = ReadingCounter()
@@ -151,7 +152,10 @@ class LakeShoreF71(HallSensor):
 
     def _fetch(self, deadline: Deadline) -> tuple[list[BufferPoint], ReadingFlag]:
         buffer, condition = self._ask(READ_BUFFER, 2, deadline)
-        is_overload = int(number(condition, "F71 status")) & _OVERLOAD_BIT
+        status = number(condition, "F71 status")
+        if not status.is_integer():
+            raise DeviceFault(f"F71 must send its status as a whole number; received {condition!r}")
+        is_overload = int(status) & _OVERLOAD_BIT
         return decode_buffer(buffer), ReadingFlag.OVER_RANGE if is_overload else ReadingFlag.NONE
 
     def _reading(self, point: BufferPoint, overload: ReadingFlag, arrived_s: float) -> Reading[Vector]:

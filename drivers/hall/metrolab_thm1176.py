@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
+from drivers.on_channel import identity_landmark
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ascii_text, number
 from drivers.transport.port import Port
@@ -101,8 +102,9 @@ class MetrolabTHM1176(HallSensor):
             range_T: Largest field to expect.
             n_averaged: Samples of each axis in a reading; one alone scatters by 0.5 mT.
         """
-        super().__init__(port)
+        super().__init__(port, landmark=identity_landmark(b"\n", b"\n"))
         self._range_T, self._n_averaged = choose_range_T(range_T), n_averaged
+        self._last_time_s: float | None = None
 
     def _identity(self, deadline: Deadline) -> str:
         return self._ask("*IDN?", deadline)
@@ -115,6 +117,9 @@ class MetrolabTHM1176(HallSensor):
     def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
         acquisition = decode_acquisition(self._ask(MEASURE, deadline))
         flags = self._read_errors(deadline) if acquisition.has_errors else ReadingFlag.NONE
+        if acquisition.device_time_s == self._last_time_s:
+            flags |= ReadingFlag.STALE
+        self._last_time_s = acquisition.device_time_s
         return self._counter.reading(acquisition.field_T, flags, device_time_s=acquisition.device_time_s)
 
     def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:

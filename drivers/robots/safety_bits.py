@@ -20,6 +20,29 @@ _STOPS = (
 )
 
 
+def why_stopped(values: dict[str, Value]) -> str | None:
+    """One sentence for the operator where a safety stop holds the arm, moving or not; None where none does.
+
+    Args:
+        values: With `safety_status_bits`.
+
+    Examples:
+        >>> why_stopped({"safety_status_bits": 1}) is None
+        True
+        >>> why_stopped({"safety_status_bits": 4})
+        'it is in protective stop: look what it met, then unlock it at the pendant'
+    """
+    bits = values["safety_status_bits"]
+    if not isinstance(bits, int):
+        return "it does not tell its safety status"
+    for bit, sentence in _STOPS:
+        if bits & bit:
+            return sentence
+    if not bits & _NORMAL and not bits & 1 << 1:  # reduced mode is slow, but obeys
+        return "its safety system is in no normal mode: see the pendant"
+    return None
+
+
 def why_not_running(values: dict[str, Value]) -> str | None:
     """One sentence for the operator; None where the arm obeys.
 
@@ -27,17 +50,8 @@ def why_not_running(values: dict[str, Value]) -> str | None:
         values: With `safety_status_bits` and `runtime_state`.
 
     Examples:
-        >>> why_not_running({"safety_status_bits": 1, "runtime_state": 2}) is None
-        True
-        >>> why_not_running({"safety_status_bits": 4, "runtime_state": 1})
-        'it is in protective stop: look what it met, then unlock it at the pendant'
+        >>> why_not_running({"safety_status_bits": 1, "runtime_state": 1})
+        'its program is not running'
     """
-    bits, runtime_state = values["safety_status_bits"], values["runtime_state"]
-    if not isinstance(bits, int) or not isinstance(runtime_state, int):
-        return "it does not tell its safety status"
-    for bit, sentence in _STOPS:
-        if bits & bit:
-            return sentence
-    if not bits & _NORMAL and not bits & 1 << 1:  # reduced mode is slow, but obeys
-        return "its safety system is in no normal mode: see the pendant"
-    return None if runtime_state == _PLAYING else "its program is not running"
+    reason = why_stopped(values)
+    return reason or (None if values["runtime_state"] == _PLAYING else "its program is not running")

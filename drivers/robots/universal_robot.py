@@ -20,6 +20,7 @@ from drivers.protocols import FlangePose, Reading, ReadingFlag
 from drivers.readings import ReadingCounter, ascii_text
 from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
+from drivers.robots.safety_bits import why_stopped
 from drivers.robots.ur_motion import NAMES, UrMotion, is_still, pose_of
 from drivers.supervised import Supervised
 from drivers.transport.channel import Channel
@@ -35,6 +36,7 @@ JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
 _START_S, _CLOSE_S = 20.0, 10.0
 _STILL_S = 2.0
 _CONNECT_S = 3.0
+_OLDEST_S = 2.0  # while the arm stands; during a motion its child is stricter
 
 
 class UniversalRobot(ClosesItself):
@@ -86,9 +88,11 @@ class UniversalRobot(ClosesItself):
         sample = self._hearing_reader().read_after(time.monotonic(), timeout_s=timeout_s)
         return self._reading(sample)
 
-    def read_new_poses(self, *, timeout_s: float) -> list[Reading[FlangePose]]:
-        """All packages since the last reading, oldest first; see `FieldSensor.read_new_T`."""
-        return [self._reading(sample) for sample in self._hearing_reader().read_new(timeout_s=timeout_s)]
+    def require_safe(self) -> None:
+        """See `RobotArm.require_safe`; from the newest package, which is not taken."""
+        sample = self._reader.latest(at_most_s=_OLDEST_S)
+        if reason := why_stopped(sample.values):
+            raise DeviceFault(f"{self._name} must be free to move; {reason}")
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """See `RobotArm.move_to`; a fault says whether the arm is known to stand. Nothing is ever sent twice."""
@@ -114,7 +118,10 @@ class UniversalRobot(ClosesItself):
             if self._motion is not None and not self._motion.has_ended:
                 self._motion.call("stop", timeout_s=deadline.remaining_s / 2, is_urgent=True)
         except DriverError as error:
-            _LOG.warning("stopping through the dashboard, since the child failed: %s", error)
+            # Alive, it would go on kicking the watchdog and keep its inputs from the next child.
+            _LOG.warning("stopping by the watchdog and the dashboard, since the child failed: %s", error)
+            if self._motion is not None:
+                self._motion.kill()
             self._motion = None
         if self._motion is None or self._motion.has_ended:
             self._dashboard(("stop",), deadline)

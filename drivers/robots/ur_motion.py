@@ -16,6 +16,7 @@ from typing import Any
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.motion import interpolate
 from drivers.priority import run_ahead
 from drivers.protocols import FlangePose
 from drivers.robots import rtde
@@ -34,7 +35,13 @@ _OLDEST_S = 0.3  # longer than the pauses of a busy computer; where the arm hear
 _UPLOADS = (
     3  # of the control script to an arm that stands still: on a busy computer its watchdog may bite at once
 )
+_SCRIPT_S = 5.0
 _LOOP_S = 0.01
+_CHECKED_SHARES = (
+    0.25,
+    0.5,
+    0.75,
+)  # of a way, besides its end; each costs two questions, 10 ms to a UR3e and 40 ms to a UR3
 _ACCELERATION_M_PER_S2 = 0.25
 _BRAKE_M_PER_S2 = 2.0
 _STILL_M_PER_S, _STILL_RAD_PER_S = 1e-3, 5e-3
@@ -89,12 +96,16 @@ class UrMotion:
         """See `RobotArm.move_to`.
 
         Raises:
-            Refused: The pose is beyond the safety limits of the controller or the joint limits given; nothing was sent.
+            Refused: The pose, or one of a few on the way, is beyond the safety limits of the controller or the joint limits given; nothing
+                was sent.
             DeviceFault: The arm does not obey, or was interrupted; the text says which, and whether it stands.
         """
         deadline = Deadline.after(timeout_s)
         self._require_obedience()
-        pose = [*base_from_flange.position_m, *base_from_flange.rotation_vector_rad]
+        pose = numbers_of(base_from_flange)
+        start = pose_of(self._fresh_sample())
+        for share in _CHECKED_SHARES:
+            self._check_reach(numbers_of(interpolate(start, base_from_flange, share)))
         self._check_reach(pose)
         before = self._control.getAsyncOperationProgressEx().operationId()
         if not self._control.moveL(pose, speed_m_per_s, _ACCELERATION_M_PER_S2, True):
@@ -137,7 +148,14 @@ class UrMotion:
             raise DeviceFault(f"{self._name} must obey; {reason}")
 
     def _upload(self) -> bool:
-        return bool(self._control.reuploadScript() and self._control.setWatchdog(WATCHDOG_HZ))
+        """Start the control script; ur_rtde returns before it runs, and takes no command until then."""
+        if not self._control.reuploadScript():
+            return False
+        deadline = Deadline.after(_SCRIPT_S)
+        while why_not_running(self._next_sample().values) or not self._control.isProgramRunning():
+            if deadline.is_over:
+                return False
+        return bool(self._control.setWatchdog(WATCHDOG_HZ))
 
     def _check_reach(self, pose: list[float]) -> None:
         if not self._control.isPoseWithinSafetyLimits(pose):
@@ -150,7 +168,8 @@ class UrMotion:
         ):
             if not low_rad <= joint_rad <= high_rad:
                 raise Refused(
-                    f"arm.joint_{index + 1}_rad must be within {low_rad:g} and {high_rad:g}; {joint_rad:.3f} is needed for {pose}"
+                    f"arm.joint_{index + 1}_rad must be within {low_rad:g} and {high_rad:g} on the way; "
+                    f"{joint_rad:.3f} is needed for {pose}"
                 )
 
     def _watch(self, deadline: Deadline) -> None:
@@ -221,6 +240,11 @@ class UrMotion:
 
     def _fault(self, what: str) -> DeviceFault:
         return DeviceFault(f"{self._name} {what}")
+
+
+def numbers_of(pose: FlangePose) -> list[float]:
+    """A pose as ur_rtde takes it."""
+    return [*pose.position_m, *pose.rotation_vector_rad]
 
 
 def pose_of(sample: Sample) -> FlangePose:

@@ -58,7 +58,11 @@ class SimulatedScpiSupply:
         self._lowest_A, self._highest_A = lowest_A, highest_A
         self._model = model
         self._is_remote, self._is_current_mode = not is_kepco, not is_kepco
-        kepco: dict[str, Handler] = {"SYST:REM": self._set_remote, "FUNC:MODE": self._set_mode}
+        kepco: dict[str, Handler] = {
+            "SYST:REM": self._set_remote,
+            "FUNC:MODE": self._set_mode,
+            "FUNC:MODE?": lambda _: str(int(self._is_current_mode)),
+        }
         self._interpreter = ScpiInterpreter({**self._common(), **(kepco if is_kepco else {})}, terminator)
 
     def take(self, data: bytes) -> bytes:

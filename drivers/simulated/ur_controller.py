@@ -12,10 +12,10 @@ import re
 import time
 from collections.abc import Sequence
 
+from drivers.motion import distance_m
 from drivers.protocols import FlangePose
 from drivers.robots.rtde import Value
 from drivers.rotation import angle_between_rad
-from drivers.simulated.motion import distance_m
 from drivers.simulated.world import World
 
 _STOPPED, _PLAYING = 1, 2
@@ -74,7 +74,6 @@ class UrController:
         """Run a program; ur_rtde uploads its control script."""
         if self._safety_bits == _NORMAL_BIT and "rtde_cmd" in script:
             self._runtime_state, self._is_executing, self._watchdog_s = _PLAYING, False, math.inf
-            self.inputs["input_int_register_0"] = 0
             self._outputs["output_int_register_0"] = 1
 
     def set_inputs(self, names: Sequence[str], values: Sequence[Value]) -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from multiprocessing.context import SpawnContext
 from typing import TypeAlias
 
+from drivers.motion import interpolate
 from drivers.protocols import FlangePose, Vector
-from drivers.simulated.motion import interpolate
 
 SPAWN: SpawnContext = multiprocessing.get_context("spawn")
 """Simulators start as fresh processes: a forked one would share the threads and locks of its parent."""

@@ -29,12 +29,14 @@ class SupplyCommands(Protocol):
         lowest_A: Least current; zero for a unipolar supply.
         highest_A: Greatest current.
         resolution_A: Step between two set-points; one read back may differ by as much.
+        step_s: Time between two set-points of a ramp, in which the model takes one and reads it back.
     """
 
     name: str
     lowest_A: float
     highest_A: float
     resolution_A: float
+    step_s: float
 
     def identify(self, deadline: Deadline) -> str:
         """Maker, model, serial number."""

@@ -15,14 +15,27 @@ from drivers.supplies.commands import SupplyCommands
 
 _LOG = logging.getLogger(__name__)
 
-STEP_S = 0.1
-"""Between two set-points of a ramp; the slowest supply here takes a command and its question in 0.2 s."""
-
-_CLOSE_S = 5.0
+_COMMANDS_S = 5.0
 _ONE_COMMAND_S = 1.0
+_SLOWNESS = 2.0
+"""A ramp may take this many times as long as it should on a busy computer before it is cut short."""
 
 
-def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: float = STEP_S) -> list[float]:
+def longest_off_s(largest_A: float, slew_A_per_s: float) -> float:
+    """Time to allow for a ramp to zero and for switching off.
+
+    Args:
+        largest_A: Absolute value of the largest current there can be.
+        slew_A_per_s: Rate of the ramp.
+
+    Examples:
+        >>> longest_off_s(3.0, 0.4)
+        20.0
+    """
+    return _COMMANDS_S + _SLOWNESS * largest_A / slew_A_per_s
+
+
+def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: float) -> list[float]:
     """Set-points of a ramp, without the start and with the target.
 
     Args:
@@ -34,7 +47,7 @@ def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: flo
     Examples:
         >>> ramp_steps(0.0, 1.0, 4.0, 0.1)
         [0.333, 0.667, 1.0]
-        >>> ramp_steps(1.0, 1.0, 4.0)
+        >>> ramp_steps(1.0, 1.0, 4.0, 0.1)
         [1.0]
     """
     n_steps = max(1, math.ceil(abs(target_A - start_A) / (slew_A_per_s * step_s) - 1e-9))
@@ -61,10 +74,12 @@ class RampedSource(ClosesItself):
             raise Refused(f"source.slew_A_per_s must be > 0; received {slew_A_per_s}")
         self.name = supply.name
         self._supply, self.slew_A_per_s = supply, slew_A_per_s
+        self.longest_off_s = longest_off_s(max(-supply.lowest_A, supply.highest_A), slew_A_per_s)
         self._interrupt = interrupt or threading.Event()
         self._is_switching_off = threading.Event()
         self._lock = threading.RLock()
         self._set_point_A: float | None = None
+        self._was_told = False
         self._is_closed = False
         self._counter = ReadingCounter()
 
@@ -104,7 +119,7 @@ class RampedSource(ClosesItself):
         Raises:
             DriverError: The output is not known to be off.
         """
-        deadline = Deadline.after(timeout_s)
+        deadline, self._was_told = Deadline.after(timeout_s), True
         self._is_switching_off.set()  # the ramp of another thread ends at its next step
         is_mine = self._lock.acquire(timeout=deadline.remaining_s)
         try:
@@ -120,7 +135,8 @@ class RampedSource(ClosesItself):
             return
         self._is_closed = True
         try:
-            self.output_off(timeout_s=_CLOSE_S + self._supply.highest_A / self.slew_A_per_s)
+            if self._was_told:
+                self.output_off(timeout_s=self.longest_off_s)
         finally:
             self._supply.close()
 
@@ -131,7 +147,7 @@ class RampedSource(ClosesItself):
             raise Refused(
                 f"a ramp from {start_A:g} to {current_A:g} A must have {needed_s:.1f} s; received {deadline.allowed_s:g} s ({self.name})"
             )
-        for step_A in ramp_steps(start_A, current_A, self.slew_A_per_s):
+        for step_A in ramp_steps(start_A, current_A, self.slew_A_per_s, self._supply.step_s):
             if self._interrupt.is_set() or self._is_switching_off.is_set():
                 raise DeviceFault(
                     f"the ramp to {current_A:g} A must end; it was interrupted at {self._set_point_A} A ({self.name})"
@@ -157,13 +173,13 @@ class RampedSource(ClosesItself):
 
     def _prepared_set_point_A(self, deadline: Deadline) -> float:
         """The present set-point, with the output on; switching on happens at zero."""
-        supply = self._supply
+        supply, self._was_told = self._supply, True
         if self._set_point_A is None:
             supply.prepare(deadline)
             if supply.is_output_on(deadline):
                 self._set_point_A = supply.read_set_point_A(deadline)
             else:
-                self._write(0.0, deadline, pause_s=0.0)
+                self._write(0.0, deadline, is_step=False)
                 supply.switch_output(True, deadline)
                 if not supply.is_output_on(deadline):
                     self._set_point_A = None
@@ -174,13 +190,13 @@ class RampedSource(ClosesItself):
     def _ramp_down(self, deadline: Deadline) -> None:
         self._supply.prepare(deadline)
         start_A = self._supply.read_set_point_A(deadline)
-        for step_A in ramp_steps(start_A, 0.0, self.slew_A_per_s):
+        for step_A in ramp_steps(start_A, 0.0, self.slew_A_per_s, self._supply.step_s):
             self._write(step_A, deadline)
         self._set_point_A = None
 
-    def _write(self, current_A: float, deadline: Deadline, pause_s: float = STEP_S) -> None:
-        """One set-point, read back; the pause after it makes the slope."""
-        next_step = Deadline.after(pause_s)
+    def _write(self, current_A: float, deadline: Deadline, *, is_step: bool = True) -> None:
+        """One set-point, read back; in a ramp, the pause after it makes the slope."""
+        next_step = Deadline.after(self._supply.step_s if is_step else 0.0)
         self._set_point_A = None
         self._supply.write_set_point(current_A, deadline)
         read_back_A = self._supply.read_set_point_A(deadline)

@@ -6,17 +6,24 @@ same line, so that its error is its own and not found later. `*RST` is never sen
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.readings import ascii_text, number
 from drivers.supplies.commands import Measured
-from drivers.transport.channel import Channel
+from drivers.transport.channel import Channel, Landmark
 from drivers.transport.port import Port
 
 _FLOW_CONTROL = "\x11\x13"
 """XON and XOFF, which a Kepco leaves in its answers."""
+
+STEP_S = 0.1
+"""Between two set-points; at 9600 baud one and its reading back are 80 characters."""
+
+_NO_ERROR_STATE = re.compile(rb'[^"]*[A-Za-z][^"]*,[^"]*')
+"""The answer to `*IDN?`: the only one without the quotation marks of an error state."""
 
 _COMPLIANCE_SHARE = 0.98
 """At this share of the voltage limit the supply is taken to regulate the voltage."""
@@ -90,6 +97,8 @@ def decode_line(line: bytes, n_answers: int, command: str) -> list[str]:
 class ScpiSupply:
     """The commands of a supply that speaks SCPI."""
 
+    step_s = STEP_S
+
     def __init__(
         self,
         port: Port,
@@ -100,7 +109,8 @@ class ScpiSupply:
         compliance_V: float,
         resolution_A: float,
     ) -> None:
-        self._channel = Channel(port)
+        landmark = Landmark(f"*IDN?{dialect.terminator}".encode("ascii"), b"\n", _NO_ERROR_STATE)
+        self._channel = Channel(port, find_step=landmark.find)
         self._dialect, self._compliance_V = dialect, compliance_V
         self.name = port.name
         self.lowest_A, self.highest_A, self.resolution_A = lowest_A, highest_A, resolution_A

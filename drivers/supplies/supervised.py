@@ -14,14 +14,20 @@ from drivers.supplies.ramped import RampedSource
 _LOG = logging.getLogger(__name__)
 
 _START_S = 10.0
-_CLOSE_S = 30.0
+_CLOSE_S = 2.0
+"""Beyond switching off."""
 
 
 class SupervisedSource(ClosesItself):
     """A `CurrentSource`, with the supply's port owned by a child process."""
 
     def __init__(
-        self, make: Callable[[threading.Event], RampedSource], name: str, *, slew_A_per_s: float
+        self,
+        make: Callable[[threading.Event], RampedSource],
+        name: str,
+        *,
+        slew_A_per_s: float,
+        longest_off_s: float,
     ) -> None:
         """Start the child, which opens the port.
 
@@ -29,8 +35,9 @@ class SupervisedSource(ClosesItself):
             make: Makes the source in the child; the event ends a ramp.
             name: What to call it in messages.
             slew_A_per_s: Of the source that is made.
+            longest_off_s: Of the source that is made.
         """
-        self.slew_A_per_s = slew_A_per_s
+        self.slew_A_per_s, self.longest_off_s = slew_A_per_s, longest_off_s
         self._make, self._name = make, name
         self._supervised = self._start()
         self._is_closed = False
@@ -55,21 +62,18 @@ class SupervisedSource(ClosesItself):
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; ends a ramp of another thread. A dead child is replaced for this."""
-        self._require_child()
+        if self._supervised.has_ended:
+            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
+            self._supervised = self._start()
         self._supervised.call("output_off", timeout_s=timeout_s, is_urgent=True)
 
     def close(self) -> None:
         """See `Device.close`."""
         if not self._is_closed:
             self._is_closed = True
-            self._require_child()
-            self._supervised.close(timeout_s=_CLOSE_S)
+            if self._supervised.has_ended:
+                self.output_off(timeout_s=self.longest_off_s)
+            self._supervised.close(timeout_s=self.longest_off_s + _CLOSE_S)
 
     def _start(self) -> Supervised:
         return Supervised(self._make, self._name, start_timeout_s=_START_S)
-
-    def _require_child(self) -> None:
-        """A current that flows must be ramped down by somebody."""
-        if self._supervised.has_ended:
-            _LOG.warning("%s lost its process; a new one brings it to rest", self._name)
-            self._supervised = self._start()

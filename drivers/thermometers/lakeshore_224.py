@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
-from drivers.on_channel import OnChannel
+from drivers.on_channel import OnChannel, identity_landmark
 from drivers.protocols import Reading
 from drivers.readings import ReadingCounter, ascii_text, number
 from drivers.transport.port import Port
@@ -73,7 +73,7 @@ class LakeShore224(OnChannel):
                 raise Refused(
                     f"thermometer.inputs.{place} must be A, B, C1 to C5 or D1 to D5; received {name}"
                 )
-        super().__init__(port)
+        super().__init__(port, landmark=identity_landmark(b"\n", b"\r\n"))
         self.thermometers = {place: MonitorInput(self, name) for place, name in inputs.items()}
 
     def read_input_K(self, name: str, *, timeout_s: float) -> float:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from drivers.deadline import Deadline
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError
@@ -16,24 +18,52 @@ _QUIET_S = 0.1
 _LONGEST_ANSWER = 1_000_000
 
 
+@dataclass(frozen=True, slots=True)
+class Landmark:
+    """A question whose answer cannot be taken for that of another one: instruments answer in order, so all before it is old.
+
+    Attributes:
+        question: As it is sent.
+        terminator: End of its answer.
+        pattern: What the whole answer matches, and that of no other question does.
+    """
+
+    question: bytes
+    terminator: bytes
+    pattern: re.Pattern[bytes]
+
+    def find(self, channel: Channel, deadline: Deadline) -> None:
+        """Ask, and throw away what comes before the answer; inside `Channel.exchange`."""
+        channel.send(self.question, deadline)
+        while not self.pattern.fullmatch(channel.read_until(self.terminator, deadline)):
+            pass
+
+
 class Channel:
     """The only user of a port.
 
-    After an error the other side may still be talking about the last question. The next exchange then first
-    waits until it is silent and throws away what came, so that no answer is taken for that of another question.
+    After an error the other side may still be talking about the last question, or only begin to. The next exchange then first
+    waits until it is silent, and asks what can be told from all else, so that no answer is taken for that of another question.
 
     Attributes:
         name: Name of the port.
         n_faults: Errors so far. After one, an instrument may have been switched off and on: what was set is set again.
     """
 
-    def __init__(self, port: Port, quieten: bytes = b"") -> None:
+    def __init__(
+        self,
+        port: Port,
+        quieten: bytes = b"",
+        find_step: Callable[[Channel, Deadline], None] | None = None,
+    ) -> None:
         """Own a port.
 
         Args:
             port: Used by nobody else from now on.
             quieten: Command that ends a stream; sent before waiting for silence.
+            find_step: Called after that silence, such as `Landmark.find`; None where answers cannot be confused.
         """
+        self._find_step = find_step
         self.name = port.name
         self._quieten = quieten
         self.n_faults = 0
@@ -65,6 +95,8 @@ class Channel:
                 if self._quieten:
                     self.send(self._quieten, deadline)
                 self.read_until_silent(_QUIET_S, deadline)
+                if self._find_step is not None:
+                    self._find_step(self, deadline)
                 self._is_in_step = True
             yield
         except DriverError as error:

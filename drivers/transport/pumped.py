@@ -62,6 +62,9 @@ class PumpedPort:
             except DriverError as error:
                 self._end(error)
                 return
+            except Exception as error:  # whatever it is, it must not end in silence
+                self._end(DeviceFault(f"{self.name} must be read; {error}"))
+                return
             with self._news:
                 self._chunks.append((self._port.arrived_s, data))
                 self._n_bytes += len(data)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
+import select
 import termios
 import time
 from dataclasses import dataclass
@@ -12,15 +15,12 @@ from typing import Literal
 import serial
 
 from drivers.deadline import Deadline
-from drivers.errors import DeviceFault
+from drivers.errors import DeadlineExceeded, DeviceFault
 
 _LOG = logging.getLogger(__name__)
 
 _WAKE_S = 0.01
 """Longest wait inside pyserial. Its timeout is set once, for each change of it sets up the whole port anew."""
-
-_WRITE_S = 0.5
-"""Commands are a few dozen bytes: a port that holds them back this long is stopped by its handshake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,6 @@ class SerialPort:
                 parity=settings.parity if has_parity else "N",
                 rtscts=settings.has_rts_cts,
                 timeout=_WAKE_S,
-                write_timeout=_WRITE_S,
                 exclusive=True,
             )
         except (OSError, ValueError, termios.error) as error:
@@ -69,13 +68,17 @@ class SerialPort:
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`."""
+        # Not by pyserial, which has one timeout for all writes and sets up the whole port anew for each change of it.
         try:
-            self._serial.write(data)
-        except serial.SerialTimeoutException as error:
-            raise deadline.exceeded(
-                f"{self.name} must take what is sent", "its handshake says stop"
-            ) from error
-        except OSError as error:
+            file = self._serial.fileno()
+            while data:
+                if not select.select([], [file], [], deadline.remaining_s)[1]:
+                    raise deadline.exceeded(f"{self.name} must take what is sent", "its handshake says stop")
+                with contextlib.suppress(BlockingIOError):
+                    data = data[os.write(file, data) :]
+        except DeadlineExceeded:
+            raise
+        except (OSError, ValueError) as error:
             raise self._lost(error) from error
 
     def receive(self, deadline: Deadline) -> bytes:

@@ -6,7 +6,10 @@ A line reads `seconds > b'sent'` or `seconds < b'received'`, bytes as Python wri
 from __future__ import annotations
 
 import ast
+import logging
+import os
 import re
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from typing import Literal
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.transport.port import Port
+
+_LOG = logging.getLogger(__name__)
 
 _LINE = re.compile(r"(?P<time_s>\d+\.\d+) (?P<direction>[<>]) (?P<data>b['\"].*)")
 
@@ -77,9 +82,10 @@ def decode(text: str, place: str) -> list[Chunk]:
 
 
 class ReplayedPort:
-    """Plays the instrument's part of a transcript; the driver must say what it said when it was recorded.
+    """Plays the instrument's part of a transcript, at the pace of then; the driver must say what it said when it was recorded.
 
-    Nothing is waited for: what the instrument sent next is there at once.
+    What it is not: an instrument. It answers the questions that were recorded in their order, such as those of `coilcal devices check`,
+    and falls silent at its end; a measurement with other stops, or as many readings at each as it takes, is none of those.
     """
 
     def __init__(self, chunks: list[Chunk], name: str) -> None:
@@ -87,6 +93,8 @@ class ReplayedPort:
         self.arrived_s = time.monotonic()
         self._left = deque(chunks)
         self._arrived: deque[bytes] = deque()
+        # A moment on the host's clock and on that of the recording; the clocks are set with each command.
+        self._set_s, self._set_recorded_s = time.monotonic(), chunks[0].time_s if chunks else 0.0
 
     @classmethod
     def from_file(cls, path: Path) -> ReplayedPort:
@@ -108,36 +116,48 @@ class ReplayedPort:
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`; raises DeviceFault where the recorded driver said something else."""
-        self._take_arrived()
-        expected = self._left.popleft().data if self._left else b"nothing more"
-        if data != expected:
-            raise DeviceFault(f"{self.name} must be sent {expected!r} next; received {data!r}")
+        while self._left and self._left[0].direction == "<":
+            self._arrived.append(self._left.popleft().data)
+        expected = self._left.popleft() if self._left else None
+        if expected is None or data != expected.data:
+            wanted = "nothing more" if expected is None else repr(expected.data)
+            raise DeviceFault(f"{self.name} must be sent {wanted} next; received {data!r}")
+        self._set_s, self._set_recorded_s = time.monotonic(), expected.time_s
 
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
-        self._take_arrived()
-        if not self._arrived:
-            raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+        while not self._arrived:
+            if not self._left or self._left[0].direction == ">":
+                raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
+            wait_s = self._left[0].time_s - self._set_recorded_s - (time.monotonic() - self._set_s)
+            if wait_s <= 0:
+                self._arrived.append(self._left.popleft().data)
+            elif deadline.is_over:
+                raise deadline.exceeded(f"{self.name} must receive", "what comes next was recorded later")
+            else:
+                time.sleep(min(wait_s, deadline.remaining_s))
         self.arrived_s = time.monotonic()
         return self._arrived.popleft()
 
     def close(self) -> None:
         """See `Port.close`."""
 
-    def _take_arrived(self) -> None:
-        while self._left and self._left[0].direction == "<":
-            self._arrived.append(self._left.popleft().data)
-
 
 class RecordingPort:
-    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last."""
+    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last.
+
+    One thread may send while another receives (`PumpedPort`). Where the disk is full the recording ends and the instrument goes on:
+    a supply must be switched off all the same.
+    """
 
     def __init__(self, port: Port, path: Path) -> None:
         """Record to a file; what it held is kept."""
         self.name = port.name
         self.arrived_s = port.arrived_s
-        self._port, self._file = port, path.open("a", encoding="utf-8")
+        self._port = port
+        self._file: int | None = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._start_s = time.monotonic()
+        self._lock = threading.Lock()
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`."""
@@ -154,8 +174,23 @@ class RecordingPort:
     def close(self) -> None:
         """See `Port.close`."""
         self._port.close()
-        self._file.close()
+        with self._lock:
+            self._end()
 
     def _write(self, direction: Literal["<", ">"], data: bytes) -> None:
-        self._file.write(encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n")
-        self._file.flush()
+        with self._lock:
+            if self._file is None:
+                return
+            try:
+                os.write(
+                    self._file,
+                    (encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n").encode("ascii"),
+                )
+            except OSError as error:
+                _LOG.error("the recording of %s ends here: %s", self.name, error)
+                self._end()
+
+    def _end(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None

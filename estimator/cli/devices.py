@@ -47,7 +47,7 @@ def devices_group() -> None:
 @json_option
 @explain_errors
 def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, as_json: bool) -> None:
-    """Open each device of RIG, identify it and read one value; nothing moves and no current changes.
+    """Open each device of RIG, identify it and read one value; nothing moves, no current changes, a supply that is on stays on.
 
     Exit code 5 where a device fails.
     """

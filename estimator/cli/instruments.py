@@ -75,21 +75,26 @@ class Bench:
 
     @contextmanager
     def opened(self) -> Iterator[DeviceSet]:
-        """All devices for a block in which the temperatures of the coils are watched; closed after it.
+        """All devices for a block in which coils and arms are watched; closed after it.
 
         Raises:
-            DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest.
+            DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest. An
+                interruption that leaves something so is a fault, too: the operator must hear of it.
         """
         devices = self.open()
         interlock = devices.interlock
         try:
-            with devices, devices.temperature_watch():
+            with devices, devices.watch():
                 yield devices
         except DriverError as error:
             if interlock.reason is None:
                 raise
             rest = "; ".join(interlock.not_at_rest) or "arms and currents were brought to rest"
             raise DeviceFault(f"{interlock.reason}; {rest}") from error
+        except (KeyboardInterrupt, SystemExit) as interruption:
+            if not interlock.not_at_rest:
+                raise
+            raise DeviceFault(f"interrupted; {'; '.join(interlock.not_at_rest)}") from interruption
 
     @contextmanager
     def located(self) -> Iterator[None]:

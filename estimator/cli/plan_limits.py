@@ -3,34 +3,75 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from drivers.errors import Refused
 from drivers.limits_section import RigLimits
 from drivers.protocols import FlangePose
-from drivers.safety import CoilLoad, check_current, check_motion
+from drivers.safety import CoilLoad, check_current, check_motion, load_of
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach
 from estimator.pace import Pace
 from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.rig import MotionKind, Rig
+
+LONGEST_STOP_S = (
+    600.0  # what lies further before a reading than this was a pause between two runs, without current
+)
 
 
-def check_currents(stops: Observations, rig: Rig, limits: RigLimits, times_s: Sequence[float]) -> None:
+def loads_so_far(
+    records: Sequence[Mapping[str, Any]], rig: Rig, limits: RigLimits, now_s: float
+) -> dict[str, CoilLoad]:
+    """What each coil has carried in the part of a session that is on the disk.
+
+    Args:
+        records: Of its journal.
+        rig: Names the coils.
+        limits: Of its devices.
+        now_s: On the clock of the session (`time_s` of the records).
+    Returns: By coil. The stop that was interrupted is not among them, and a pause between two runs counts as one.
+    """
+    currents = [(float(record["time_s"]), record["current_A"]) for record in records]
+    found = {}
+    for i, coil in enumerate(rig.coils):
+        if coil.name in limits.currents:
+            stops, last_s = [(0.0, 0.0)], 0.0
+            for time_s, current_A in currents:
+                if time_s - last_s > LONGEST_STOP_S:
+                    stops.append((time_s - LONGEST_STOP_S, 0.0))
+                stops.append((time_s, float(current_A[i])))
+                last_s = time_s
+            found[coil.name] = load_of(stops, now_s, limits.currents[coil.name])
+    return found
+
+
+def check_currents(
+    stops: Observations,
+    rig: Rig,
+    limits: RigLimits,
+    times_s: Sequence[float],
+    n_before: int = 0,
+    loads: Mapping[str, CoilLoad] | None = None,
+) -> None:
     """Refuse a plan that asks a coil for too much, at once or for too long.
 
     Args:
-        stops: To be visited by a rig that is cold at the start.
+        stops: Of the whole plan.
         rig: Names the coils.
         limits: Of its devices.
         times_s: That each stop takes.
+        n_before: Stops that earlier runs have visited; they are not counted again.
+        loads: What they left in the coils (`loads_so_far`); cold ones by default.
     Raises:
         Refused: It does; the message names the stop.
     """
     for i, coil in enumerate(rig.coils):
         if coil.name not in limits.currents:
             continue
-        limit, load = limits.currents[coil.name], CoilLoad(0.0, 0.0)
-        for row, time_s in enumerate(times_s):
+        limit, load = limits.currents[coil.name], (loads or {}).get(coil.name, CoilLoad(0.0, 0.0))
+        for row in range(n_before, len(times_s)):
+            time_s = times_s[row]
             current_A = float(stops.current_A[row, i])
             try:
                 check_current(current_A, time_s, load, limit)
@@ -49,13 +90,17 @@ def check_ways(
         rig: Names the movers.
         limits: Of its devices.
         pace: Speeds of the arms.
-        references: base_from_flange where displacements are zero, by mover.
+        references: base_from_flange where displacements are zero, by mover. Without one, the way to the first stop is not checked, and of a
+            mover that counts displacements nothing: where it goes is not known before its arm is asked.
     Raises:
         Refused: It does; the message names the stop.
     """
     for mover in rig.movers:
-        there = flange_to_reach(mover, stops.motion[mover.name], references[mover.name])
-        start = _pose(references[mover.name], 0)
+        reference = references.get(mover.name)
+        if reference is None and mover.motion is MotionKind.DISPLACEMENT:
+            continue
+        there = flange_to_reach(mover, stops.motion[mover.name], reference or Transform.identity())
+        start = _pose(there if reference is None else reference, 0)
         for row in range(len(stops)):
             target = _pose(there, row)
             try:

@@ -120,6 +120,8 @@ def test_answers_in_pieces_are_put_together(kind, started, world):
 def test_a_lost_connection_is_a_fault_that_names_the_port(kind, started):
     simulator, device = started(DEVICES[kind])
     device.identify(timeout_s=TIMEOUT_S)
+    if isinstance(device, CurrentSource):
+        device.set_current_A(1.0, timeout_s=TIMEOUT_S)
     simulator.faults.fault = Fault.DROP
     with pytest.raises(DeviceFault, match="must stay connected") as caught:  # noqa: PT012
         for _ in range(20):
@@ -139,6 +141,7 @@ def test_a_device_identifies_itself(kind, started):
     maker = {
         "3mh6": "Senis",
         "kepco": "KEPCO",
+        "kepco_supervised": "KEPCO",
         "korad": "KORAD",
         "scpi_tcp": "COILCAL",
         "thm1176": "Metrolab",
@@ -191,6 +194,15 @@ def test_a_monitor_that_does_not_answer_says_so_and_works_again_after(kind, faul
         assert coil.read_temperature_K(timeout_s=TIMEOUT_S).value == pytest.approx(295.15, abs=0.2)
 
 
+@monitors
+def test_a_monitor_whose_answers_come_in_pieces_works(kind, started):
+    simulator, monitor = started(MONITORS[kind])
+    with monitor:
+        simulator.faults.fault = Fault.SLOW
+        coil = monitor.thermometers["coil1"]
+        assert coil.read_temperature_K(timeout_s=30.0).value == pytest.approx(295.15, abs=0.2)
+
+
 @sources
 def test_a_source_delivers_and_measures_what_it_is_asked_for(kind, started, world):
     _, source = started(SOURCES[kind])
@@ -238,7 +250,7 @@ def test_a_current_held_back_by_the_voltage_limit_is_flagged(kind, started, worl
 
 
 @sources
-@pytest.mark.parametrize("fault", [Fault.MUTE, Fault.PARTIAL, Fault.GARBAGE])
+@pytest.mark.parametrize("fault", [Fault.MUTE, Fault.STALL, Fault.PARTIAL, Fault.GARBAGE])
 def test_a_source_that_does_not_answer_says_so_and_can_be_switched_off_after(kind, fault, started, world):
     simulator, source = started(SOURCES[kind])
     source.set_current_A(2.0, timeout_s=TIMEOUT_S)
@@ -252,6 +264,18 @@ def test_a_source_that_does_not_answer_says_so_and_can_be_switched_off_after(kin
     source.set_current_A(1.0, timeout_s=TIMEOUT_S)
     assert source.read_current_A(timeout_s=TIMEOUT_S).value == pytest.approx(1.0, abs=1e-3)
     source.close()
+
+
+@sources
+def test_a_source_whose_answers_come_in_pieces_works(kind, started, world):
+    simulator, source = started(SOURCES[kind])
+    source.set_current_A(0.0, timeout_s=TIMEOUT_S)
+    simulator.faults.fault = Fault.SLOW
+    source.set_current_A(1.0, timeout_s=30.0)
+    assert source.read_current_A(timeout_s=30.0).value == pytest.approx(1.0, abs=1e-3)
+    simulator.faults.fault = Fault.NONE
+    source.close()
+    assert world.snapshot().currents_A[0] == 0.0
 
 
 @sources

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.device import ClosesItself
 from drivers.errors import DeadlineExceeded, DeviceFault
-from drivers.protocols import FlangePose
+from drivers.protocols import FlangePose, ReadingFlag
 from drivers.readings import ReadingCounter
 
 HOME = FlangePose((0.3, 0.0, 0.4), (0.0, 0.0, 0.0))
@@ -37,15 +37,17 @@ class MemorySource(MemoryDevice):
     """Delivers a share of what it is asked for."""
 
     slew_A_per_s = 10.0
+    longest_off_s = 5.0
     share = 1.0
     current_A = 0.0
+    flags = ReadingFlag.NONE
 
     def set_current_A(self, current_A, *, timeout_s):
         self.obey("set", current_A, timeout_s=timeout_s)
         self.current_A = self.share * current_A
 
     def read_current_A(self, *, timeout_s):
-        return self.counter.reading(self.current_A)
+        return self.counter.reading(self.current_A, self.flags)
 
     def output_off(self, *, timeout_s):
         self.told.append(("off",))
@@ -67,6 +69,11 @@ class MemoryArm(MemoryDevice):
     """Is at once where it is sent."""
 
     pose = HOME
+    held_by = None
+
+    def require_safe(self):
+        if self.held_by is not None:
+            raise DeviceFault(self.held_by)
 
     def read_pose(self, *, timeout_s):
         return self.counter.reading(self.pose)

@@ -1,6 +1,8 @@
-"""Conversations written down in tests: `conversation(("sent", "received"), ...)` is a port that plays the instrument."""
+"""Conversations written down in tests: `conversation(("sent", "received"), ...)` is a port that plays the instrument, `ScriptedPort` a slow one."""
 
 from __future__ import annotations
+
+import time
 
 from drivers.transport.transcript import Chunk, ReplayedPort
 
@@ -12,3 +14,34 @@ def conversation(*exchanges):
         if received:
             chunks.append(Chunk(0.0, "<", received))
     return ReplayedPort(chunks, "transcript")
+
+
+class ScriptedPort:
+    """Hands out pieces at moments after it was sent something; `late` are pieces with their delay."""
+
+    name = "scripted"
+    arrived_s = 0.0
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+        self.due = []
+        self.sent = b""
+        self.is_closed = False
+
+    def send(self, data, deadline):
+        self.sent += data
+        now_s = time.monotonic()
+        self.due += [
+            (now_s + delay_s, piece) for delay_s, piece in (self.answers.pop(0) if self.answers else [])
+        ]
+
+    def receive(self, deadline):
+        while True:
+            if self.due and time.monotonic() >= self.due[0][0]:
+                return self.due.pop(0)[1]
+            if deadline.is_over:
+                raise deadline.exceeded("scripted must receive", "nothing came")
+            time.sleep(0.001)
+
+    def close(self):
+        self.is_closed = True

@@ -25,6 +25,7 @@ from drivers.supplies.korad_ka3005p import SERIAL as SERIAL_KORAD
 from drivers.supplies.korad_ka3005p import KoradKA3005P
 from drivers.supplies.ramped import RampedSource
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
+from drivers.supplies.supervised import SupervisedSource
 from drivers.thermometers.lakeshore_224 import SERIAL as SERIAL_224
 from drivers.thermometers.lakeshore_224 import LakeShore224
 from drivers.transport.pumped import PumpedPort
@@ -99,6 +100,19 @@ SOURCES = {
     ),
 }
 
+
+def kepco_source(address, _interrupt):
+    """Runs in the child of a supervised source."""
+    return source(SerialPort(address, KEPCO_SERIAL), KEPCO_BOP, -5.0, SLEW_A_PER_S)
+
+
+SOURCES["kepco_supervised"] = (
+    "serial",
+    lambda world: partial(simulated_kepco, world, 0, 5.0),
+    lambda address: SupervisedSource(
+        partial(kepco_source, address), "coil1", slew_A_per_s=SLEW_A_PER_S, longest_off_s=10.0
+    ),
+)
 
 MONITORS = {
     "224_serial": (

@@ -1,4 +1,4 @@
-"""Any fault of any device brings the whole rig to rest, and nothing goes on until somebody has reset it."""
+"""Any fault of any device brings the whole rig to rest, and nothing goes on afterwards."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 from drivers.errors import DeviceFault, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
 from drivers.interlock import Interlock, sigterm_as_exception
-from drivers.protocols import CurrentSource, FieldSensor, FlangePose, RobotArm
-from drivers.safety import ArmLimits, CurrentLimits
-from drivers.temperature_watch import TemperatureWatch
+from drivers.protocols import CurrentSource, FieldSensor, FlangePose, ReadingFlag, RobotArm
+from drivers.safety import ArmLimits, CoilLoad, CurrentLimits
+from drivers.watch import Watch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
 LIMITS = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=10.0)
@@ -71,10 +71,8 @@ def test_a_fault_of_any_device_brings_all_to_rest(faulty):
         lambda: rig.arm.move_to(HOME, speed_m_per_s=0.05, timeout_s=1.0),
         lambda: rig.sensor.read_field_T(timeout_s=1.0),
     ):
-        with pytest.raises(Refused, match="must be reset.*the cable is out"):
+        with pytest.raises(Refused, match="must be opened anew.*the cable is out"):
             use()
-    rig.interlock.reset()
-    rig.use()
 
 
 def test_what_is_refused_sends_nothing_and_trips_nothing():
@@ -94,6 +92,40 @@ def test_a_current_that_does_not_come_trips():
     with pytest.raises(DeviceFault, match=r"coil1 must carry 2 A within 0.2 s; it measures 1.8 A"):
         rig.source.set_current_A(2.0, timeout_s=0.2)
     assert rig.is_at_rest
+
+
+def test_a_supply_that_switches_itself_off_is_found_out_where_its_current_is_read():
+    rig = Rig()
+    rig.use()
+    rig.source.read_current_A(timeout_s=1.0)
+    rig.memory_source.current_A = 0.0
+    with pytest.raises(
+        DeviceFault, match="coil1 delivers 0 A where 2 A were set: it has switched itself off or is limited"
+    ):
+        rig.source.read_current_A(timeout_s=1.0)
+    assert rig.is_at_rest
+
+
+def test_a_current_that_the_voltage_limit_holds_back_trips():
+    rig = Rig()
+    rig.use()
+    rig.memory_source.flags = ReadingFlag.OVER_RANGE
+    with pytest.raises(DeviceFault, match="coil1 delivers 2 A where 2 A were set: its voltage limit"):
+        rig.source.read_current_A(timeout_s=1.0)
+    assert rig.is_at_rest
+    rig = Rig()
+    rig.memory_source.flags = ReadingFlag.OVER_RANGE
+    with pytest.raises(DeviceFault, match="measures 2 A, held back by its voltage limit"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+
+
+def test_nothing_is_expected_of_a_supply_that_was_not_asked_or_was_switched_off():
+    rig = Rig()
+    rig.memory_source.current_A = 1.3
+    assert rig.source.read_current_A(timeout_s=1.0).value == 1.3
+    rig.use()
+    rig.source.output_off(timeout_s=1.0)
+    assert rig.source.read_current_A(timeout_s=1.0).value == 0.0
 
 
 def test_a_coil_that_gets_too_hot_trips_while_it_is_read():
@@ -120,16 +152,50 @@ def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits
         slow(timeout_s=timeout_s)
 
     rig.memory_source.output_off = off
-    with TemperatureWatch([rig.source.check_temperature], every_s=0.02):
+    with Watch([rig.source.check_coil], every_s=0.02):
         time.sleep(0.1)
         assert rig.interlock.reason is None
         temperature_K[0] = 351.0
-        with pytest.raises(Refused, match="must be reset.*because coil1 failed: the coil is too hot"):  # noqa: PT012
+        with pytest.raises(Refused, match="must be opened anew.*because coil1 failed: the coil is too hot"):  # noqa: PT012
             for _ in range(200):
                 rig.sensor.read_field_T(timeout_s=1.0)
                 time.sleep(0.01)
         assert rig.is_at_rest
     assert rig.interlock.not_at_rest == []
+
+
+def test_an_arm_that_is_held_while_it_stands_brings_all_to_rest_and_no_current_is_taken_after():
+    rig = Rig()
+    rig.use()
+    rig.memory_arm.held_by = "its emergency stop is pressed"
+    with Watch([rig.interlock.check_conditions], every_s=0.01):
+        end_s = time.monotonic() + 10.0
+        while not rig.is_at_rest:
+            assert time.monotonic() < end_s, "nobody noticed"
+            time.sleep(0.01)
+    n_told = len(rig.memory_source.told)
+    with pytest.raises(Refused, match="because arm failed: its emergency stop is pressed"):
+        rig.source.set_current_A(-2.0, timeout_s=0.2)
+    assert len(rig.memory_source.told) == n_told
+
+
+def test_no_current_is_set_beside_an_arm_that_is_held_even_where_nobody_watches():
+    rig = Rig()
+    rig.memory_arm.held_by = "its emergency stop is pressed"
+    with pytest.raises(DeviceFault, match="emergency stop"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+    assert ("set", 2.0) not in rig.memory_source.told
+    assert rig.interlock.reason == "arm failed: its emergency stop is pressed"
+
+
+def test_a_source_gets_the_time_that_its_ramp_takes_to_come_to_rest():
+    source, allowed_s = MemorySource(), []
+    source.longest_off_s = 80.0
+    source.output_off = lambda *, timeout_s: allowed_s.append(timeout_s)
+    interlock = Interlock()
+    GuardedSource(source, LIMITS, interlock, name="coil1", tolerance_A=0.01)
+    interlock.trip("of a test")
+    assert allowed_s == [80.0]
 
 
 def test_a_second_fault_waits_until_the_first_has_brought_all_to_rest():
@@ -171,6 +237,25 @@ def test_a_coil_that_carries_too_much_for_too_long_trips():
     assert rig.is_at_rest
 
 
+def test_a_coil_that_carries_too_much_for_too_long_trips_even_where_nobody_reads_its_current():
+    rig = Rig(CurrentLimits(-5.0, 5.0, 10.0, continuous_A=1.0, thermal_time_constant_s=1.5))
+    rig.source.set_current_A(1.2, timeout_s=0.2)
+    with Watch([rig.source.check_coil], every_s=0.01):
+        end_s = time.monotonic() + 20.0
+        while not rig.is_at_rest:
+            assert time.monotonic() < end_s, "nobody noticed"
+            time.sleep(0.01)
+    assert "coil1 must cool" in rig.interlock.reason
+
+
+def test_what_a_coil_carried_before_counts():
+    cold, warm = Rig(), Rig()
+    warm.source.begin_with(CoilLoad(-1e6, 8.9))
+    cold.source.set_current_A(5.0, timeout_s=0.2)
+    with pytest.raises(Refused, match="must leave time to cool: 5 A may flow for 0.1 s now"):
+        warm.source.set_current_A(5.0, timeout_s=0.2)
+
+
 def test_a_source_that_ramps_too_fast_or_lacks_its_thermometer_is_refused():
     with pytest.raises(Refused, match="slew_A_per_s must be at most 1"):
         Rig(CurrentLimits(-5.0, 5.0, 1.0, 3.0, 100.0))
@@ -205,8 +290,6 @@ def test_one_device_that_cannot_be_brought_to_rest_does_not_keep_the_others_from
     rig.interlock.trip("of a test")
     assert rig.is_at_rest
     assert rig.interlock.not_at_rest == ["coil2 is not known to be at rest: supply must answer"]
-    with pytest.raises(Refused, match="coil2 is not known to be at rest"):
-        rig.interlock.reset()
 
 
 def test_devices_are_brought_to_rest_at_the_same_time():

@@ -11,11 +11,11 @@ import yaml
 
 import drivers.open
 from drivers.errors import DeviceFault, DriverError, Refused
-from drivers.open import check_devices, open_devices
+from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
-from drivers.simulated.hall import SimulatedF71
+from drivers.simulated.hall import SimulatedF71, SimulatedSenis
 from drivers.simulated.process import Simulator
-from drivers.simulated.supplies import simulated_kepco
+from drivers.simulated.supplies import SimulatedKorad, simulated_kepco
 from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
@@ -65,7 +65,7 @@ def section(world):
 
 def test_a_rig_is_opened_checked_and_measures(section, world):
     with open_devices(section) as devices:
-        report = check_devices(devices)
+        report = {name: ": ".join(check_device(device)) for name, device in devices.devices.items()}
         assert report["hall"].startswith("LSCI,F71")
         assert report["hall"].endswith("mT")
         assert report["coil1"] == "KEPCO,BOP 50-20M,A12345,2.1: 0 A"
@@ -105,6 +105,31 @@ def test_what_is_recorded_opens_as_a_device_that_replays_it(section, tmp_path):
     assert [reading.device_time_s for reading in replayed] == [reading.device_time_s for reading in readings]
 
 
+def test_a_check_that_was_recorded_is_repeated_without_the_instruments(section, world, tmp_path):
+    world.drive(0, 1.0)
+    senis = {"sensor": "senis_3mh6", "rate_Hz": 100, "range_number": 1, "full_scale_mT": 100}
+    monitor = {"thermometer": "lakeshore_224", "inputs": {"hall": "C1"}}
+    with (
+        Simulator.on_serial_line(partial(SimulatedSenis, world, along_z)) as fast,
+        Simulator.on_serial_line(partial(Simulated224, world, {"C1": None})) as warmth,
+        Simulator.on_serial_line(partial(SimulatedKorad, world, 0)) as korad,
+    ):
+        bare = {
+            "hall": (SENSOR, {key: section["hall"][key] for key in ("tcp", "port")}),
+            "fast": (senis, {"serial": fast.address}),
+            "coil1": (SUPPLY, {"serial": section["coil1"]["serial"]}),
+            "coil2": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0}, {"serial": korad.address}),
+            "warmth": (monitor, {"serial": warmth.address}),
+        }
+        paths = {name: str(tmp_path / f"{name}.txt") for name in bare}
+        recorded = {name: {**kind, **port, "record": paths[name]} for name, (kind, port) in bare.items()}
+        with open_devices(recorded) as devices:
+            said = {name: check_device(device) for name, device in devices.devices.items()}
+    replayed = {name: {**kind, "replay": paths[name]} for name, (kind, _) in bare.items()}
+    with open_devices(replayed) as devices:
+        assert {name: check_device(device) for name, device in devices.devices.items()} == said
+
+
 def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, world):
     with Simulator.on_serial_line(partial(Simulated224, world, {"B": 0})) as monitor:
         section["hall"]["own_temperature"] = True
@@ -123,7 +148,9 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
                 DeviceFault, match=r"too hot: coil.temperature_C must be at most 21.5; it is 22."
             ):
                 devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
-            assert check_devices(devices)["warmth"].startswith("LSCI,MODEL224,LSA224A/LSA224B,1.0: coil1 22.")
+            identity, value = check_device(devices.devices["warmth"])
+            assert identity == "LSCI,MODEL224,LSA224A/LSA224B,1.0"
+            assert value.startswith("coil1 22.")
         assert world.snapshot().currents_A == (0.0,)
 
 

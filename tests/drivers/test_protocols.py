@@ -51,6 +51,7 @@ class MemorySource(MemoryDevice):
 
     current_A = 0.0
     slew_A_per_s = 100.0
+    longest_off_s = 1.0
 
     def set_current_A(self, current_A, *, timeout_s):
         if timeout_s <= 0:
@@ -96,6 +97,9 @@ class MemoryArm(MemoryDevice):
 
     def move_to(self, base_from_flange, *, speed_m_per_s, timeout_s):
         self.pose = base_from_flange
+
+    def require_safe(self):
+        pass
 
     def stop(self, *, timeout_s):
         pass

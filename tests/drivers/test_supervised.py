@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from functools import partial
@@ -28,6 +30,10 @@ class Device:
         if self.interrupt.wait(duration_s):
             raise DeviceFault("interrupted")
         return duration_s
+
+    def be_stubborn(self, *, timeout_s):
+        self.note("stubborn")
+        time.sleep(1.0)
 
     def rest(self, *, timeout_s):
         assert not self.interrupt.is_set()
@@ -90,6 +96,27 @@ def test_an_urgent_call_ends_the_one_that_goes_on(path):
     thread.join()
     assert errors == ["interrupted"]
     supervised.close(timeout_s=2.0)
+
+
+def test_an_interruption_that_was_given_up_does_not_hit_the_next_call(path):
+    supervised = supervise(Device, path)
+    thread = threading.Thread(target=supervised.call, args=("be_stubborn",), kwargs={"timeout_s": 30.0})
+    thread.start()
+    while "stubborn" not in path.read_text():
+        time.sleep(0.01)
+    with pytest.raises(DeadlineExceeded, match="must be free"):
+        supervised.call("rest", timeout_s=0.1, is_urgent=True)
+    thread.join()
+    assert supervised.call("work", duration_s=0.01, timeout_s=30.0) == 0.01
+    supervised.close(timeout_s=10.0)
+
+
+def test_a_child_that_does_not_answer_can_be_killed(path):
+    supervised = supervise(Device, path)
+    os.kill(supervised.pid, signal.SIGSTOP)
+    supervised.kill()
+    assert supervised.has_ended
+    assert path.read_text().split() == ["made"]
 
 
 def test_a_call_whose_time_is_over_before_it_begins_is_not_carried_out(path):

@@ -16,6 +16,7 @@ SETUP = (
     b":SENS:MODE DC;:UNIT:FIEL TESLA;:SENS:RANG:AUTO 0;:SENS:RANG 0.35;:SENS:AVER:COUN 1;:SYST:ERR:ALL?\n",
     OK,
 )
+NAME = (b"*IDN?\n", b"LSCI,F71,LSA1,1.6\r\n")
 CLEAR = (b":FETC:BUFF:CLE;:SYST:ERR:ALL?\n", OK)
 FETCH = b":FETC:BUFF:DC?;:STAT:OPER:COND?;:SYST:ERR:ALL?\n"
 
@@ -101,6 +102,7 @@ def test_it_identifies_itself():
         (b'"yesterday,1,2,3,4,0;";0;0,"No error"\r\n', "must send time,magnitude,x,y,z,state"),
         (b'"2026-11-21T08:00:00,1,2,3,?,0;";0;0,"No error"\r\n', "must be a number"),
         (b'"\xff";0;0,"No error"\r\n', "must be ASCII"),
+        (b'"";9.91E37;0,"No error"\r\n', "must send its status as a whole number; received '9.91E37'"),
     ],
 )
 def test_an_answer_that_makes_no_sense_is_a_fault(answer, message):
@@ -109,7 +111,7 @@ def test_an_answer_that_makes_no_sense_is_a_fault(answer, message):
 
 
 def test_it_is_set_up_again_after_a_fault():
-    sensor = f71(SETUP, CLEAR, (FETCH, b"?\r\n"), SETUP, CLEAR, (FETCH, buffer(point(10))))
+    sensor = f71(SETUP, CLEAR, (FETCH, b"?\r\n"), NAME, SETUP, CLEAR, (FETCH, buffer(point(10))))
     with pytest.raises(DeviceFault):
         sensor.read_new_T(timeout_s=1.0)
     assert len(sensor.read_new_T(timeout_s=1.0)) == 1

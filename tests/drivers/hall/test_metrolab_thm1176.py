@@ -7,7 +7,11 @@ import pytest
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.metrolab_thm1176 import MEASURE, MetrolabTHM1176, choose_range_T, encode_setup
 from drivers.protocols import ReadingFlag
+from drivers.transport import usbtmc
+from drivers.transport.usbtmc import UsbtmcPort
+from tests.drivers.fields import PER_AMPERE_T, ROOM_T
 from tests.drivers.replay import conversation
+from tests.drivers.rig import SENSORS
 
 SETUP = (encode_setup(0.1, 100).encode() + b"\n", b"0\n")
 ASK = MEASURE.encode() + b"\n"
@@ -21,11 +25,29 @@ def thm(*exchanges):
 
 
 def test_it_is_set_up_once_and_measures_when_asked():
-    sensor = thm(SETUP, (ASK, FIELDS + b"0\n"), (ASK, FIELDS + b"0\n"))
+    sensor = thm(SETUP, (ASK, FIELDS + b"0\n"), (ASK, FIELDS.replace(b"A00", b"A01") + b"0\n"))
     first, second = sensor.read_field_T(timeout_s=1.0), sensor.read_new_T(timeout_s=1.0)[0]
     assert first.value == second.value == (0.00123, -0.00045, 0.01)
     assert first.device_time_s == pytest.approx(1.0)
     assert (first.flags, second.flags) == (ReadingFlag.NONE, ReadingFlag.NONE)
+
+
+def test_a_measurement_that_comes_again_is_stale():
+    sensor = thm(SETUP, (ASK, FIELDS + b"0\n"), (ASK, FIELDS + b"0\n"))
+    flags = [sensor.read_field_T(timeout_s=1.0).flags for _ in range(2)]
+    assert flags == [ReadingFlag.NONE, ReadingFlag.STALE]
+
+
+def test_it_measures_over_the_port_of_the_kernel(started, world, monkeypatch):
+    """Its simulator behind a pseudo-terminal, which knows no timeout of USBTMC."""
+    monkeypatch.setattr(usbtmc.fcntl, "ioctl", lambda *_: 0)
+    world.drive(0, 2.0)
+    line, instrument, _ = SENSORS["thm1176"]
+    _, sensor = started((line, instrument, lambda address: MetrolabTHM1176(UsbtmcPort(address), range_T=0.1)))
+    with sensor:
+        assert sensor.identify(timeout_s=10.0).startswith("Metrolab")
+        values_T = [sensor.read_field_T(timeout_s=10.0).value[2] for _ in range(3)]
+    assert values_T == pytest.approx([ROOM_T[2] + 2.0 * PER_AMPERE_T] * 3, abs=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
-from drivers.errors import DriverError, Refused
-from drivers.open import check_devices, open_devices
+from drivers.errors import DeviceFault, DriverError, Refused
+from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
@@ -43,9 +45,9 @@ def rig():
 
 def test_all_its_devices_open_share_one_world_and_come_to_rest(rig):
     with open_devices(rig.section) as devices:
-        report = check_devices(devices)
-        assert sorted(report) == sorted(SECTION)
-        assert not any(text.startswith("FAULT") for text in report.values())
+        assert sorted(devices.devices) == sorted(SECTION)
+        for device in devices.devices.values():
+            check_device(device)
         devices.sources["coil1"].set_current_A(1.0, timeout_s=3.0)
         devices.sources["coil2"].set_current_A(2.0, timeout_s=3.0)
         devices.arms["arm2"].move_to(
@@ -73,13 +75,45 @@ def test_a_fault_of_one_device_switches_off_all_currents(rig, device, fault):
             devices.arms["arm1"].read_pose(timeout_s=2.0)
     assert devices.interlock.reason is not None
     assert rig.world.snapshot().currents_A[1] == pytest.approx(0.0, abs=1e-6)
-    with pytest.raises(Refused, match="must be reset"):
+    with pytest.raises(Refused, match="must be opened anew"):
         devices.sources["coil2"].set_current_A(1.0, timeout_s=3.0)
     if device == "coil1":
         with pytest.raises(DriverError):
             devices.close()
     else:
         devices.close()
+
+
+def test_a_supply_that_switches_itself_off_brings_the_others_to_rest(rig):
+    with open_devices(rig.section) as devices:
+        devices.sources["coil1"].set_current_A(1.0, timeout_s=5.0)
+        devices.sources["coil2"].set_current_A(2.0, timeout_s=5.0)
+        assert devices.sources["coil2"].read_current_A(timeout_s=5.0).value == pytest.approx(2.0, abs=2e-3)
+        rig.world.drive(1, 0.0)
+        with pytest.raises(DeviceFault, match="coil2 delivers .* A where 2 A were set"):  # noqa: PT012
+            for _ in range(100):  # its current dies away as the coil lets it
+                devices.sources["coil2"].read_current_A(timeout_s=5.0)
+        assert rig.world.snapshot().currents_A[0] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (Fault.EMERGENCY_STOP, "emergency stop is pressed"),
+        (Fault.PROTECTIVE_STOP, "protective stop"),
+        (Fault.DROP, ""),
+    ],
+)
+def test_an_arm_that_is_stopped_while_it_stands_switches_off_all_currents(rig, fault, sentence):
+    with open_devices(rig.section) as devices, devices.watch():
+        devices.sources["coil1"].set_current_A(2.0, timeout_s=5.0)
+        rig.simulators["arm1"].faults.fault = fault
+        end_s = time.monotonic() + 20.0
+        while rig.world.snapshot().currents_A[0] > 1e-6:
+            assert time.monotonic() < end_s, "the current still flows"
+            time.sleep(0.02)
+        with pytest.raises(Refused, match=f"because arm1 failed.*{sentence}"):
+            devices.sources["coil1"].set_current_A(-2.0, timeout_s=5.0)
 
 
 def test_what_is_missing_is_named():

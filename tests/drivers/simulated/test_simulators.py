@@ -13,11 +13,12 @@ from functools import partial
 
 import pytest
 
+from drivers.motion import interpolate
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
-from drivers.simulated.motion import interpolate
 from drivers.simulated.process import Simulator
 from drivers.simulated.scpi import short_form
+from drivers.simulated.supplies import simulated_kepco
 from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
@@ -82,6 +83,24 @@ def test_lake_shores_own_driver_reads_the_simulated_224(world):
     coil_K, room_K, is_open = output.split()
     assert float(coil_K) > 296.0
     assert (room_K, is_open) == ("295", "True")
+
+
+def test_the_simulated_kepco_understands_what_pymeasure_sends(world):
+    """The lines of its `kepcobop.py` and `SCPIMixin` (0.15), without the package: it brings VISA and a plotting library along."""
+    kepco = simulated_kepco(world, 0, 5.0)
+
+    def ask(line):
+        return kepco.take(f"{line}\n".encode("ascii")).strip(b"\x11\x13\r\n").decode("ascii")
+
+    for command in ("SYST:REM 1", "FUNCtion:MODE CURR", "VOLTage 20", "CURRent -1.5", "OUTPut 1"):
+        assert ask(command) == ""
+    assert ask("*IDN?").startswith("KEPCO,BOP")
+    assert [ask("OUTPut?"), ask("FUNCtion:MODE?")] == ["1", "1"]
+    answers = [ask(f"{what}?") for what in ("CURRent", "VOLTage", "MEASure:CURRent", "MEASure:VOLTage")]
+    assert [float(answer) for answer in answers] == [-1.5, 20.0, -1.5, -3.0]
+    assert ask("SYST:ERR?") == '0,"No error"'
+    assert ask("CURRent 6") == ""
+    assert ask("SYST:ERR?") == '-222,"Data out of range"'
 
 
 def test_a_coil_warms_up_by_its_losses_and_cools_down_again():

@@ -9,7 +9,8 @@ import pytest
 from drivers.deadline import Deadline
 from drivers.errors import DeadlineExceeded, DeviceFault
 from drivers.supplies.korad_ka3005p import KoradKA3005P
-from tests.drivers.replay import conversation
+from tests.drivers.replay import ScriptedPort, conversation
+from tests.drivers.rig import SOURCES
 
 
 def korad(*exchanges):
@@ -60,6 +61,24 @@ def test_commands_keep_the_distance_that_it_needs():
     for _ in range(3):
         supply.switch_output(False, soon())
     assert time.monotonic() - begin_s >= 0.2
+
+
+def test_a_late_set_point_is_not_taken_for_a_current():
+    port = ScriptedPort([(0.7, b"3.000K")], [(0.9, b"KORADKA3005PV2.0")], [(0, b"1.499")], [(0, b"\x40")])
+    late = KoradKA3005P(port, compliance_V=12.0)
+    with pytest.raises(DeadlineExceeded):
+        late.read_set_point_A(Deadline.after(0.3))
+    assert late.measure(Deadline.after(10.0)).current_A == 1.499
+
+
+def test_a_ramp_takes_the_time_that_its_rate_says(started):
+    _, source = started(SOURCES["korad"])
+    with source:
+        source.slew_A_per_s = 0.8
+        source.set_current_A(0.0, timeout_s=10.0)
+        begin_s = time.monotonic()
+        source.set_current_A(2.4, timeout_s=20.0)
+        assert 3.0 <= time.monotonic() - begin_s < 4.8  # a step of 0.1 s made it 6
 
 
 def test_a_short_answer_misses_its_deadline():

@@ -12,24 +12,26 @@ from hypothesis import strategies as st
 
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
 from drivers.supplies.commands import Measured
-from drivers.supplies.ramped import STEP_S, RampedSource, ramp_steps
+from drivers.supplies.ramped import RampedSource, longest_off_s, ramp_steps
 
 currents = st.floats(-20, 20)
 
 
-@given(currents, currents, st.floats(0.1, 100))
-def test_no_step_of_a_ramp_is_beyond_its_slew_rate_and_it_ends_on_the_target(start_A, target_A, slew_A_per_s):
-    steps_A = [start_A, *ramp_steps(start_A, target_A, slew_A_per_s)]
+@given(currents, currents, st.floats(0.1, 100), st.sampled_from([0.1, 0.25]))
+def test_no_step_of_a_ramp_is_beyond_its_slew_rate_and_it_ends_on_the_target(
+    start_A, target_A, slew_A_per_s, step_s
+):
+    steps_A = [start_A, *ramp_steps(start_A, target_A, slew_A_per_s, step_s)]
     assert steps_A[-1] == target_A
     largest_A = max(abs(b - a) for a, b in itertools.pairwise(steps_A))
-    assert largest_A <= slew_A_per_s * STEP_S * (1 + 1e-6) + 1e-12
+    assert largest_A <= slew_A_per_s * step_s * (1 + 1e-6) + 1e-12
 
 
 class MemorySupply:
     """A supply in memory; `fail_at` names the command that fails."""
 
     name = "supply"
-    lowest_A, highest_A, resolution_A = -5.0, 5.0, 1e-3
+    lowest_A, highest_A, resolution_A, step_s = -5.0, 5.0, 1e-3, 0.1
 
     def __init__(self):
         self.history = []
@@ -179,6 +181,36 @@ def test_closing_switches_off_even_where_that_fails_and_only_once(supply, source
     n_commands = len(supply.history)
     source.close()
     assert len(supply.history) == n_commands
+
+
+@given(st.floats(-20, 0), st.floats(0, 20), st.floats(0.1, 100))
+def test_the_time_to_switch_off_is_enough_for_a_ramp_from_the_largest_current(
+    lowest_A, highest_A, slew_A_per_s
+):
+    supply = MemorySupply()
+    supply.lowest_A, supply.highest_A = lowest_A, highest_A
+    source = RampedSource(supply, slew_A_per_s=slew_A_per_s)
+    largest_A = max(-lowest_A, highest_A)
+    n_steps = len(ramp_steps(largest_A, 0.0, slew_A_per_s, supply.step_s))
+    assert source.longest_off_s >= 1.5 * n_steps * supply.step_s
+    assert source.longest_off_s == longest_off_s(largest_A, slew_A_per_s)
+
+
+def test_a_supply_that_was_only_looked_at_is_left_as_it_was_found(supply):
+    supply.is_on, supply.set_point_A = True, 2.0
+    with RampedSource(supply, slew_A_per_s=20.0) as source:
+        source.identify(timeout_s=1.0)
+        assert source.read_current_A(timeout_s=1.0).value == 2.0
+    assert (supply.is_on, supply.set_point_A, supply.is_closed) == (True, 2.0, True)
+
+
+def test_closing_allows_that_time(supply):
+    source = RampedSource(supply, slew_A_per_s=0.1)
+    source.set_current_A(0.0, timeout_s=1.0)
+    allowed_s = []
+    source.output_off = lambda *, timeout_s: allowed_s.append(timeout_s)
+    source.close()
+    assert allowed_s == [longest_off_s(5.0, 0.1)]
 
 
 def test_switching_off_from_another_thread_ends_a_ramp_between_two_steps(supply):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.deadline import Deadline
-from drivers.errors import DeviceFault
+from drivers.errors import DeadlineExceeded, DeviceFault
 from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply, encode_line
-from tests.drivers.replay import conversation
+from tests.drivers.replay import ScriptedPort, conversation
 
 OK = b'0,"No error"\n'
 KEPCO_OK = b'\x130,"No error"\x11\r\n'
@@ -96,3 +96,15 @@ def test_no_command_can_swing_a_kepco_or_reset_a_supply():
         assert not any(
             word in command for command in dialect.preparation for word in ("DIAG", "*RST", "*TST")
         )
+
+
+def test_a_late_answer_about_the_output_is_not_taken_for_a_current():
+    port = ScriptedPort(
+        [(0.6, b'1;0,"No error"\n')],
+        [(0.7, b"KEPCO,BOP 50-20M,A12345,2.1\n")],
+        [(0, b'-1.500E+00;0,"No error"\n')],
+    )
+    late = ScpiSupply(port, lowest_A=-5.0, highest_A=5.0, compliance_V=20.0, resolution_A=1e-3)
+    with pytest.raises(DeadlineExceeded):
+        late.is_output_on(Deadline.after(0.1))
+    assert late.read_set_point_A(Deadline.after(10.0)) == -1.5

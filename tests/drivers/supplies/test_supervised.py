@@ -36,7 +36,9 @@ def make_source(address, interrupt):
 
 
 def open_source(address):
-    return SupervisedSource(partial(make_source, address), "coil1", slew_A_per_s=SLEW_A_PER_S)
+    return SupervisedSource(
+        partial(make_source, address), "coil1", slew_A_per_s=SLEW_A_PER_S, longest_off_s=10.0
+    )
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 
@@ -9,38 +10,8 @@ import pytest
 
 from drivers.deadline import Deadline
 from drivers.errors import DeadlineExceeded, DeviceFault
-from drivers.transport.channel import Channel
-
-
-class ScriptedPort:
-    """Hands out pieces at moments after it was sent something; `late` are pieces with their delay."""
-
-    name = "scripted"
-    arrived_s = 0.0
-
-    def __init__(self, *answers):
-        self.answers = list(answers)
-        self.due = []
-        self.sent = b""
-        self.is_closed = False
-
-    def send(self, data, deadline):
-        self.sent += data
-        now_s = time.monotonic()
-        self.due += [
-            (now_s + delay_s, piece) for delay_s, piece in (self.answers.pop(0) if self.answers else [])
-        ]
-
-    def receive(self, deadline):
-        while True:
-            if self.due and time.monotonic() >= self.due[0][0]:
-                return self.due.pop(0)[1]
-            if deadline.is_over:
-                raise deadline.exceeded("scripted must receive", "nothing came")
-            time.sleep(0.001)
-
-    def close(self):
-        self.is_closed = True
+from drivers.transport.channel import Channel, Landmark
+from tests.drivers.replay import ScriptedPort
 
 
 def ask(channel, timeout_s=0.3):
@@ -64,6 +35,15 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_question():
     with pytest.raises(DeadlineExceeded):
         ask(channel, 0.2)
     assert ask(channel) == b"second"
+
+
+def test_an_answer_that_is_later_than_any_silence_is_told_from_that_of_the_next_question():
+    port = ScriptedPort([(0.6, b"first\r\n")], [(0.7, b"I am it\r\n")], [(0, b"second\r\n")])
+    channel = Channel(port, find_step=Landmark(b"who?\n", b"\r\n", re.compile(b"I am .*")).find)
+    with pytest.raises(DeadlineExceeded):
+        ask(channel, 0.1)
+    assert ask(channel, 10.0) == b"second"
+    assert port.sent == b"?\nwho?\n?\n"
 
 
 def test_a_deadline_is_kept_and_says_what_came():

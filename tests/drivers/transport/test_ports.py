@@ -6,6 +6,7 @@ import os
 import socket
 import time
 import tty
+from pathlib import Path
 
 import pytest
 
@@ -120,6 +121,16 @@ def test_a_replay_answers_as_recorded_and_refuses_other_questions():
         port.send(b"c?", soon())
 
 
+def test_a_line_that_takes_nothing_is_given_the_time_allowed_and_no_more(serial_line):
+    port, _ = serial_line
+    begin_s = time.monotonic()
+    with pytest.raises(
+        DeadlineExceeded, match="must take what is sent within 1.5 s; its handshake says stop"
+    ):
+        port.send(bytes(10_000_000), Deadline.after(1.5))
+    assert 1.4 < time.monotonic() - begin_s < 10.0
+
+
 def test_what_is_recorded_can_be_replayed(tcp_line, tmp_path):
     port, connection = tcp_line
     path = tmp_path / "recorded.txt"
@@ -132,6 +143,16 @@ def test_what_is_recorded_can_be_replayed(tcp_line, tmp_path):
     replayed.send(ALL_BYTES, soon())
     assert replayed.receive(soon()) == b"'quoted\"\n"
     assert replayed.is_over
+
+
+def test_a_recording_on_a_full_disk_ends_and_the_instrument_goes_on(tcp_line, caplog):
+    port, connection = tcp_line
+    recording = RecordingPort(port, Path("/dev/full"))
+    for _ in range(2):
+        recording.send(b"OUT0", soon())
+        assert connection.recv(4) == b"OUT0"
+    recording.close()
+    assert caplog.text.count("the recording of") == 1
 
 
 @pytest.mark.parametrize("line", ["0.1 > 'text'", "0.1 ? b'x'", "0.1 > b'x", "0.1 > b'x' + b'y'", "> b'x'"])

@@ -72,3 +72,19 @@ def test_a_port_that_nobody_reads_gives_up_before_the_memory_is_full(line, monke
     with pytest.raises(DeviceFault, match="must be read; 2000 bytes wait"):  # noqa: PT012
         for _ in range(5):
             port.receive(soon())
+
+
+def test_an_error_that_nobody_expected_is_told_and_does_not_end_in_silence():
+    class Broken:
+        name, arrived_s = "broken", 0.0
+
+        def receive(self, deadline):
+            raise OSError("no space left")
+
+        def close(self):
+            pass
+
+    port = PumpedPort(Broken())
+    with pytest.raises(DeviceFault, match="broken must be read; no space left"):
+        port.receive(Deadline.after(10.0))
+    port.close()

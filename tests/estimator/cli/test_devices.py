@@ -10,10 +10,14 @@ import pytest
 import yaml
 from click.testing import Result
 
+from drivers.deadline import Deadline
+from drivers.open import open_devices
 from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
+from drivers.supplies.scpi import KEPCO_BOP, ScpiSupply
+from drivers.transport.serial_port import SerialPort, SerialSettings
 from tests.drivers.fields import along_z
 from tests.drivers.rig import free_host
 from tests.drivers.test_open import ARM, SENSOR, SUPPLY
@@ -60,6 +64,28 @@ def test_every_device_says_what_it_is_and_reads_a_value(
     assert "300.00, 0.00, 200.00 mm" in lines["arm1"]
     after = simulated.world.snapshot()
     assert (after.currents_A, after.base_from_flange) == (before.currents_A, before.base_from_flange)
+
+
+def test_a_supply_that_is_found_on_is_left_on(run: Run, rig_path: Path, simulated: SimulatedRig) -> None:
+    port = SerialPort(simulated.section["coil1"]["serial"], SerialSettings(9600))
+    supply = ScpiSupply(
+        port, dialect=KEPCO_BOP, lowest_A=-5.0, highest_A=5.0, compliance_V=20.0, resolution_A=1e-3
+    )
+    deadline = Deadline.after(30.0)
+    supply.prepare(deadline)
+    supply.write_set_point(2.0, deadline)
+    supply.switch_output(True, deadline)
+    supply.close()
+    try:
+        result = run("devices", "check", rig_path, "--json")
+        assert result.exit_code == 0, result.stderr
+        values = {one["device"]: one["value"] for one in json.loads(result.stdout)["devices"]}
+        assert values["coil1"] == "2 A"
+        assert simulated.world.snapshot().currents_A == (2.0,)
+    finally:
+        with open_devices({"coil1": {**SUPPLY, "serial": port.name}}) as devices:
+            devices.sources["coil1"].output_off(timeout_s=10.0)
+    assert simulated.world.snapshot().currents_A == (0.0,)
 
 
 def test_faults_are_one_sentence_each_and_the_others_still_answer(
