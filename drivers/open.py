@@ -106,7 +106,7 @@ class DeviceSet(ClosesItself):
         return Watch([self.interlock.check_conditions, *coils])
 
     def begin_with(self, loads: Mapping[str, CoilLoad]) -> None:
-        """Tell the guards of the coils, by name, what these have carried before (`drivers.safety.load_of`)."""
+        """Tell the guards of the coils, by name, what these have carried before."""
         for name, load in loads.items():
             source = self.sources.get(name)
             if isinstance(source, GuardedSource):

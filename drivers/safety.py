@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from drivers.errors import DeviceFault, Refused
@@ -95,28 +94,6 @@ class CoilLoad:
         if self.mean_square_A2 >= limits.continuous_A**2:
             return 0.0
         return limits.thermal_time_constant_s * math.log((current_A**2 - self.mean_square_A2) / excess_A2)
-
-
-def load_of(stops: Iterable[tuple[float, float]], now_s: float, limits: CurrentLimits) -> CoilLoad:
-    """What a coil has carried in a run that ended, and how far it has cooled since.
-
-    Args:
-        stops: When each ended, on one clock and in order, and the current until then; the first one begins the run, with a coil
-            that has had its current for ever.
-        now_s: On that clock.
-        limits: Of the coil.
-
-    Examples:
-        >>> limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=100.0)
-        >>> load_of([(0.0, 0.0), (100.0, 5.0)], 100.0, limits).mean_square_A2
-        15.803
-        >>> load_of([(0.0, 0.0), (100.0, 5.0)], 600.0, limits).mean_square_A2, load_of([], 0.0, limits).mean_square_A2
-        (0.106, 0.0)
-    """
-    load: CoilLoad | None = None
-    for end_s, current_A in stops:
-        load = CoilLoad(end_s, current_A**2) if load is None else load.after(current_A, end_s, limits)
-    return CoilLoad(now_s, 0.0) if load is None else load.after(0.0, now_s, limits)
 
 
 def check_current(current_A: float, hold_s: float, load: CoilLoad, limits: CurrentLimits) -> None:

@@ -42,7 +42,6 @@ from estimator.units import ICE_POINT_K
 
 _LOG = logging.getLogger(__name__)
 
-OFF_S = 20.0
 STILL_M, STILL_RAD = (
     2e-5,
     1e-4,
@@ -300,7 +299,7 @@ def _switch_off(instruments: Instruments) -> Exception | None:
     failed: Exception | None = None
     for name, source in instruments.sources.items():
         try:
-            source.output_off(timeout_s=OFF_S)
+            source.output_off(timeout_s=source.longest_off_s)
         except Exception as error:
             _LOG.critical("%s is not known to be off: %s", name, error)
             failed = failed or error

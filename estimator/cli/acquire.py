@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import sys
+import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +17,13 @@ import torch
 from drivers.interlock import sigterm_as_exception
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
+from drivers.safety import CoilLoad
 from estimator.acquire import acquire, references_of
 from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench, devices_option
 from estimator.cli.options import json_option, overwrite_option, seed_option
 from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.cli.plan_limits import check_currents, check_ways
+from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.words import duration, place
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
@@ -36,7 +39,7 @@ from estimator.pace import (
 from estimator.plan import Plan, load_plan
 from estimator.records import Observations
 from estimator.store.growing import new_header
-from estimator.store.journal import Journal, unwritten
+from estimator.store.journal import Journal, read_journal, unwritten
 from estimator.store.session import is_growing, remove_session, seal
 
 MOST_SHOWN = 10
@@ -109,15 +112,19 @@ def acquire_command(
     is_resumed = is_growing(out) and not overwrite
     if not is_resumed:
         refuse_existing(out, overwrite)
+    header, records = read_journal(out) if is_resumed else ({}, [])
     task = _task(
         Bench.load(rig_path, devices_path), plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed
     )
+    now_s = time.time() - header["begin_s"] if records else 0.0
+    loads = loads_so_far(records, task.bench.rig, task.limits, now_s)
+    check_currents(task.stops, task.bench.rig, task.limits, task.times_s, len(records), loads)
     if dry_run:
         show(_plan_record(task), _plan_text(task), as_json)
         return
     try:
         with sigterm_as_exception(), ExitStack() as stack:
-            n_before = _measure(task, out, is_resumed, stack)
+            n_before = _measure(task, out, is_resumed, loads, stack)
     except (KeyboardInterrupt, SystemExit) as end:
         click.echo(
             "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
@@ -163,11 +170,12 @@ def _task(
     }
     pace = Pace(plan.settle_s, n_readings, longest_settle_s, speeds, limits.slews_A_per_s)
     times_s = durations_s(stops, bench.rig, pace)
-    check_currents(stops, bench.rig, limits, times_s)
     return _Task(bench, plan, seed, stops, limits, pace, times_s)
 
 
-def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
+def _measure(
+    task: _Task, out: Path, is_resumed: bool, loads: Mapping[str, CoilLoad], stack: ExitStack
+) -> int:
     """Open, check, visit; how many stops earlier runs had visited."""
     rig = task.bench.rig
     journal = stack.enter_context(Journal.resume(out)) if is_resumed else None
@@ -177,6 +185,7 @@ def _measure(task: _Task, out: Path, is_resumed: bool, stack: ExitStack) -> int:
         with unwritten(out):  # nobody opens the instruments of a measurement that is under way
             pass
     devices = stack.enter_context(task.bench.opened())
+    devices.begin_with(loads)
     references = journal.header["references"] if journal is not None else references_of(rig, devices)
     at_reference = {
         name: Transform.from_pose(*torch.tensor([pose], dtype=torch.float64).split(3, dim=1))

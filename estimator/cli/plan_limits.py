@@ -8,41 +8,33 @@ from typing import Any
 from drivers.errors import Refused
 from drivers.limits_section import RigLimits
 from drivers.protocols import FlangePose
-from drivers.safety import CoilLoad, check_current, check_motion, load_of
+from drivers.safety import CoilLoad, check_current, check_motion
 from estimator.frames import Transform, vector_from_rotation
 from estimator.motion import flange_to_reach
 from estimator.pace import Pace
 from estimator.records import Observations
 from estimator.rig import MotionKind, Rig
-
-LONGEST_STOP_S = (
-    600.0  # what lies further before a reading than this was a pause between two runs, without current
-)
+from estimator.store.growing import load_so_far
 
 
 def loads_so_far(
     records: Sequence[Mapping[str, Any]], rig: Rig, limits: RigLimits, now_s: float
 ) -> dict[str, CoilLoad]:
-    """What each coil has carried in the part of a session that is on the disk.
+    """How warm each coil is by what it has carried in the part of a session that is on the disk.
 
     Args:
         records: Of its journal.
         rig: Names the coils.
         limits: Of its devices.
-        now_s: On the clock of the session (`time_s` of the records).
-    Returns: By coil. The stop that was interrupted is not among them, and a pause between two runs counts as one.
+        now_s: Since the session began.
     """
-    currents = [(float(record["time_s"]), record["current_A"]) for record in records]
     found = {}
-    for i, coil in enumerate(rig.coils):
-        if coil.name in limits.currents:
-            stops, last_s = [(0.0, 0.0)], 0.0
-            for time_s, current_A in currents:
-                if time_s - last_s > LONGEST_STOP_S:
-                    stops.append((time_s - LONGEST_STOP_S, 0.0))
-                stops.append((time_s, float(current_A[i])))
-                last_s = time_s
-            found[coil.name] = load_of(stops, now_s, limits.currents[coil.name])
+    for name, spells in load_so_far(records, [coil.name for coil in rig.coils], now_s).items():
+        if name in limits.currents:
+            load = CoilLoad(0.0, 0.0)
+            for duration_s, current_A in spells:
+                load = load.after(current_A, load.time_s + duration_s, limits.currents[name])
+            found[name] = load
     return found
 
 

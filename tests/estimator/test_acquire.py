@@ -16,7 +16,10 @@ import pytest
 import torch
 
 from drivers.errors import DeviceFault
+from drivers.guarded import GuardedSource
+from drivers.interlock import Interlock
 from drivers.protocols import ReadingFlag
+from drivers.safety import CurrentLimits
 from estimator.acquire import Progress, acquire, references_of
 from estimator.averages import is_settled
 from estimator.config import load_rig
@@ -510,3 +513,24 @@ def test_stops_have_a_digest_that_changes_with_them(small_plan: Plan, small_rig:
     stops = stops_of(small_plan, small_rig, 0)
     assert digest_of(stops) == digest_of(stops_of(small_plan, small_rig, 1))  # this plan has a fixed order
     assert digest_of(stops) != digest_of(stops.rows(torch.arange(len(stops) - 1)))
+
+
+def test_a_supply_that_tripped_by_itself_is_seen_at_the_next_stop_though_its_current_stays(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    supply, interlock = MemorySource(), Interlock()
+    limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=5.0, thermal_time_constant_s=100.0)
+    devices = rig_of_devices()
+    devices.sources["coil1"] = GuardedSource(supply, limits, interlock, name="coil1", tolerance_A=0.01)
+
+    def trip(_: Progress) -> None:
+        supply.current_A = 0.0
+
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with (
+        begun(folder, small_rig, same, devices) as journal,
+        pytest.raises(DeviceFault, match="delivers 0 A where 3 A were set"),
+    ):
+        acquire(same, small_rig, devices, journal, PACE, trip)
+    assert len(load_session(folder).observations) == 1
