@@ -84,6 +84,17 @@ def test_a_rig_is_opened_checked_and_measures(section, world):
     assert world.snapshot().currents_A == (0.0,)
 
 
+def test_the_joint_limits_of_a_section_are_those_of_the_arm(section):
+    """The joints of the simulated arm are the numbers of its pose."""
+    section["arm1"] |= {"joint_low_deg": [-360, -2, *[-360] * 4], "joint_high_deg": [360, 2, *[360] * 4]}
+    with open_devices(section) as devices:
+        arm = devices.arms["arm1"]
+        arm.move_to(FlangePose((0.3, 0.03, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=20.0)
+        with pytest.raises(Refused, match=r"arm.joint_2_rad must be within -0.0349066 and 0.0349066"):
+            arm.move_to(FlangePose((0.3, 0.05, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=20.0)
+        assert devices.interlock.reason is None
+
+
 def test_a_device_that_is_not_there_leaves_none_open(section):
     section["coil2"] = {**SUPPLY, "serial": "/dev/no_such_port"}
     with pytest.raises(DeviceFault, match="no_such_port"):
