@@ -169,6 +169,7 @@ def _task(
         for name, limit in limits.arms.items()
     }
     pace = Pace(plan.settle_s, n_readings, longest_settle_s, speeds, limits.slews_A_per_s)
+    check_ways(stops, bench.rig, limits, pace, {})
     times_s = durations_s(stops, bench.rig, pace)
     return _Task(bench, plan, seed, stops, limits, pace, times_s)
 
