@@ -149,7 +149,7 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
 ) -> None:
     asked: list[SamplerSettings] = []
 
-    def calibrated(session: Session, rig: Rig, *, seed: int, settings: SamplerSettings) -> Calibration:
+    def calibrated(_: Session, rig: Rig, *, settings: SamplerSettings, **__: object) -> Calibration:
         asked.append(settings.for_rig(len(rig.free)))
         return small_calibration
 
