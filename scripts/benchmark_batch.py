@@ -59,7 +59,7 @@ def show_workers(rig: Rig, sessions: list[Observations], numbers: list[int]) -> 
         paths = [Path(folder) / f"{i}.zarr" for i in range(len(sessions))]
         for path, observations in zip(paths, sessions, strict=True):
             Session(rig, observations, "simulated").save(path)
-        jobs = [jobs_of(str(path), "", ("plain",), False, 0)[0] for path in paths]
+        jobs = [jobs_of(str(path), "", ("plain",), False, 0)[0][0] for path in paths]
         stacks = [jobs[i : i + 4] for i in range(0, len(jobs), 4)]
         for n in numbers:
             out = Path(folder) / f"workers{n}"

@@ -33,6 +33,26 @@ def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
     assert str(found["b"]) == "ValueError: 3 is refused"
 
 
+def test_a_fault_in_whoever_hears_of_results_is_no_lost_scheduler():
+    def closed(*_: object) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    with (
+        LocalCluster(n_workers=1, processes=False, dashboard_address="127.0.0.1:0") as local,
+        cluster(None, local.scheduler_address) as where,
+        pytest.raises(BrokenPipeError),
+    ):
+        where.run({"a": (double, (2,))}, closed)
+
+
+def test_the_client_that_is_left_at_the_end_is_closed_also_where_it_is_another_one():
+    with cluster(1, None) as where:
+        where._reconnect()
+        assert results(where, {"a": (double, (2,))}) == {"a": 4}
+        last = where._client
+    assert last.status == "closed"
+
+
 def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path: Path):
     with cluster(2, None) as where:
         calls = {i: (deadly_once, (str(tmp_path / "flag"), i)) for i in range(6)}
