@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +11,7 @@ from distributed import LocalCluster
 from estimator.batching.engine import Cluster, cluster
 from estimator.errors import InvalidInput
 from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly
+from tests.estimator.batching.schedulers import free_address, started, stop
 
 
 def results(where: Cluster, calls) -> dict[object, object]:
@@ -62,11 +60,8 @@ def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given
 
 
 def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    first = started(address, port)
+    address = free_address()
+    first = started(address)
     try:
         with cluster(None, address) as where:
             heard: dict[object, object] = {}
@@ -76,7 +71,7 @@ def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
                 heard[name] = result
                 if not replaced:
                     stop(first)
-                    replaced.extend(started(address, port))
+                    replaced.extend(started(address))
 
             try:
                 where.run({i: (slowly, (i,)) for i in range(3)}, hear)
@@ -96,34 +91,3 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.Mo
         pass
     with pytest.raises(InvalidInput, match="workers must not be given"), cluster(2, "tcp://127.0.0.1:1"):
         pass
-
-
-def started(address: str, port: int) -> list[subprocess.Popen[bytes]]:
-    dask = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_scheduler",
-        "--port",
-        str(port),
-        "--dashboard-address",
-        "127.0.0.1:0",
-    ]
-    worker = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        address,
-        "--nthreads",
-        "1",
-        "--no-nanny",
-        "--no-dashboard",
-    ]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    return [subprocess.Popen(command, **quiet) for command in (dask, worker)]
-
-
-def stop(processes: list[subprocess.Popen[bytes]]) -> None:
-    for process in processes:
-        process.kill()
-        process.wait()
