@@ -15,6 +15,10 @@ from estimator.errors import InvalidInput
 
 DEATHS_ALLOWED = 3  # of workers on one and the same job, before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
+ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
+GIVES_BACK = (
+    "MALLOC_TRIM_THRESHOLD_"  # of Dask: memory goes back to the system at once, and a fit takes twice as long
+)
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -102,7 +106,10 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
     """
     if scheduler is not None and workers is not None:
         raise InvalidInput("workers must not be given for a scheduler that has its own; received both")
-    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}), ExitStack() as stack:
+    environment = dict(dask.config.get(ENVIRONMENT))
+    environment.pop(GIVES_BACK, None)
+    chosen = {"distributed.scheduler.allowed-failures": DEATHS_ALLOWED, ENVIRONMENT: environment}
+    with dask.config.set(chosen), ExitStack() as stack:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))

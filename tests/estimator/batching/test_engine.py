@@ -10,7 +10,7 @@ from distributed import LocalCluster
 
 from estimator.batching.engine import Cluster, cluster
 from estimator.errors import InvalidInput
-from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly
+from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly, variable
 from tests.estimator.batching.schedulers import free_address, started, stop
 
 
@@ -49,6 +49,14 @@ def test_the_client_that_is_left_at_the_end_is_closed_also_where_it_is_another_o
         assert results(where, {"a": (double, (2,))}) == {"a": 4}
         last = where._client
     assert last.status == "closed"
+
+
+def test_workers_keep_their_memory_and_have_one_thread_each():
+    with cluster(1, None) as where:
+        names = ("MALLOC_TRIM_THRESHOLD_", "OMP_NUM_THREADS")
+        assert results(where, {name: (variable, (name,)) for name in names}) == dict(
+            zip(names, (None, "1"), strict=True)
+        )
 
 
 def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path: Path):
