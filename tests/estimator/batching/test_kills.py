@@ -118,19 +118,23 @@ def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_by
 
 
 def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior(
-    sessions: list[Path], tmp_path: Path
+    sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("must not be sampled twice")
+
     (job,), _ = jobs_of(str(sessions[0]), "", ("plain",), False, 0, SETTINGS)
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         assert fit([job], str(tmp_path / folder)) == {}
     assert sampled(job, str(tmp_path / "other"), SETTINGS) is None
     place = tmp_path / "one" / job.name
+    monkeypatch.setattr(work, "calibrate", refuse)
     with (place / "result.json").open("r+b") as orphan, ThreadPoolExecutor(1) as pool:
         fcntl.flock(orphan, fcntl.LOCK_EX)
         waiting = pool.submit(sampled, job, str(tmp_path / "one"), SETTINGS)
         with pytest.raises(TimeoutError):
-            waiting.result(timeout=3)
+            waiting.result(timeout=1)
         shutil.copytree(tmp_path / "other" / job.name / "calibration", place / "calibration")
         fcntl.flock(orphan, fcntl.LOCK_UN)
         assert waiting.result(timeout=30) is None
