@@ -16,9 +16,7 @@ from estimator.errors import InvalidInput
 DEATHS_ALLOWED = 3  # of workers on one and the same job, before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
 ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
-GIVES_BACK = (
-    "MALLOC_TRIM_THRESHOLD_"  # of Dask: memory goes back to the system at once, and a fit takes twice as long
-)
+GIVES_BACK = "MALLOC_TRIM_THRESHOLD_"  # of Dask: memory goes back to the system at once, and a fit takes up to twice as long
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
