@@ -7,6 +7,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from estimator.plots.history import InUse, Visit, history
+from estimator.recalibration.judgement import IS_CONVERGED
 from estimator.registry import ROLLED_BACK, Entry, Registry
 from estimator.report import Picture, ReportPage, Table, render_report
 
@@ -24,7 +25,7 @@ def history_report(registry: Registry) -> str:
         title=f"Calibrations of {name}",
         subtitle=f"{_count(entries)}; last readings {_date(last.taken)}",
         verdict=_verdict(registry, entries),
-        warnings=_warnings(entries),
+        warnings=_warnings(registry, entries),
         tables=[],
         figures=[] if registry.current is None else [_picture(registry, entries, name)],
         appendix=[_table(entries)],
@@ -47,12 +48,25 @@ def _verdict(registry: Registry, entries: Sequence[Entry]) -> list[str]:
     return sentences
 
 
-def _warnings(entries: Sequence[Entry]) -> list[str]:
-    drifts = [entry for entry in entries if entry.conclusion == "drifted"]
-    found = [f"Drift since {_date(entry.since or entry.taken)}: {_sentence(entry)}" for entry in drifts[-1:]]
+def _warnings(registry: Registry, entries: Sequence[Entry]) -> list[str]:
+    found = []
+    last = next((entry for entry in reversed(entries) if entry.conclusion == "drifted"), None)
+    if last is not None and _is_going_on(last, registry.current, entries):
+        found.append(f"Drift since {_date(last.since or last.taken)}: {_sentence(last)}")
     if entries[-1].conclusion == "rejected":
         found.append(f"The last session was rejected: {_sentence(entries[-1])}")
+    if registry.current is not None and not registry.calibration().record["is_converged"]:
+        found.append(f"Version {registry.current} did not converge; its intervals are provisional.")
+    if entries[-1].made is None and entries[-1].checks.get(IS_CONVERGED) is False:
+        found.append("The last session's calibration did not converge and replaced nothing.")
     return found
+
+
+def _is_going_on(drift: Entry, current: int | None, entries: Sequence[Entry]) -> bool:
+    """Whether a drift still holds: no other version took over since, and none agreed with the one that does not know of the drift."""
+    after = entries[entries.index(drift) + 1 :]
+    has_ended = drift.made is None and any(entry.agrees and entry.taken > drift.taken for entry in after)
+    return drift.version == current and not has_ended
 
 
 def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from estimator.calibration import write_text
-from estimator.errors import CoilcalError, InvalidInput
+from estimator.code_version import code_version
+from estimator.errors import InvalidInput
 from estimator.history_report import history_report
 from estimator.inference.ensemble import SamplerSettings
+from estimator.recalibration.arrivals import CHANGED, Arrival, arrivals
 from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement, judge
 from estimator.registry import Entry, Registry
 from estimator.rig import Rig
-from estimator.store.session import Session, load_session
 
 HISTORY = "history.html"
+LATE = "compared_with_version"  # among the checks of a session older than the current version
 
 
 def recalibrate(
@@ -27,11 +27,14 @@ def recalibrate(
     *,
     seed: int = 0,
     settings: SamplerSettings | None = None,
+    again: Collection[str] = (),
     on_entry: Callable[[Entry], None] | None = None,
+    on_waiting: Callable[[Path, str], None] | None = None,
 ) -> list[Entry]:
     """Judge every new session of an inbox, oldest readings first, and keep the calibrations they lead to.
 
-    A session that is in the log is skipped, so the same call again does nothing; one that was interrupted goes on.
+    A session that is in the log is skipped, so the same call again does nothing; one that was interrupted goes on. A session that is
+    still being measured or copied is left for the next time.
 
     Args:
         rig: As the user describes it, with the priors of the beginning.
@@ -39,8 +42,10 @@ def recalibrate(
         registry: Folder for versions, log and `history.html`; made where it is missing.
         seed: Of everything random.
         settings: When to stop sampling a new version.
-        on_entry: Told of each conclusion once it is logged.
-    Returns: The lines that were added to the log.
+        again: Names of sessions in the inbox that are judged once more although they are in the log.
+        on_entry: Told of each conclusion once it is logged; of one that an interrupted call could not tell, by the next call.
+        on_waiting: Told of each session that is left for the next time, and why.
+    Returns: The lines of the log that were told.
     Raises:
         InvalidInput: The inbox is no folder, another job holds the registry, or it is of another rig.
         CorruptStore: The log or the current version is damaged.
@@ -50,22 +55,30 @@ def recalibrate(
         raise InvalidInput(f"inbox must be a folder of sessions; received {inbox}")
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    added = []
+    chosen = settings or SamplerSettings()
+    chosen.for_rig(len(rig.free))  # too few walkers are a fault of the call, not of a session
+    hear, wait = on_entry or (lambda entry: None), on_waiting or (lambda path, why: None)
     with kept.writing():
         if kept.current is not None:
             _check_same(rig, kept.calibration().rig, kept.folder)
+        told = kept.tell(hear)
+        found, waiting = arrivals(inbox)
+        _check_there(again, [*(arrival.path for arrival in found), *waiting])
         done = {entry.hash for entry in kept.entries()}
-        for arrival in _arrivals(inbox):
+        done -= {arrival.hash for arrival in found if arrival.path.name in again}
+        for arrival in found:
             if arrival.hash in done:
                 continue
             done.add(arrival.hash)
-            entry = _concluded(arrival, rig, kept, seed, settings)
-            added.append(entry)
-            if on_entry is not None:
-                on_entry(entry)
+            if _concluded(arrival, rig, kept, seed, chosen):
+                told += kept.tell(hear)
+            else:
+                waiting[arrival.path] = CHANGED
         if kept.entries():
             write_text(kept.folder / HISTORY, history_report(kept))
-    return added
+    for path, why in waiting.items():
+        wait(path, why)
+    return told
 
 
 def roll_back(registry: Path | str, version: int) -> Entry:
@@ -86,29 +99,6 @@ def roll_back(registry: Path | str, version: int) -> Entry:
     return entry
 
 
-@dataclass(frozen=True)
-class _Arrival:
-    """One session of the inbox; `fault` says why it cannot be read."""
-
-    path: Path
-    taken: str
-    hash: str
-    fault: str = ""
-
-
-def _arrivals(inbox: Path) -> list[_Arrival]:
-    """All sessions of the inbox, oldest readings first."""
-    found = []
-    for path in sorted(inbox.glob("*.zarr")):
-        try:
-            session = load_session(path)
-            found.append(_Arrival(path, _utc(datetime.fromisoformat(session.created)), session.hash))
-        except (CoilcalError, ValueError) as error:
-            changed = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-            found.append(_Arrival(path, _utc(changed), _hash_of_files(path), str(error)))
-    return sorted(found, key=lambda arrival: arrival.taken)
-
-
 def _check_same(rig: Rig, current: Rig, folder: Path) -> None:
     """Refuse the rig file of another rig, for which every session would be bad data."""
     described, kept = (
@@ -121,62 +111,95 @@ def _check_same(rig: Rig, current: Rig, folder: Path) -> None:
         )
 
 
-def _utc(time: datetime) -> str:
-    """In one time zone, so that the text sorts; a time without a zone is that of the room."""
-    return time.astimezone(UTC).isoformat(timespec="seconds")
+def _check_there(names: Collection[str], paths: list[Path]) -> None:
+    for name in names:
+        if name not in {path.name for path in paths}:
+            raise InvalidInput(f"a session to be judged again must lie in the inbox; received {name!r}")
 
 
-def _hash_of_files(folder: Path) -> str:
-    result = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        result.update(str(path.relative_to(folder)).encode())
-        result.update(path.read_bytes() if path.is_file() else b"")
-    return result.hexdigest()
-
-
-def _concluded(
-    arrival: _Arrival, rig: Rig, kept: Registry, seed: int, settings: SamplerSettings | None
-) -> Entry:
-    judgement = _judged(arrival, rig, kept, seed, settings)
+def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: SamplerSettings) -> bool:
+    """Judge one session and log what it amounts to. Whether it could be: it may have changed since it was found."""
+    judgement = Judgement(Conclusion.REJECTED, f"the session cannot be read: {arrival.fault}")
+    entries = kept.entries()
+    beside = None if arrival.fault else _in_use(entries, kept.current, arrival.taken)
+    is_late = beside is not None and not _is_as_young(entries, kept.current, arrival.taken)
+    if not arrival.fault:
+        session = arrival.session()
+        if session is None:
+            return False
+        judgement = judge(
+            session,
+            rig,
+            None if beside is None else kept.calibration(beside),
+            earlier=() if is_late else _evidence(entries),
+            may_replace=not is_late,
+            seed=seed,
+            settings=settings,
+        )
     is_drift = judgement.conclusion is Conclusion.DRIFTED
+    since = (arrival.taken if is_late else _since(entries, arrival.taken)) if is_drift else None
+    late = f"comes late: its readings are older than those of version {kept.current}, which stays; beside version {beside}: "
     entry = Entry(
         str(judgement.conclusion),
-        judgement.reason,
+        (late if is_late else "") + judgement.reason,
         str(arrival.path),
         arrival.hash,
         arrival.taken,
         agrees=judgement.agrees,
         causes=judgement.causes,
-        since=_since(kept.entries(), arrival.taken) if is_drift else None,
-        checks=judgement.checks,
+        since=since,
+        checks={**judgement.checks, **({LATE: beside} if is_late else {})},
         estimate=judgement.estimate,
     )
-    return kept.commit(entry, judgement.calibration)
+    provenance = {
+        "described_rig_hash": rig.hash,
+        "settings": asdict(replace(settings, seed=seed)),
+        "code": code_version(),
+    }
+    kept.commit(entry, judgement.calibration, provenance)
+    return True
 
 
-def _judged(
-    arrival: _Arrival, rig: Rig, kept: Registry, seed: int, settings: SamplerSettings | None
-) -> Judgement:
-    if arrival.fault:
-        return Judgement(Conclusion.REJECTED, f"the session cannot be read: {arrival.fault}")
-    session: Session = load_session(arrival.path)
-    current = None if kept.current is None else kept.calibration()
-    earlier = [entry.checks[EVIDENCE] for entry in _disagreeing(kept.entries()) if EVIDENCE in entry.checks]
-    return judge(session, rig, current, earlier=earlier, seed=seed, settings=settings)
+def _taken(entries: Sequence[Entry]) -> dict[int, str]:
+    """Time of the readings of each version."""
+    return {entry.made: entry.taken for entry in entries if entry.made is not None}
 
 
-def _since(entries: list[Entry], taken: str) -> str:
+def _is_as_young(entries: Sequence[Entry], current: int | None, taken: str) -> bool:
+    """Whether readings may replace the current version: those of an earlier time say nothing of the present."""
+    return current is None or taken >= _taken(entries)[current]
+
+
+def _in_use(entries: Sequence[Entry], current: int | None, taken: str) -> int | None:
+    """The version that readings are compared with: the current one; for older readings the last one before them, or the first of all."""
+    if _is_as_young(entries, current, taken):
+        return current
+    of = _taken(entries)
+    before = [version for version in of if of[version] <= taken]
+    return max(before, key=lambda v: (of[v], v)) if before else min(of, key=lambda v: (of[v], v))
+
+
+def _since(entries: Sequence[Entry], taken: str) -> str:
     """Time of the first session in a row that disagreed and led to no new version, this one included."""
     return next((entry.taken for entry in reversed(_disagreeing(entries))), taken)
 
 
-def _disagreeing(entries: list[Entry]) -> list[Entry]:
-    """The last sessions in a row that disagreed and led to no new version, the latest first; others that could not be asked lie between."""
+def _evidence(entries: Sequence[Entry]) -> list[Mapping[str, float]]:
+    return [entry.checks[EVIDENCE] for entry in _disagreeing(entries) if EVIDENCE in entry.checks]
+
+
+def _disagreeing(entries: Sequence[Entry]) -> list[Entry]:
+    """The last sessions in a row that disagreed and led to no new version, the latest first.
+
+    Others may lie between: some that could not be asked, that came late, or whose record holds a mistake.
+    """
     found = []
     for entry in reversed(entries):
         was_asked = entry.agrees is not None or entry.made is not None or not entry.hash
-        if was_asked and (entry.agrees is not False or entry.made is not None):
+        is_mistake = entry.conclusion == Conclusion.REJECTED and bool(entry.causes)
+        if not was_asked or is_mistake or LATE in entry.checks:
+            continue
+        if entry.agrees is not False or entry.made is not None:
             break
-        if was_asked:
-            found.append(entry)
+        found.append(entry)
     return found

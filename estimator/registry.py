@@ -3,6 +3,7 @@
     versions/0001/   a whole calibration, its rig.yaml and provenance.json
     current          a link to the version that is in use, replaced by renaming
     log.jsonl        one line per session or rollback, in order
+    told             how many of these lines somebody was told of
     lock             held by the job that writes
 
 Renaming a finished version into its place commits it; its log line follows from its provenance and the link from the last line, so the
@@ -14,7 +15,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -27,7 +28,7 @@ import xarray as xr
 from estimator.calibration import POSTERIOR, SUMMARY, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
 
-VERSIONS, CURRENT, LOG, LOCK = "versions", "current", "log.jsonl", "lock"
+VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"
 ROLLED_BACK = "rolled_back"
 
@@ -191,9 +192,18 @@ class Registry:
             self._complete()
             yield
 
-    def commit(self, entry: Entry, calibration: Calibration | None = None) -> Entry:
+    def commit(
+        self,
+        entry: Entry,
+        calibration: Calibration | None = None,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> Entry:
         """Log a conclusion; with a calibration, keep that as a new version and make it current. Only while writing.
 
+        Args:
+            entry: The conclusion.
+            calibration: To keep.
+            provenance: What else led to it, for its `provenance.json`.
         Returns: The entry with the numbers of versions.
         """
         if calibration is None:
@@ -201,10 +211,25 @@ class Registry:
         else:
             number = max(self.versions, default=0) + 1
             entry = replace(entry, version=number, made=number)
-            self._keep(entry, calibration)
+            self._keep(entry, calibration, provenance or {})
         self._log(entry)
         self._point()
         return entry
+
+    def tell(self, hear: Callable[[Entry], None]) -> list[Entry]:
+        """Have every conclusion heard of that nobody was told of; cut off meanwhile, it is told again. Only while writing.
+
+        Returns: The conclusions.
+        """
+        entries = self.entries()
+        told = int((self.folder / TOLD).read_text(encoding="utf-8"))
+        new = []
+        for number, entry in enumerate(entries[told:], start=told + 1):
+            if entry.hash:
+                hear(entry)
+                new.append(entry)
+            write_text(self.folder / TOLD, f"{number}\n")
+        return new
 
     def roll_back(self, version: int) -> Entry:
         """Make an earlier version current again. Only while writing.
@@ -238,19 +263,20 @@ class Registry:
             raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
         return record
 
-    def _keep(self, entry: Entry, calibration: Calibration) -> None:
+    def _keep(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
         partial = self.folder / VERSIONS / ".partial"
         calibration.save(partial)
         (partial / RIG).write_text(calibration.rig.text, encoding="utf-8")
-        provenance = {
+        own = {
             "version": entry.made,
             "previous": self.current,
             "rig_hash": calibration.rig.hash,
             "seed": calibration.record["seed"],
             "versions": calibration.record["versions"],
+            **provenance,
             "entry": asdict(entry),
         }
-        write_text(partial / PROVENANCE, json.dumps(provenance, indent=2, allow_nan=False) + "\n")
+        write_text(partial / PROVENANCE, json.dumps(own, indent=2, allow_nan=False) + "\n")
         partial.rename(self.folder / VERSIONS / f"{entry.made:04d}")
 
     def _log(self, entry: Entry) -> None:
@@ -276,6 +302,8 @@ class Registry:
         if log.exists() and not log.read_bytes().endswith(b"\n"):
             os.truncate(log, log.read_bytes().rfind(b"\n") + 1)
         entries = self.entries()
+        if not (self.folder / TOLD).exists():  # a new registry, or one from before lines were counted
+            write_text(self.folder / TOLD, f"{len(entries)}\n")
         logged = {entry.made for entry in entries}
         for version in self.versions:
             if version not in logged:

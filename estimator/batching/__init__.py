@@ -6,6 +6,7 @@ A batch that was cut off, or is asked again with more sessions, does only what i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,7 @@ import numpy as np
 from estimator.batching.engine import cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
-from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, sampled
-from estimator.calibration import SUMMARY
+from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, is_enough, sampled
 from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
@@ -57,7 +57,7 @@ def batch(
         is_each_coil: Calibrate each coil by itself, from the readings in which it alone carries current.
         has_posterior: Sample the leading hypotheses.
         seed: Of starts and sampling.
-        settings: When to stop sampling.
+        settings: When to stop sampling. A posterior that ended before what is asked for now goes on.
         workers, scheduler: Number of processes on this computer, or the address of a Dask scheduler.
         tell: Told how many of how many jobs are done, and in words what was.
     Returns: The results, also of sessions that failed: these do not stop the others.
@@ -74,22 +74,26 @@ def batch(
             f"output must be a folder that can be written; {out} is not: {reason(error)}"
         ) from error
     rig_text = load_rig(rig).text if rig else ""
+    hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     run = _Run(folder, tell or (lambda done, total, words: None), {})
     with cluster(workers, scheduler) as where:
         paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
-        jobs: list[Job] = []
+        described: list[Job] = []
 
-        def described(path: Any, found: Any) -> None:
-            if isinstance(found, list):
-                jobs.extend(found)
-            else:
+        def describes(path: Any, found: Any) -> None:
+            if not isinstance(found, tuple):
                 run.fail(path, found)
+                return
+            described.extend(found[0])
+            for what, why in found[1].items():
+                run.fail(what, why)
 
-        arguments = (rig_text, tuple(hypotheses), is_each_coil, seed)
-        where.run({path: (describe, (path, *arguments)) for path in paths}, described)
-        jobs.sort(
+        arguments = (rig_text, hypotheses, is_each_coil, seed, chosen)
+        where.run({path: (describe, (path, *arguments)) for path in paths}, describes)
+        described.sort(
             key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))
         )
+        jobs = run.without_copies(described)
 
         open_stacks = [
             stack
@@ -100,16 +104,16 @@ def batch(
         where.run(
             {i: (fit, (stack, str(folder))) for i, stack in enumerate(open_stacks)}, run.fitted(open_stacks)
         )
-        result = BatchResult(folder, tuple(job.name for job in jobs if run.is_fitted(job)), run.failed)
+        fitted = {job.name: job.session for job in jobs if run.is_fitted(job)}
+        result = BatchResult(folder, tuple(fitted), run.failed, sessions=fitted)
         if has_posterior:
             leaders = _leaders(jobs, result)
-            waiting = {job.name: job for job in leaders if not run.is_sampled(job)}
+            waiting = {job.name: job for job in leaders if not run.is_sampled(job, chosen)}
             run.begin(len(leaders), len(leaders) - len(waiting))
-            chosen = settings or SamplerSettings()
             where.run(
                 {name: (sampled, (job, str(folder), chosen)) for name, job in waiting.items()}, run.sampled
             )
-    return BatchResult(folder, result.names, run.failed, run.n_new)
+    return replace(result, n_new=run.n_new)
 
 
 class _Run:
@@ -128,8 +132,21 @@ class _Run:
     def is_fitted(self, job: Job) -> bool:
         return (self.folder / job.name / RESULT).exists()
 
-    def is_sampled(self, job: Job) -> bool:
-        return (self.folder / job.name / POSTERIOR / SUMMARY).exists()
+    def is_sampled(self, job: Job, settings: SamplerSettings) -> bool:
+        return is_enough(self.folder / job.name / POSTERIOR, settings)
+
+    def without_copies(self, jobs: Sequence[Job]) -> list[Job]:
+        """Each fit once, also where the same readings lie in two places."""
+        first: dict[str, Job] = {}
+        for job in jobs:
+            own = first.setdefault(job.key, job)
+            if own is not job:
+                self.tell(
+                    0,
+                    0,
+                    f"{job.session} holds the readings of {own.session}: {job.hypothesis} is fitted once",
+                )
+        return list(first.values())
 
     def fail(self, what: str, why: object) -> None:
         """A failure of a session or job; the others go on."""
@@ -143,14 +160,16 @@ class _Run:
         self.tell(self.done, self.total, words)
 
     def fitted(self, open_stacks: list[list[Job]]) -> Callable[[Any, Any], None]:
-        """What to do when a stack comes back."""
+        """What to do when a stack comes back, of which some may have been there before."""
+        waiting = [[job for job in stack if not self.is_fitted(job)] for stack in open_stacks]
 
         def came(i: Any, failed: Any) -> None:
-            stack = open_stacks[i]
-            broken = {job.name: failed for job in stack} if isinstance(failed, Exception) else failed
-            self.gained(len(stack) - len(broken), "fitted")
-            for name, why in broken.items():
-                self.fail(name, why)
+            broken = failed if isinstance(failed, dict) else {job.name: failed for job in waiting[i]}
+            made = [job for job in waiting[i] if self.is_fitted(job)]
+            self.gained(len(made), "fitted")
+            for job in waiting[i]:
+                if job not in made:
+                    self.fail(job.name, broken.get(job.name, "its result is missing"))
 
         return came
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import dask
@@ -15,8 +15,20 @@ from estimator.errors import InvalidInput
 
 DEATHS_ALLOWED = 3  # of workers on one and the same job, before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
+ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
+GIVES_BACK = "MALLOC_TRIM_THRESHOLD_"  # of Dask: memory goes back to the system at once, and a fit takes up to twice as long
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+class _SchedulerLost(Exception):
+    """Calls that are not finished have to be made again."""
+
+
+def _words(error: BaseException | None) -> str:
+    if isinstance(error, KilledWorker):
+        return f"{DEATHS_ALLOWED + 1} workers died on it"
+    return f"{type(error).__name__}: {error}"
 
 
 class Cluster:
@@ -41,32 +53,30 @@ class Cluster:
                 for name, result in self._results(left):
                     del left[name]
                     tell(name, result)
-            except (CommClosedError, TimeoutError, OSError):
-                pass
-            if not left:
+            except _SchedulerLost:
+                self._reconnect()
+            else:
                 return
-            self._reconnect()
         raise InvalidInput(
             f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(left)} jobs left)"
         )
 
     def _results(self, calls: Mapping[Hashable, Call]) -> Iterator[tuple[Hashable, Any]]:
-        futures = {
-            self._client.submit(function, *arguments, pure=False): name
-            for name, (function, arguments) in calls.items()
-        }
-        for future in as_completed(futures, loop=self._client.loop):
-            if future.status == "finished":
-                yield futures[future], future.result()
-            elif future.status == "error":
-                error = future.exception()
-                died = isinstance(error, KilledWorker)
-                words = (
-                    f"{DEATHS_ALLOWED + 1} workers died on it" if died else f"{type(error).__name__}: {error}"
-                )
-                yield futures[future], RuntimeError(words)
-            else:
-                raise CommClosedError("the scheduler was lost")
+        """Results as they come. What fails in whoever hears of them is not raised in here, and so not taken for a lost scheduler."""
+        try:
+            futures = {
+                self._client.submit(function, *arguments, pure=False): name
+                for name, (function, arguments) in calls.items()
+            }
+            for future in as_completed(futures, loop=self._client.loop):
+                if future.status == "finished":
+                    yield futures[future], future.result()
+                elif future.status == "error":
+                    yield futures[future], RuntimeError(_words(future.exception()))
+                else:
+                    raise _SchedulerLost
+        except (CommClosedError, TimeoutError, OSError) as error:
+            raise _SchedulerLost from error
 
     def _reconnect(self) -> None:
         self._client.close(timeout=1)
@@ -94,21 +104,19 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
     """
     if scheduler is not None and workers is not None:
         raise InvalidInput("workers must not be given for a scheduler that has its own; received both")
-    with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS_ALLOWED}):
-        if scheduler is None:
+    environment = dict(dask.config.get(ENVIRONMENT))
+    environment.pop(GIVES_BACK, None)
+    chosen = {"distributed.scheduler.allowed-failures": DEATHS_ALLOWED, ENVIRONMENT: environment}
+    with dask.config.set(chosen), ExitStack() as stack:
+        address = scheduler
+        if address is None:
             n = workers or len(os.sched_getaffinity(0))
-            with (
-                LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local,
-                Client(local, set_as_default=False) as client,
-            ):
-                yield Cluster(client, local.scheduler_address)
-            return
+            local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+            address = stack.enter_context(local).scheduler_address
         try:
-            client = Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+            client = Client(address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            raise InvalidInput(f"scheduler must answer within {PATIENCE_S} s; {scheduler} did not") from error
-        remote = Cluster(client, scheduler)
-        try:
-            yield remote
-        finally:
-            remote.close()
+            raise InvalidInput(f"scheduler must answer within {PATIENCE_S} s; {address} did not") from error
+        where = Cluster(client, address)
+        stack.callback(where.close)  # the client it has by then, which may be another one
+        yield where

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from estimator.calibrate import versions
@@ -14,8 +14,9 @@ from estimator.config import rig_from_text
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
 from estimator.effects.scene import Scene
-from estimator.errors import InvalidInput
+from estimator.errors import CoilcalError, InvalidInput
 from estimator.hide import cause_of
+from estimator.inference.ensemble import SamplerSettings
 from estimator.inference.stacked import settings_hash
 from estimator.records import Observations
 from estimator.rig import Rig
@@ -34,7 +35,8 @@ class Job:
         coil: The one coil that is calibrated, from the readings in which it alone carries current; None for the whole rig.
         hypothesis: `plain`, or causes to be free, joined by +.
         seed: Of starts and sampling.
-        key: Hash of session, rig, hypothesis, seed and versions: what decides the result.
+        session_hash: Of its readings, wherever they lie.
+        key: Hash of session, rig, hypothesis, seed, versions and of the settings that decide a chain: what decides the result.
         settings: Jobs that share it can be stacked.
         n_readings: That are fitted.
     """
@@ -44,6 +46,7 @@ class Job:
     coil: str | None
     hypothesis: str
     seed: int
+    session_hash: str = ""
     key: str = ""
     settings: str = ""
     n_readings: int = 0
@@ -57,24 +60,35 @@ class Job:
     @property
     def subject(self) -> tuple[str, str | None]:
         """What the hypotheses compete for."""
-        return self.session, self.coil
+        return self.session_hash, self.coil
 
 
-def jobs_of(path: str, rig_text: str, hypotheses: Sequence[str], is_each_coil: bool, seed: int) -> list[Job]:
-    """The fits of one session.
+def jobs_of(
+    path: str,
+    rig_text: str,
+    hypotheses: Sequence[str],
+    is_each_coil: bool,
+    seed: int,
+    settings: SamplerSettings | None = None,
+) -> tuple[list[Job], dict[str, str]]:
+    """The fits of one session, and why others cannot be made: no reading for a coil, or no such hypothesis in its rig.
 
     Raises:
-        CoilcalError: The session cannot be read, has no reading for a coil, or a hypothesis does not exist in its rig.
+        CoilcalError: The session cannot be read, or is of another rig.
     """
     session = load_session(path)
     if rig_text:
         session.check_rig(rig_from_text(rig_text))
     coils: list[str | None] = [coil.name for coil in session.rig.coils] if is_each_coil else [None]
-    return [
-        _known(Job(path, rig_text, coil, hypothesis, seed), session)
-        for coil in coils
-        for hypothesis in hypotheses
-    ]
+    found, refused = [], {}
+    for coil in coils:
+        for hypothesis in hypotheses:
+            job = Job(path, rig_text, coil, hypothesis, seed, session.hash)
+            try:
+                found.append(_known(job, session, settings or SamplerSettings()))
+            except CoilcalError as error:
+                refused[", ".join((path, *([coil] if coil else []), hypothesis))] = str(error)
+    return found, refused
 
 
 def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
@@ -102,20 +116,16 @@ def stacks(jobs: Sequence[Job], most_readings: int, most_jobs: int) -> Iterator[
             yield same[first : first + width]
 
 
-def _known(job: Job, session: Session) -> Job:
+def _known(job: Job, session: Session, settings: SamplerSettings) -> Job:
     own, rig = readings_and_rig(job, session)
     observations = own.observations.calibration
-    decisive = [session.hash, rig.hash, job.coil, job.hypothesis, job.seed, versions()]
-    key = hashlib.sha256(json.dumps(decisive).encode()).hexdigest()
-    return Job(
-        job.session,
-        job.rig_text,
-        job.coil,
-        job.hypothesis,
-        job.seed,
-        key,
-        settings_hash(rig, observations),
-        len(observations),
+    chain = [settings.n_walkers, settings.check_every]  # when a chain ends does not decide its steps
+    decisive = [job.session_hash, rig.hash, job.coil, job.hypothesis, job.seed, versions(), chain]
+    return replace(
+        job,
+        key=hashlib.sha256(json.dumps(decisive).encode()).hexdigest(),
+        settings=settings_hash(rig, observations),
+        n_readings=len(observations),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,11 @@ def overview(result: BatchResult, command: str) -> str:
     best = _best(table)
     names = _scalars(result)
     page = ReportPage(
-        title=f"Batch of {table['session'].nunique() if len(table) else 0} sessions",
+        title=f"Batch of {table['session_hash'].nunique() if len(table) else 0} sessions",
         subtitle=str(result.folder.parent),
         verdict=_verdict(result, table, best, names),
         warnings=_warnings(result, table),
-        tables=_tables(result, table, best, names),
+        tables=_tables(table, best, names),
         figures=[_picture(result, best, names)] if len(best) and names else [],
         provenance={
             "command": command,
@@ -47,7 +48,7 @@ def _best(table: pd.DataFrame) -> pd.DataFrame:
     """Of every session and coil the most probable hypothesis."""
     if not len(table):
         return table
-    groups = [table["session"], table["coil"].fillna("")]
+    groups = [table["session_hash"], table["coil"].fillna("")]
     return table.loc[table.groupby(groups, sort=False)["log_evidence"].idxmax()]
 
 
@@ -95,7 +96,7 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
 
 
 def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
-    found = [f"{_short(what)}: {why}" for what, why in result.failed.items()]
+    found = [f"{Path(what).name}: {why}" for what, why in result.failed.items()]
     if len(table):
         found += [
             f"{job} did not converge; its intervals are provisional."
@@ -104,10 +105,7 @@ def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
     return found
 
 
-def _tables(
-    result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]
-) -> list[Table]:
-    del result
+def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[Table]:
     tables = []
     if len(best) > 1 and names:
         words = shown(names)
@@ -135,9 +133,10 @@ def _tables(
         ]
         says = "A χ² well above 1 says that sessions differ by more than their own uncertainty."
         tables.append(Table("Across sessions", header, rows, says))
+    short = _short(table["session"])
     rows = [
         [
-            _short(str(row["session"])) + (f", {row['coil']}" if row["coil"] else ""),
+            short[row["session"]] + (f", {row['coil']}" if row["coil"] else ""),
             str(row["hypothesis"]),
             f"{row['log_evidence']:.1f}",
             f"{row['probability']:.1%}",
@@ -162,9 +161,8 @@ def _tables(
 
 def _picture(result: BatchResult, best: pd.DataFrame, names: Sequence[str]) -> Picture:
     arrays = result.dataset().sel(job=best["job"].to_list(), parameter=list(names))
-    labels = [
-        _short(str(s)) + (f" {c}" if c else "") for s, c in zip(best["session"], best["coil"], strict=True)
-    ]
+    short = _short(best["session"])
+    labels = [short[s] + (f" {c}" if c else "") for s, c in zip(best["session"], best["coil"], strict=True)]
     figure = plots.across_sessions(
         names,
         arrays["median"].to_numpy(),
@@ -176,5 +174,18 @@ def _picture(result: BatchResult, best: pd.DataFrame, names: Sequence[str]) -> P
     return Picture("Parameters, session by session", says, figure)
 
 
-def _short(path: str) -> str:
-    return Path(path).stem
+def _short(paths: Iterable[str]) -> dict[str, str]:
+    """By path the name of a session; where two have the same, with the folders in which they differ.
+
+    Examples:
+        >>> _short(["/data/a/day1.zarr", "/data/b/day1.zarr"])
+        {'/data/a/day1.zarr': 'a/day1', '/data/b/day1.zarr': 'b/day1'}
+        >>> _short(["/data/a/day1.zarr", "/data/a/day2.zarr"])
+        {'/data/a/day1.zarr': 'day1', '/data/a/day2.zarr': 'day2'}
+    """
+    unique = list(dict.fromkeys(paths))
+    stems = [Path(path).stem for path in unique]
+    if len(set(stems)) == len(stems):
+        return dict(zip(unique, stems, strict=True))
+    common = os.path.commonpath(unique)
+    return {path: str(Path(path).relative_to(common).with_suffix("")) for path in unique}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from estimator.batching.work import POSTERIOR, RESULT
+from estimator.calibration import POSTERIOR as DRAWS
 from estimator.calibration import SUMMARY, Calibration, write_text
 from estimator.errors import InvalidInput
 
@@ -26,16 +28,21 @@ class BatchResult:
         names: Of the jobs that were fitted.
         failed: Why there is no result, by session or job.
         n_new: Fits and posteriors that were made by this call; the others were there before.
+        sessions: Where the session of each job lies now; where it is not said, that is where it lay when it was fitted.
     """
 
     folder: Path
     names: tuple[str, ...]
     failed: dict[str, str]
     n_new: int = 0
+    sessions: Mapping[str, str] = field(default_factory=dict)
 
     def records(self) -> list[dict[str, Any]]:
         """Content of every `result.json`; where the posterior was sampled, its parameters."""
-        return [_record(self.folder / name) for name in self.names]
+        return [
+            {**record, "session": self.sessions.get(name, record["session"])}
+            for name, record in ((name, _record(self.folder / name)) for name in self.names)
+        ]
 
     def table(self) -> pd.DataFrame:
         """One row for each job, its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %)."""
@@ -51,6 +58,7 @@ class BatchResult:
                 "is_converged": record["is_converged"],
                 "calibration_rmse_T": record["vector_rmse_T"]["calibration"],
                 "validation_rmse_T": record["vector_rmse_T"]["validation"],
+                "session_hash": record["session_hash"],
             }
             for key, p in record["parameters"].items():
                 low, high = p["ci90"]
@@ -92,24 +100,36 @@ class BatchResult:
                 "parameter": names,
                 "end": ["low", "high"],
                 "session": ("job", [record["session"] for record in records]),
+                "coil": ("job", [record["coil"] or "" for record in records]),
                 "hypothesis": ("job", [record["hypothesis"] for record in records]),
             },
         )
 
     def calibration(self, name: str) -> Calibration:
-        """The sampled posterior of a job; `xarray.open_datatree` opens its `posterior.zarr` as ArviZ groups.
+        """The sampled posterior of a job.
 
         Raises:
             InvalidInput: It was not sampled.
         """
+        return Calibration.load(self._sampled(name))
+
+    def tree(self, name: str) -> xr.DataTree:
+        """The sampled posterior of a job in ArviZ's groups.
+
+        Raises:
+            InvalidInput: It was not sampled.
+        """
+        return xr.open_datatree(self._sampled(name) / DRAWS, engine="zarr", consolidated=False)
+
+    def _sampled(self, name: str) -> Path:
         if not (self.folder / name / POSTERIOR / SUMMARY).exists():
             raise InvalidInput(f"posterior of job {name!r} must have been sampled; it was not")
-        return Calibration.load(self.folder / name / POSTERIOR)
+        return self.folder / name / POSTERIOR
 
 
 def probabilities(table: pd.DataFrame) -> pd.Series[float]:
     """Of each hypothesis among those that compete for the same session and coil, all equally likely before."""
-    groups = [table["session"], table["coil"].fillna("")]
+    groups = [table["session_hash"], table["coil"].fillna("")]
     best = table["log_evidence"].groupby(groups).transform("max")
     weight = (table["log_evidence"] - best).map(math.exp)
     return weight / weight.groupby(groups).transform("sum")

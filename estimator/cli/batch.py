@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -92,8 +93,12 @@ def batch_command(
         tell=lambda done, total, words: click.echo(f"{done} of {total}: {words}", err=True),
     )
     result.save_table(out)
-    command = f"coilcal batch {' '.join(str(path) for path in sessions)} --out {out} --seed {seed}"
-    write_text(out / "overview.html", overview(result, command))
+    given = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}
+    command = ["coilcal", "batch", *map(str, sessions)]
+    command += [str(word) for option, value in given.items() if value is not None for word in (option, value)]
+    command += [word for name in hypotheses for word in ("--hypothesis", name)]
+    command += ["--each-coil"] * each_coil
+    write_text(out / "overview.html", overview(result, shlex.join(command)))
     found = {
         "fits": len(result.names),
         "sampled": int(result.table()["is_sampled"].sum()) if result.names else 0,

@@ -13,15 +13,17 @@ import click
 
 from estimator.alerts import senders
 from estimator.cli.options import ess_option, json_option, seed_option
-from estimator.cli.output import EXIT_DRIFTED, EXIT_REJECTED, explain_errors, show
+from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, explain_errors, show
 from estimator.cli.schedule import interval_s, keep_running
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibrate import HISTORY, recalibrate, roll_back
+from estimator.recalibration.judgement import IS_CONVERGED
 from estimator.registry import Entry, Registry
 
 EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
+PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 
 
 @click.command("recalibrate")
@@ -44,9 +46,15 @@ EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
     "--rollback", type=click.IntRange(min=1), metavar="VERSION", help="Make an earlier version current again."
 )
 @click.option(
+    "--again",
+    multiple=True,
+    metavar="NAME",
+    help="Judge a session of the inbox once more although it is in the log; may be given several times.",
+)
+@click.option(
     "--alert-command",
     metavar="COMMAND",
-    help="Run for each drift and rejection, with JSON on its standard input.",
+    help="Run for each drift, rejection and calibration that did not converge, with JSON on its standard input.",
 )
 @click.option("--alert-webhook", metavar="URL", help="Post the same JSON there.")
 @ess_option
@@ -59,6 +67,7 @@ def recalibrate_command(
     registry: Path,
     every: str | None,
     rollback: int | None,
+    again: tuple[str, ...],
     alert_command: str | None,
     alert_webhook: str | None,
     ess: float,
@@ -67,16 +76,19 @@ def recalibrate_command(
 ) -> None:
     """Judge every new session of INBOX against the current calibration of REGISTRY.
 
-    Each is concluded to be unchanged (it agrees), updated (the same model explains it with other values, and predicts readings kept out
-    better), drifted (a cause is named) or rejected (bad data, or nothing explains it). Sessions in the log are skipped, so the command
-    can be repeated at any time, also after it was killed. For cron, systemd (configs/systemd) or Kubernetes (configs/kubernetes).
+    Each is concluded to be unchanged (it agrees, or nothing predicts readings kept out better), updated (the same model explains it with
+    other values, and predicts readings kept out better), drifted (a cause is named) or rejected (bad data, or nothing explains it).
+    Readings older than those of the current version are judged and never replace it. Sessions in the log are skipped, so the command
+    can be repeated at any time, also after it was killed; sessions that are still being measured or copied are left for the next time.
+    For cron, systemd (configs/systemd) or Kubernetes (configs/kubernetes).
 
-    Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted.
+    Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
+    calibration did not converge.
     """
     if rollback is not None:
-        if rig_path or inbox or every:
+        if rig_path or inbox or every or again:
             raise InvalidInput(
-                "--rollback must stand alone beside --registry; received --rig, --inbox or --every too"
+                "--rollback must stand alone beside --registry; received --rig, --inbox, --every or --again too"
             )
         entry = roll_back(registry, rollback)
         show(asdict(entry), entry.reason, as_json)
@@ -89,18 +101,43 @@ def recalibrate_command(
     def tell(entry: Entry) -> None:
         if not as_json:
             click.echo(f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}")
-        if entry.conclusion in EXIT_CODES:
+        if _exit_code(entry):
             _alert({"registry": str(registry), **asdict(entry)}, send)
 
+    waiting: set[tuple[Path, str]] = set()
+
+    def wait(path: Path, why: str) -> None:
+        if (path, why) not in waiting:  # once, however often --every looks again
+            click.echo(f"coilcal: {path} is left for the next time: {why}", err=True)
+        waiting.add((path, why))
+
+    left = list(again)
+
     def once() -> list[Entry]:
-        return recalibrate(rig, inbox, registry, seed=seed, settings=settings, on_entry=tell)
+        added = recalibrate(
+            rig,
+            inbox,
+            registry,
+            seed=seed,
+            settings=settings,
+            again=tuple(left),
+            on_entry=tell,
+            on_waiting=wait,
+        )
+        left.clear()
+        return added
 
     if every is not None:
         keep_running(lambda: _reported(once, registry, as_json), interval_s(every))
         return
-    added = _reported(once, registry, as_json)
-    found = [EXIT_CODES[entry.conclusion] for entry in added if entry.conclusion in EXIT_CODES]
-    sys.exit(min(found, default=0))
+    codes = {_exit_code(entry) for entry in _reported(once, registry, as_json)}
+    sys.exit(next((code for code in PRECEDENCE if code in codes), 0))
+
+
+def _exit_code(entry: Entry) -> int:
+    """What a conclusion is worth by itself; 0 where nobody has to look."""
+    is_unsure = entry.checks.get(IS_CONVERGED) is False
+    return EXIT_CODES.get(entry.conclusion, EXIT_NOT_CONVERGED if is_unsure else 0)
 
 
 def _reported(once: Callable[[], list[Entry]], registry: Path, as_json: bool) -> list[Entry]:

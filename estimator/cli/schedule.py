@@ -38,7 +38,7 @@ def interval_s(text: str) -> float:
 def keep_running(job: Callable[[], object], every_s: float) -> None:
     """Run a job now and at every interval until SIGTERM or Ctrl-C, which interrupt it: it has to bear that at any instant.
 
-    A fault that coilcal can explain is said and does not end it: an inbox that is not mounted now may be there the next time.
+    A fault that coilcal or the system can explain is said and does not end it: an inbox that is not mounted now may be there the next time.
     """
     # The job runs in this thread, where signals arrive.
     scheduler = BlockingScheduler(executors={"default": DebugExecutor()}, timezone=UTC)
@@ -51,7 +51,7 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
     def guarded() -> None:
         try:
             job()
-        except CoilcalError as error:
+        except (CoilcalError, OSError) as error:
             click.echo(f"coilcal: {error}", err=True)
         except KeyboardInterrupt:
             return  # the scheduler is shut down and ends after this job

@@ -56,10 +56,9 @@ def count_mixture(
     n_counts = integer.coordinates.n_counts
     if n_counts == 0:
         return _mixture(polish(integer, fit.vector[:1]), 0)
-    draws = torch.distributions.MultivariateNormal(fit.vector[0], covariance(fit.precision)[0])
-    with torch.random.fork_rng():
-        torch.manual_seed(int(rng.integers(2**31)))
-        sample = draws.sample((DRAWS,))
+    generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
+    normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
+    sample = fit.vector[0] + normal @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     if not start_of:
         return None

@@ -124,6 +124,13 @@ class LogPosterior:
         constant = 0.5 * math.log(2.0 * math.pi) * len(self._flat)
         return (log_density - torch.log(sigma_T)).sum(-1) - constant
 
+    def component_log_density(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component"]:
+        """Log probability density of each measured component."""
+        log_density, _ = self._scatter(self.whitened(vector), vector)
+        return log_density - torch.log(self.component_sigma_T(vector)) - 0.5 * math.log(2.0 * math.pi)
+
     def weight(
         self, whitened: Float[Tensor, "*batch component"], vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component"]:

@@ -23,9 +23,11 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.plots.style import shown, with_sd
 from estimator.preflight import check_readings, check_units
 from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
+from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
+from estimator.records import Observations
 from estimator.rig import Rig
 from estimator.split import block_split, thinned
 from estimator.store.session import Session
@@ -35,6 +37,7 @@ from estimator.units import split_unit
 MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared
 HELD_OUT_SHARE = 0.2
 EVIDENCE = "log_bayes_factors"  # among the checks of a session that was diagnosed
+IS_CONVERGED = "is_successor_converged"  # among the checks of a session that was sampled
 SMALLEST_SHOWN = 1e-4  # p-value: fewer simulated sessions than that tell no difference
 
 
@@ -76,6 +79,7 @@ def judge(
     current: Calibration | None,
     *,
     earlier: Sequence[Mapping[str, float]] = (),
+    may_replace: bool = True,
     seed: int = 0,
     settings: SamplerSettings | None = None,
 ) -> Judgement:
@@ -86,17 +90,21 @@ def judge(
         rig: As the user describes it.
         current: The calibration that is in use; None where there is none yet.
         earlier: Evidence of the sessions right before that disagreed with the current version and led to no new one.
+        may_replace: False for readings that are older than those of the version in use: they are judged, and lead to no new one.
         seed: Of everything random.
         settings: When to stop sampling a successor.
+    Raises:
+        InvalidInput: The rig or the current calibration cannot be used; what is wrong with the session is its conclusion.
     """
+    widened = None if current is None else widened_rig(current, rig)
     try:
         session.check_rig(rig)
         check_readings(rig, session.observations, session.source)
         check_units(rig, session.observations.calibration, session.source)
         session = _with_held_out(session, seed)
-        if current is None:
+        if current is None or widened is None:
             return _first(session, rig, seed, settings)
-        return _Comparison.of(session, rig, current, seed).judgement(settings, earlier)
+        return _Comparison.of(session, widened, current, seed).judgement(settings, earlier, may_replace)
     except (InvalidInput, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
         return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
 
@@ -116,12 +124,15 @@ def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | No
     calibration = _sampled(session, found, seed, settings)
     named = f", with {names_of(found)} in the rig" if found.causes else ""
     left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
+    unsure = (
+        "" if calibration.record["is_converged"] else f"; {_short_of(calibration)}, intervals are provisional"
+    )
     return Judgement(
         Conclusion.UPDATED,
-        f"first calibration{named}{left}",
+        f"first calibration{named}{left}{unsure}",
         calibration,
         causes=causes_of(found),
-        checks={"verdict": str(found.verdict)},
+        checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.record["is_converged"]},
         estimate=_estimate(found.fit),
     )
 
@@ -138,15 +149,14 @@ class _Comparison:
     seed: int
 
     @classmethod
-    def of(cls, session: Session, rig: Rig, current: Calibration, seed: int) -> _Comparison:
-        widened = widened_rig(current, rig)
+    def of(cls, session: Session, widened: Rig, current: Calibration, seed: int) -> _Comparison:
         tested = thinned(session.observations, MOST_TESTED, seed)
         chain = Chain.build(widened, tested)
         refit = fit_rig(widened, tested, widened.nominal_values(), chain.rules)
         return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
 
     def judgement(
-        self, settings: SamplerSettings | None, earlier: Sequence[Mapping[str, float]]
+        self, settings: SamplerSettings | None, earlier: Sequence[Mapping[str, float]], may_replace: bool
     ) -> Judgement:
         if self.agreement.holds:
             return self._judgement(
@@ -159,16 +169,33 @@ class _Comparison:
             if earlier and (names := named_together([*earlier, _evidence(found)])):
                 return self._together(found, names, len(earlier) + 1)
             return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
+        return self._explained(found, settings, may_replace)
+
+    def _explained(self, found: Diagnosis, settings: SamplerSettings | None, may_replace: bool) -> Judgement:
+        """Other values or a cause explain the readings; whether the current version makes way is another question."""
         better = self._gain(found)
-        successor = _sampled(self.session, found, self.seed, settings) if better.is_there else None
+        stays = Conclusion.DRIFTED if found.causes else Conclusion.UNCHANGED
+        what = f"disagrees with the current version ({self._p_value()})"
         if found.causes:
-            reason = f"{sizes_of(found)}; {words_of(better)}"
-            return self._judgement(Conclusion.DRIFTED, reason, found, better, successor)
-        if successor is None:
-            reason = f"disagrees with the current version ({self._p_value()}), but {words_of(better)}"
-            return self._judgement(Conclusion.UNCHANGED, reason, found, better)
-        reason = f"{self._moved(found, better)}; {words_of(better)}"
-        return self._judgement(Conclusion.UPDATED, reason, found, better, successor)
+            what = sizes_of(found)
+        elif better.is_there:
+            what = self._moved(found, better)
+        reason = f"{what}; {words_of(better)}"
+        if not (better.is_there and may_replace):
+            return self._judgement(stays, reason, found, better)
+        successor = _sampled(self.session, found, self.seed, settings)
+        is_converged, stored = bool(successor.record["is_converged"]), self._stored_gain(successor)
+        sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
+        if is_converged and stored > 0.0:
+            replaced = Conclusion.DRIFTED if found.causes else Conclusion.UPDATED
+            return self._judgement(replaced, reason, found, better, successor, sampled)
+        doubt = (
+            f"its sampled posterior predicts them worse (log density {stored:+.1f})"
+            if is_converged
+            else _short_of(successor)
+        )
+        reason = f"{reason}, but {doubt}: the current version stays"
+        return self._judgement(stays, reason, found, better, None, sampled)
 
     def _judgement(
         self,
@@ -177,6 +204,7 @@ class _Comparison:
         found: Diagnosis | None = None,
         better: Gain | None = None,
         successor: Calibration | None = None,
+        sampled: Mapping[str, Any] | None = None,
     ) -> Judgement:
         checks: dict[str, Any] = {
             "p_value": self.agreement.p_value,
@@ -198,6 +226,7 @@ class _Comparison:
                 "elpd_se": finite(better.elpd_se),
                 "moved_sd": {name: finite(value) for name, value in better.moved_sd.items()},
             }
+        checks |= sampled or {}
         return Judgement(
             conclusion,
             reason,
@@ -230,7 +259,15 @@ class _Comparison:
         made_from = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
         rules = Chain.build(self.current.rig, made_from).rules
         before = fit_rig(self.current.rig, made_from, self.current.best, rules)
-        return gain(before, found.fit, thinned(self.session.observations.validation, MOST_FITTED, self.seed))
+        return gain(before, found.fit, self._unseen())
+
+    def _stored_gain(self, successor: Calibration) -> float:
+        """Of a successor over the current version, both as they are stored."""
+        before, after = (stored_log_density(one, self._unseen()) for one in (self.current, successor))
+        return float((after - before).sum())
+
+    def _unseen(self) -> Observations:
+        return thinned(self.session.observations.validation, MOST_FITTED, self.seed)
 
     def _p_value(self) -> str:
         p = self.agreement.p_value
@@ -258,8 +295,20 @@ class _Comparison:
 
 
 def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSettings | None) -> Calibration:
-    """The rig that a diagnosis ended with, sampled."""
-    return calibrate(session, rig_from_text(found.extended_rig_text), seed=seed, settings=settings)
+    """The rig that a diagnosis ended with, sampled; a cause in it may need more walkers than were asked for."""
+    rig = rig_from_text(found.extended_rig_text)
+    if settings is not None and settings.n_walkers:
+        n = len(rig.free)
+        settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
+    return calibrate(session, rig, seed=seed, settings=settings)
+
+
+def _short_of(calibration: Calibration) -> str:
+    """That sampling ended before its targets, with the numbers."""
+    sampling = calibration.record["sampling"]
+    rhat = sampling["largest_rhat"]
+    numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
+    return f"its posterior did not converge ({numbers})"
 
 
 def _is_unexplained(found: Diagnosis) -> bool:

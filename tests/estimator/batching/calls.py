@@ -30,3 +30,7 @@ def deadly() -> None:
 def slowly(number: int) -> int:
     time.sleep(1.5)
     return 2 * number
+
+
+def variable(name: str) -> str | None:
+    return os.environ.get(name)

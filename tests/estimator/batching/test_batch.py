@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import arviz
 import numpy as np
 import pytest
 from distributed import LocalCluster
@@ -15,13 +18,13 @@ from estimator.batching import batch
 from estimator.batching.jobs import jobs_of, stacks
 from estimator.batching.page import overview
 from estimator.batching.result import BatchResult
-from estimator.batching.work import fit
+from estimator.batching.work import fit, is_enough
 from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
 from estimator.plan import Plan, load_plan
 from estimator.rig import Rig
 from estimator.simulate import simulate
-from estimator.store.session import Session
+from estimator.store.session import Session, load_session
 from tests.estimator.conftest import TWO_COILS
 
 HYPOTHESES = ("plain", "axis_gain")
@@ -81,6 +84,133 @@ def test_leaders_are_sampled_and_their_posterior_is_what_the_table_shows(session
     assert row["coil1.radius_m"] == pytest.approx(float(np.median(draws)))
     with pytest.raises(InvalidInput, match="must have been sampled"):
         result.calibration("another")
+    opened = arviz.InferenceData.from_datatree(result.tree(row["job"]))
+    assert opened.posterior["coil1.radius_m"].to_numpy() == pytest.approx(draws)
+    assert float(arviz.ess(opened.posterior)["coil1.radius_m"]) > 50.0
+
+
+def test_a_posterior_goes_on_where_more_is_asked_for_and_ends_as_if_that_had_been_asked_at_once(
+    sessions, address, tmp_path
+):
+    little, more = (
+        SamplerSettings(n_walkers=16, target_ess=ess, largest_rhat=1.2, check_every=20)
+        for ess in (50.0, 300.0)
+    )
+
+    def ask(out: str, settings: SamplerSettings) -> tuple[BatchResult, Path]:
+        result = batch(sessions[:1], out=tmp_path / out, settings=settings, scheduler=address)
+        return result, result.folder / result.names[0] / "calibration"
+
+    ask("twice", little)
+    again, first = ask("twice", more)
+    _, second = ask("once", more)
+    assert again.n_new == 1
+    files = [path.relative_to(first) for path in sorted(first.rglob("*")) if path.is_file()]
+    assert all((first / path).read_bytes() == (second / path).read_bytes() for path in files)
+    assert ask("twice", little)[0].n_new == 0
+
+
+def test_other_walkers_are_another_job(sessions):
+    names = {
+        jobs_of(str(sessions[0]), "", ("plain",), False, 0, SamplerSettings(n_walkers=n, target_ess=ess))[0][
+            0
+        ].name
+        for n, ess in ((16, 100.0), (18, 100.0), (18, 200.0))
+    }
+    assert len(names) == 2
+
+
+def test_what_is_enough_depends_on_what_is_asked_for(tmp_path):
+    sampling = {"smallest_ess": 150.0, "largest_rhat": 1.005, "steps": 1000}
+    (tmp_path / "summary.json").write_text(json.dumps({"sampling": sampling}))
+    assert is_enough(tmp_path, SamplerSettings(target_ess=100.0))
+    assert not is_enough(tmp_path, SamplerSettings(target_ess=200.0))
+    assert not is_enough(tmp_path, SamplerSettings(target_ess=100.0, largest_rhat=1.001))
+    assert is_enough(tmp_path, SamplerSettings(target_ess=200.0, max_steps=1000))
+    assert not is_enough(tmp_path / "none", SamplerSettings())
+
+
+def test_one_session_of_absurd_numbers_leaves_the_others_of_its_stack(sessions, address, tmp_path):
+    whole = load_session(sessions[0])
+    absurd = whole.observations.with_field(1e200 * whole.observations.field_sensor_T)
+    replace(whole, observations=absurd).save(tmp_path / "absurd.zarr")
+    result = batch(
+        [*sessions, tmp_path / "absurd.zarr"], out=tmp_path, has_posterior=False, scheduler=address
+    )
+    assert (len(result.names), result.n_new) == (3, 3)
+    (what,) = result.failed
+    assert what.startswith("absurd-plain-")
+
+
+def test_only_what_is_missing_of_a_stack_counts_as_new(sessions, address, tmp_path):
+    def ask() -> BatchResult:
+        return batch(sessions, out=tmp_path, has_posterior=False, scheduler=address)
+
+    first = ask()
+    shutil.rmtree(first.folder / first.names[1])
+    assert ask().n_new == 1
+
+
+def test_copies_and_what_is_asked_for_twice_are_fitted_once(sessions, address, tmp_path):
+    for folder in ("a", "b"):
+        shutil.copytree(sessions[0], tmp_path / folder / "day.zarr")
+    shutil.copytree(sessions[1], tmp_path / "c" / "day.zarr")
+    told: list[str] = []
+    result = batch(
+        [tmp_path / folder / "day.zarr" for folder in "abc"],
+        out=tmp_path,
+        hypotheses=("plain", "plain"),
+        has_posterior=False,
+        scheduler=address,
+        tell=lambda _done, _total, words: told.append(words),
+    )
+    table = result.table()
+    assert (table["probability"].to_numpy() == 1.0).all()
+    assert len(table) == 2
+    assert any("b/day.zarr holds the readings of" in words for words in told)
+    page = overview(result, "")
+    assert "a/day" in page
+    assert "c/day" in page
+
+
+def test_a_session_that_was_moved_competes_with_what_was_found_where_it_was(sessions, address, tmp_path):
+    def ask(path: Path, *hypotheses: str) -> BatchResult:
+        return batch([path], out=tmp_path, hypotheses=hypotheses, has_posterior=False, scheduler=address)
+
+    old, new = tmp_path / "old" / "day.zarr", tmp_path / "new" / "day.zarr"
+    shutil.copytree(sessions[0], old)
+    ask(old, "plain")
+    new.parent.mkdir()
+    old.rename(new)
+    table = ask(new, "plain", "axis_gain").table()
+    assert table["probability"].sum() == pytest.approx(1.0)
+    assert set(table["session"]) == {str(new)}
+
+
+def test_a_hypothesis_that_one_rig_has_not_got_leaves_the_others(sessions, address, tmp_path):
+    result = batch(
+        sessions[:1],
+        out=tmp_path,
+        hypotheses=("plain", "mount_tilt[coil7]"),
+        has_posterior=False,
+        scheduler=address,
+    )
+    assert len(result.names) == 1
+    assert list(result.failed) == [f"{sessions[0]}, mount_tilt[coil7]"]
+
+
+def test_coils_are_told_apart_in_the_data_set(tmp_path, address):
+    rig = rig_from_text(TWO_COILS)
+    (tmp_path / "plan.yaml").write_text(
+        PLAN.replace("y_mm: 0, z_mm: 0", "y_mm: {from: 0, to: 20, count: 3}, z_mm: 0")
+    )
+    truth = {name: value for name, value in rig.nominal_values().items() if rig.parameters[name].tie is None}
+    observations = simulate(rig, load_plan(tmp_path / "plan.yaml", rig), truth, seed=1)
+    Session(rig, observations, "two coils").save(tmp_path / "both.zarr")
+    result = batch(
+        [tmp_path / "both.zarr"], out=tmp_path, is_each_coil=True, has_posterior=False, scheduler=address
+    )
+    assert result.dataset()["coil"].to_numpy().tolist() == ["coil1", "coil2"]
 
 
 def test_truth_lies_within_four_standard_deviations(found, small_truth):
@@ -108,7 +238,7 @@ def test_what_is_finished_is_not_done_again(found, sessions, address):
 
 
 def test_unfinished_rest_of_a_stack_gets_the_same_numbers(found, sessions, tmp_path):
-    jobs = [job for path in sessions for job in jobs_of(str(path), "", HYPOTHESES, False, 0)]
+    jobs = [job for path in sessions for job in jobs_of(str(path), "", HYPOTHESES, False, 0)[0]]
     assert {job.name for job in jobs} == set(found.names)
     stack = next(iter(stacks(jobs, 8000, 64)))
     assert len(stack) == 3
@@ -124,7 +254,7 @@ def test_unfinished_rest_of_a_stack_gets_the_same_numbers(found, sessions, tmp_p
 
 
 def test_a_session_fitted_alone_agrees_with_the_stack(found, sessions, tmp_path):
-    (job,) = jobs_of(str(sessions[1]), "", ("plain",), False, 0)
+    (job,), _ = jobs_of(str(sessions[1]), "", ("plain",), False, 0)
     fit([job], str(tmp_path))
     old, new = (
         json.loads((where / job.name / "result.json").read_text()) for where in (found.folder, tmp_path)
@@ -140,14 +270,18 @@ def test_each_coil_is_calibrated_from_readings_in_which_it_alone_has_current(tmp
     truth = {name: value for name, value in rig.nominal_values().items() if rig.parameters[name].tie is None}
     observations = simulate(rig, load_plan(tmp_path / "plan.yaml", rig), truth, seed=1)
     Session(rig, observations, "two coils").save(tmp_path / "both.zarr")
-    jobs = jobs_of(str(tmp_path / "both.zarr"), "", ("plain",), True, 0)
+    jobs, _ = jobs_of(str(tmp_path / "both.zarr"), "", ("plain",), True, 0)
     assert [job.coil for job in jobs] == ["coil1", "coil2"]
     n_first = int((observations.current_A[:, 1] == 0.0).sum())
     assert jobs[0].n_readings == n_first
     only_one = observations.rows(observations.current_A[:, 1] == 0.0)
     Session(rig, only_one, "one coil").save(tmp_path / "one.zarr")
-    with pytest.raises(InvalidInput, match="coil2 must carry current alone in some reading; it never does"):
-        jobs_of(str(tmp_path / "one.zarr"), "", ("plain",), True, 0)
+    path = str(tmp_path / "one.zarr")
+    jobs, refused = jobs_of(path, "", ("plain",), True, 0)
+    assert [job.coil for job in jobs] == ["coil1"]
+    assert refused == {
+        f"{path}, coil2, plain": "coil2 must carry current alone in some reading; it never does"
+    }
 
 
 def test_page_says_how_many_fits_and_what_failed(found):

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +10,8 @@ from distributed import LocalCluster
 
 from estimator.batching.engine import Cluster, cluster
 from estimator.errors import InvalidInput
-from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly
+from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly, variable
+from tests.estimator.batching.schedulers import free_address, started, stop
 
 
 def results(where: Cluster, calls) -> dict[object, object]:
@@ -33,6 +31,34 @@ def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
     assert str(found["b"]) == "ValueError: 3 is refused"
 
 
+def test_a_fault_in_whoever_hears_of_results_is_no_lost_scheduler():
+    def closed(*_: object) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    with (
+        LocalCluster(n_workers=1, processes=False, dashboard_address="127.0.0.1:0") as local,
+        cluster(None, local.scheduler_address) as where,
+        pytest.raises(BrokenPipeError),
+    ):
+        where.run({"a": (double, (2,))}, closed)
+
+
+def test_the_client_that_is_left_at_the_end_is_closed_also_where_it_is_another_one():
+    with cluster(1, None) as where:
+        where._reconnect()
+        assert results(where, {"a": (double, (2,))}) == {"a": 4}
+        last = where._client
+    assert last.status == "closed"
+
+
+def test_workers_keep_their_memory_and_have_one_thread_each():
+    with cluster(1, None) as where:
+        names = ("MALLOC_TRIM_THRESHOLD_", "OMP_NUM_THREADS")
+        assert results(where, {name: (variable, (name,)) for name in names}) == dict(
+            zip(names, (None, "1"), strict=True)
+        )
+
+
 def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path: Path):
     with cluster(2, None) as where:
         calls = {i: (deadly_once, (str(tmp_path / "flag"), i)) for i in range(6)}
@@ -42,11 +68,8 @@ def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given
 
 
 def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    first = started(address, port)
+    address = free_address()
+    first = started(address)
     try:
         with cluster(None, address) as where:
             heard: dict[object, object] = {}
@@ -56,7 +79,7 @@ def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
                 heard[name] = result
                 if not replaced:
                     stop(first)
-                    replaced.extend(started(address, port))
+                    replaced.extend(started(address))
 
             try:
                 where.run({i: (slowly, (i,)) for i in range(3)}, hear)
@@ -76,34 +99,3 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.Mo
         pass
     with pytest.raises(InvalidInput, match="workers must not be given"), cluster(2, "tcp://127.0.0.1:1"):
         pass
-
-
-def started(address: str, port: int) -> list[subprocess.Popen[bytes]]:
-    dask = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_scheduler",
-        "--port",
-        str(port),
-        "--dashboard-address",
-        "127.0.0.1:0",
-    ]
-    worker = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        address,
-        "--nthreads",
-        "1",
-        "--no-nanny",
-        "--no-dashboard",
-    ]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    return [subprocess.Popen(command, **quiet) for command in (dask, worker)]
-
-
-def stop(processes: list[subprocess.Popen[bytes]]) -> None:
-    for process in processes:
-        process.kill()
-        process.wait()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import signal
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +15,15 @@ import pytest
 from distributed import LocalCluster
 
 from estimator import SamplerSettings
-from estimator.batching import batch
+from estimator.batching import batch, work
+from estimator.batching.jobs import jobs_of
 from estimator.batching.result import BatchResult
+from estimator.batching.work import fit, sampled
 from estimator.plan import Plan
 from estimator.rig import Rig
 from estimator.simulate import simulate
 from estimator.store.session import Session
+from tests.estimator.batching.schedulers import free_address, started, stop
 
 SETTINGS = SamplerSettings(n_walkers=16, target_ess=10.0, largest_rhat=2.0, check_every=20)
 
@@ -79,3 +85,78 @@ def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_not
         assert (again.names, again.n_new) == (disturbed.names, 0)
         assert {words for words in told if "failed" not in words} == {"done before"}
         assert {path: path.stat().st_mtime_ns for path in disturbed.folder.rglob("*")} == before
+
+
+@pytest.mark.slow
+def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_bytes(
+    sessions: list[Path], tmp_path: Path
+) -> None:
+    """The worker, left to itself, may still be writing when another one is given the same job."""
+    address = free_address()
+    scheduler, orphan = started(address)
+    running = [scheduler, orphan]
+    killed: list[str] = []
+
+    def kill(_done: int, _total: int, words: str) -> None:
+        if words == "fitted" or words.endswith("sampled"):
+            what = words.rpartition(" ")[2]
+            if what not in killed:  # once while stacks are fitted, once while posteriors are sampled
+                killed.append(what)
+                stop([running[-2]])
+                running.extend(started(address))
+
+    try:
+        disturbed = batch(
+            sessions, out=tmp_path / "disturbed", settings=SETTINGS, scheduler=address, tell=kill
+        )
+        alone = batch(sessions, out=tmp_path / "alone", settings=SETTINGS, scheduler=address)
+    finally:
+        stop(running)
+    assert killed == ["fitted", "sampled"]
+    assert (len(disturbed.names), list(disturbed.failed)) == (7, [str(sessions[3])])
+    assert contents(disturbed) == contents(alone)
+
+
+def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior(
+    sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("must not be sampled twice")
+
+    (job,), _ = jobs_of(str(sessions[0]), "", ("plain",), False, 0, SETTINGS)
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        assert fit([job], str(tmp_path / folder)) == {}
+    assert sampled(job, str(tmp_path / "other"), SETTINGS) is None
+    place = tmp_path / "one" / job.name
+    monkeypatch.setattr(work, "calibrate", refuse)
+    with (place / "result.json").open("r+b") as orphan, ThreadPoolExecutor(1) as pool:
+        fcntl.flock(orphan, fcntl.LOCK_EX)
+        waiting = pool.submit(sampled, job, str(tmp_path / "one"), SETTINGS)
+        with pytest.raises(TimeoutError):
+            waiting.result(timeout=1)
+        shutil.copytree(tmp_path / "other" / job.name / "calibration", place / "calibration")
+        fcntl.flock(orphan, fcntl.LOCK_UN)
+        assert waiting.result(timeout=30) is None
+    assert sorted(path.name for path in place.iterdir()) == ["calibration", "result.json"]
+
+
+def test_two_attempts_at_one_fit_leave_one_result_and_nothing_else(
+    sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (job,), _ = jobs_of(str(sessions[0]), "", ("plain",), False, 0, SETTINGS)
+    real = work.write_text
+    inner: list[dict[str, str]] = []
+
+    def overtaken(path: Path, text: str) -> None:
+        real(path, text)
+        if not inner:
+            inner.append({})
+            inner[0] = fit([job], str(tmp_path))
+
+    monkeypatch.setattr(work, "write_text", overtaken)
+    assert fit([job], str(tmp_path)) == {}
+    assert inner == [{}]
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()] == [
+        f"{job.name}/result.json"
+    ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from distributed import LocalCluster
 
+from estimator.cli.batch import batch_command
 from estimator.cli.main import main
 from estimator.store.session import Session
 
@@ -22,20 +26,42 @@ def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, t
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
     ) as local:
         arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
-        options = ["--out", str(out), "--posterior", "none", "--json", "--scheduler", local.scheduler_address]
+        options = [
+            "--out",
+            str(out),
+            "--posterior",
+            "none",
+            "--json",
+            "--ess",
+            "123",
+            "--seed",
+            "4",
+            "--hypothesis",
+            "plain",
+            "--hypothesis",
+            "axis_gain",
+            "--scheduler",
+            local.scheduler_address,
+        ]
         result = CliRunner().invoke(main, ["batch", *arguments, *options])
         options.remove("--json")
         again = CliRunner().invoke(main, ["batch", *arguments, *options])
     assert result.exit_code == again.exit_code == 2
     found = json.loads(result.stdout)
-    assert (found["fits"], found["sampled"], found["new"]) == (1, 0, 1)
-    assert "1 fits, 0 of them sampled; all there before, nothing was left to do" in again.stdout
+    assert (found["fits"], found["sampled"], found["new"]) == (2, 0, 2)
+    assert "2 fits, 0 of them sampled; all there before, nothing was left to do" in again.stdout
     assert list(found["failed"]) == [str(tmp_path / "bad.zarr")]
     assert "bad.zarr: session must be a folder" in result.stderr
     assert (
         (out / "summary.csv").read_text().startswith("job,session,coil,hypothesis,log_evidence,probability")
     )
-    assert "1 fit, 0 of them sampled, 1 failed" in (out / "overview.html").read_text()
+    page = (out / "overview.html").read_text()
+    assert "2 fits, 0 of them sampled, 1 failed" in page
+    command = html.unescape(re.search(r"coilcal batch [^<]*", page)[0])
+    asked = batch_command.make_context("batch", shlex.split(command)[2:]).params
+    assert [str(path) for path in asked["sessions"]] == arguments
+    assert (asked["out"], asked["posterior"], asked["hypotheses"]) == (out, "none", ("plain", "axis_gain"))
+    assert (asked["ess"], asked["seed"]) == (123.0, 4)
 
 
 def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

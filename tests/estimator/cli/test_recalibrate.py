@@ -13,12 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from click.testing import CliRunner, Result
 
 from estimator.calibration import Calibration
 from estimator.cli import recalibrate as command
 from estimator.cli.main import main
+from estimator.cli.schedule import keep_running
+from estimator.config import rig_from_text
+from estimator.records import Observations
 from estimator.registry import Entry, Registry
+from estimator.store.session import Session
+from tests.estimator.conftest import TWO_COILS
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
@@ -76,6 +82,41 @@ def test_exit_code_tells_drift_and_rejection(
     assert result.exit_code == code
     for conclusion in conclusions:
         assert f"2026-01-01T00:00  a.zarr  {conclusion}: because of {conclusion}" in result.stdout
+
+
+def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_its_own(
+    rig_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unsure = Entry("unchanged", "it did not converge", "a.zarr", checks={"is_successor_converged": False})
+
+    def job(*_: object, on_entry: Callable[[Entry], None], **__: object) -> list[Entry]:
+        on_entry(unsure)
+        return [unsure]
+
+    monkeypatch.setattr(command, "recalibrate", job)
+    call = ["recalibrate", "--rig", rig_file, "--inbox", tmp_path, "--registry", tmp_path / "r"]
+    options = ["--alert-command", f"tee {tmp_path / 'alert.json'}"]
+    assert CliRunner().invoke(main, [*map(str, call), *options]).exit_code == 4
+    assert json.loads((tmp_path / "alert.json").read_text())["reason"] == "it did not converge"
+
+
+def test_what_the_system_refuses_does_not_end_the_running_service(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    calls: list[int] = []
+
+    def job() -> None:
+        calls.append(1)
+        if len(calls) == 1:
+            raise PermissionError(13, "Permission denied", "inbox")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    keep_running(job, 1.0)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    assert len(calls) == 2
+    assert "Permission denied" in capsys.readouterr().err
 
 
 def test_help_tells_the_exit_codes() -> None:
@@ -148,7 +189,20 @@ def test_the_running_service_looks_again_and_ends_cleanly(
 ) -> None:
     inbox = tmp_path / "inbox"
     inbox.mkdir()
-    (inbox / "first.zarr").mkdir()  # no session: rejected
+    of_another = rig_from_text(TWO_COILS)
+    still = {mover.name: torch.zeros(3, 6, dtype=torch.float64) for mover in of_another.movers}
+    n = torch.arange(3)
+    readings = Observations(
+        n.double(),
+        0 * n,
+        torch.ones(3, 2).double(),
+        still,
+        torch.ones(3, 3).double() * 1e-3,
+        n > 5,
+        0 * n,
+        {},
+    )
+    Session(of_another, readings, "another rig", "2026-01-01T00:00:00+00:00").save(inbox / "first.zarr")
     call = [
         "recalibrate",
         "--rig",
@@ -174,8 +228,9 @@ def test_the_running_service_looks_again_and_ends_cleanly(
         return [entry["conclusion"] for entry in json.loads(running.stdout.readline())["added"]]
 
     assert conclusions() == ["rejected"]
-    (inbox / "second.zarr").mkdir()
-    (inbox / "second.zarr" / "zarr.json").write_text("{}", encoding="utf-8")
+    (inbox / "copied.zarr").mkdir()  # cannot be read yet
+    others = readings.with_field(2.0 * readings.field_sensor_T)
+    Session(of_another, others, "another rig", "2026-01-02T00:00:00+00:00").save(inbox / "second.zarr")
     deadline = time.monotonic() + 30.0
     found: list[Any] = []
     while not found and time.monotonic() < deadline:
@@ -184,4 +239,7 @@ def test_the_running_service_looks_again_and_ends_cleanly(
     os.kill(running.pid, number)
     _, errors = running.communicate(timeout=30)
     assert running.returncode == 0
-    assert errors == "coilcal: stopped\n"
+    *waiting, stopped = errors.splitlines()
+    assert stopped == "coilcal: stopped"
+    assert len(waiting) == 1  # said once, however often it was looked at
+    assert "copied.zarr is left for the next time: it cannot be read and changed" in waiting[0]

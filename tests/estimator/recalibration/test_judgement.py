@@ -1,0 +1,162 @@
+"""What makes a successor of a fit: it must predict better, be sampled to its targets, and be younger than what it replaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from estimator.calibrate import calibrate
+from estimator.calibration import Calibration
+from estimator.diagnosis.gain import Gain
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.plan import Plan
+from estimator.recalibration import judgement
+from estimator.recalibration.judgement import Judgement, judge
+from estimator.recalibration.stored import stored_log_density
+from estimator.rig import Rig
+from estimator.simulate import simulate
+from estimator.store.session import Session
+
+TOO_FEW_STEPS = SamplerSettings(n_walkers=16, target_ess=1e6, max_steps=100)
+
+
+@pytest.fixture(scope="module")
+def mounted_anew(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> Session:
+    truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.0405}
+    return Session(small_rig, simulate(small_rig, small_plan, truth, seed=7), "simulated")
+
+
+@pytest.fixture
+def is_sampled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """One entry for each time that a successor was sampled; none is."""
+    asked: list[bool] = []
+
+    def sampled(*_: object) -> Calibration:
+        asked.append(True)
+        raise AssertionError("must not be sampled")
+
+    monkeypatch.setattr(judgement, "_sampled", sampled)
+    return asked
+
+
+def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
+    mounted_anew: Session,
+    small_rig: Rig,
+    small_calibration: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
+    is_sampled: list[bool],
+) -> None:
+    real = judgement.gain
+
+    def small_gain(*arguments: object) -> Gain:
+        return replace(real(*arguments), elpd_difference=1.9, elpd_se=1.0)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(judgement, "gain", small_gain)
+    found = judge(mounted_anew, small_rig, small_calibration, seed=1)
+    assert (found.conclusion, found.calibration, found.agrees) == ("unchanged", None, False)
+    assert found.reason.startswith(
+        "disagrees with the current version (p < 0.0001); the new fit does not predict"
+    )
+    assert not is_sampled
+
+
+def test_readings_that_are_too_old_to_replace_are_judged_and_lead_to_no_successor(
+    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, is_sampled: list[bool]
+) -> None:
+    found = judge(mounted_anew, small_rig, small_calibration, may_replace=False, seed=1)
+    assert (found.conclusion, found.calibration, found.agrees) == ("unchanged", None, False)
+    assert "coil1.world_from_coil0.z moved by" in found.reason
+    assert not is_sampled
+
+
+def test_a_successor_that_did_not_converge_does_not_replace_and_it_is_said(
+    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration
+) -> None:
+    found = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=TOO_FEW_STEPS)
+    assert (found.conclusion, found.calibration) == ("unchanged", None)
+    assert found.checks["is_successor_converged"] is False
+    assert "but its posterior did not converge (" in found.reason
+    assert found.reason.endswith(": the current version stays")
+
+
+def test_a_first_calibration_that_did_not_converge_is_kept_for_there_is_no_other_and_it_is_said(
+    small_session: Session, small_rig: Rig
+) -> None:
+    found = judge(small_session, small_rig, None, seed=1, settings=TOO_FEW_STEPS)
+    assert found.calibration is not None
+    assert found.checks["is_successor_converged"] is False
+    assert found.reason.startswith("first calibration; its posterior did not converge (")
+    assert found.reason.endswith("intervals are provisional")
+
+
+def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
+    mounted_anew: Session,
+    small_rig: Rig,
+    small_calibration: Calibration,
+    small_settings: SamplerSettings,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def gone_astray(*arguments: object) -> Calibration:
+        del arguments
+        draws = dict(small_calibration.draws)
+        draws["coil1.world_from_coil0.z_m"] = draws["coil1.world_from_coil0.z_m"] - 5e-3
+        return replace(small_calibration, draws=draws)
+
+    monkeypatch.setattr(judgement, "_sampled", gone_astray)
+    found: Judgement = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=small_settings)
+    assert (found.conclusion, found.calibration) == ("unchanged", None)
+    assert "its sampled posterior predicts them worse (log density -" in found.reason
+
+
+def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
+    small_calibration: Calibration, small_session: Session
+) -> None:
+    unseen = small_session.observations.validation
+    best = small_calibration.best_values()
+    draws = {name: torch.full((4, 5), float(best[name])).numpy() for name in small_calibration.draws}
+    sharp = replace(small_calibration, draws=draws, log_prob=torch.zeros(4, 5).numpy())
+    field_T = sharp.room(torch.zeros(len(unseen), 3, dtype=torch.float64), {"arm1": unseen.motion["arm1"]})
+    predicted_T = field_T.field_T(best, unseen.current_A[0])
+    noise = torch.distributions.Normal(predicted_T, 5e-6)
+    wanted = noise.log_prob(unseen.field_sensor_T).sum(1)
+    assert torch.allclose(stored_log_density(sharp, unseen), wanted, rtol=1e-6)
+
+
+def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
+    mounted_anew: Session,
+    small_rig: Rig,
+    small_calibration: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object) -> Rig:
+        raise InvalidInput("the rig of version 1 cannot be widened")
+
+    monkeypatch.setattr(judgement, "widened_rig", refuse)
+    with pytest.raises(InvalidInput, match="cannot be widened"):
+        judge(mounted_anew, small_rig, small_calibration, seed=1)
+
+
+def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
+    small_session: Session,
+    small_rig: Rig,
+    small_plan: Plan,
+    small_truth: dict[str, float],
+    small_calibration: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[SamplerSettings] = []
+
+    def calibrated(_: Session, rig: Rig, *, settings: SamplerSettings, **__: object) -> Calibration:
+        asked.append(settings.for_rig(len(rig.free)))
+        return small_calibration
+
+    assert calibrate is judgement.calibrate
+    monkeypatch.setattr(judgement, "calibrate", calibrated)
+    readings = simulate(small_rig, small_plan, small_truth, 4, {"background_field.x_T": 20e-6})
+    drifted = replace(small_session, observations=readings)
+    found = judge(drifted, small_rig, small_calibration, seed=1, settings=SamplerSettings(n_walkers=6))
+    assert found.conclusion == "drifted"
+    assert asked[0].n_walkers >= 12
