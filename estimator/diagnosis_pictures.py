@@ -72,12 +72,12 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
     taken = [step for step in diagnosis.search.steps if step.taken is not None]
     if len(taken) < LEAST_STEPS:
         return
-    rival = {step.taken: next(r for r in step.rivals if r.cause == step.taken) for step in taken}
+    rivals = [next(r for r in step.rivals if r.cause == step.taken) for step in taken]
     fits = [diagnosis.search.base, *(step.winner for step in taken)]
     figure = plots.ladder(
-        [diagnosis.label(cause) for cause in rival if cause is not None],
+        [diagnosis.label(one.cause) for one in rivals if one.cause is not None],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
-        [one.log_bayes_factor for one in rival.values()],
+        [one.log_bayes_factor for one in rivals],
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)

@@ -10,6 +10,7 @@ import pytest
 
 from estimator.diagnose import diagnose
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
+from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import Diagnosis
 from estimator.diagnosis_report import diagnosis_report
 from estimator.rig import Cause, Rig
@@ -74,3 +75,14 @@ def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Di
     (one,) = diagnosis.causes
     found = as_text(replace(diagnosis, causes=(replace(one, alternatives=(other,)),)))
     assert "could as well be axis_gain (25%)." in found
+
+
+def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
+    """Taken, dropped, and taken again when others had been found."""
+    first, *rest = diagnosis.search.steps
+    again = replace(diagnosis.search, steps=(first, first, *rest))
+    (ladder,) = [
+        p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
+    ]
+    labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
+    assert labels[1] == labels[2] == f"+ {diagnosis.label(first.taken)}"
