@@ -141,7 +141,10 @@ class Diagnosis:
                 value = float(self.fit.values[name])
                 sd = self.fit.value_sd(name) if parameter.is_free else 0.0
                 ends = [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd]
-                result[name[len(prefix) :]] = self._widened(name, value, sd, ends, parameter.unit)
+                own = self._widened(name, value, sd, ends, parameter.unit)
+                if (prior := parameter.prior) is not None:
+                    own["ci90"] = [min(max(end, prior.lower), prior.upper) for end in own["ci90"]]
+                result[name[len(prefix) :]] = own
         return result
 
     def _widened(

@@ -85,7 +85,9 @@ class Normal(Prior):
 
     @property
     def log_normaliser(self) -> float:
-        return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi)
+        ends = [(bound - self.mean) / self.standard_deviation for bound in (self.lower, self.upper)]
+        share = float(stats.norm.cdf(ends[1]) - stats.norm.cdf(ends[0]))
+        return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(share)
 
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import yaml
 
 from estimator.diagnosis.fitting import Fit
@@ -50,9 +52,10 @@ def _entry(parameter: Parameter, value: float) -> object:
 
 
 def _prior(prior: Prior) -> dict[str, dict[str, float]]:
+    bounds = {key: end for key, end in (("lower", prior.lower), ("upper", prior.upper)) if math.isfinite(end)}
     if isinstance(prior, Normal):
-        return {"normal": {"mean": prior.mean, "sd": prior.standard_deviation}}
+        return {"normal": {"mean": prior.mean, "sd": prior.standard_deviation, **bounds}}
     if isinstance(prior, LogNormal):
-        return {"log_normal": {"median": prior.median, "relative_sd": prior.relative_sd}}
+        return {"log_normal": {"median": prior.median, "relative_sd": prior.relative_sd, **bounds}}
     assert isinstance(prior, Uniform)
-    return {"uniform": {"lower": prior.lower, "upper": prior.upper}}
+    return {"uniform": bounds}

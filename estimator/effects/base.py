@@ -67,6 +67,11 @@ def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
     return Quantity(key, unit, Normal(null, sd), null)
 
 
+def at_least_zero(key: str, unit: str, sd: float) -> Quantity:
+    """A quantity that nature knows with one sign only, half-normal above zero."""
+    return Quantity(key, unit, Normal(0.0, sd, lower=0.0))
+
+
 def triple(keys: Iterable[str], suffix: str, unit: str, sd: float) -> tuple[Quantity, ...]:
     """Quantities alike but for their first letters: `triple("xyz", "_T", "T", 1e-5)`."""
     return tuple(normal(f"{key}{suffix}", unit, sd) for key in keys)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, normal, shape, triple
+from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, shape, triple
 from estimator.effects.scene import Extent, Scene
 from estimator.units import MU0_T_M_PER_A
 
@@ -69,7 +69,7 @@ class IronPlate(RoomEffect):
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Strength of image and shield, direction from the world's origin to the plane, and its distance."""
         return (
-            normal("strength", "1", 0.5),
+            at_least_zero("strength", "1", 0.5),
             shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
             shape("elevation_rad", "rad", -math.pi, math.pi),
             shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
@@ -147,7 +147,7 @@ class IronBody(RoomEffect):
         """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
         ends = 8.0 * extent.reach_m
         return (
-            normal("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
+            at_least_zero("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
             *(shape(f"{axis}_m", "m", -ends, ends) for axis in "xyz"),
         )
 
