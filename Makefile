@@ -79,7 +79,7 @@ bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyr
 	$(RUN) pip install -e '.[bench]'
 	$(BIN)/python scripts/benchmark.py --repeats 3 --numpyro
 
-figures: $(INSTALLED)     # pictures in docs/figures, from demo/, out/real and out/paper
+figures: $(INSTALLED)     # pictures in docs/figures, from demo/, out/real, out/diagnosis and out/paper
 	$(BIN)/python scripts/figures.py
 
 # Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the

@@ -19,6 +19,7 @@ from real_data import DATA_SETS, DataSet
 
 from estimator import diagnose, load_rig
 from estimator.calibration import write_text
+from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import REPORT
 from estimator.diagnosis_report import diagnosis_report
 from estimator.store.importers import IMPORTERS
@@ -76,6 +77,9 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
     write_text(
         out / data_set.name / REPORT, diagnosis_report(found, f"scripts/diagnose_real.py {data_set.name}")
     )
+    for picture in pictures(found):
+        name = picture.title.lower().replace(",", "").replace(" ", "_")
+        picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
     print(f"  verdict: {record['verdict']}; left: {record['unexplained']}")
     for cause in record["causes"]:
         others = [other["name"] for other in cause["alternatives"]]

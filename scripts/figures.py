@@ -1,4 +1,4 @@
-"""Pictures in docs/figures, from what `make demo`, `make real` and `make paper` left behind."""
+"""Pictures in docs/figures, from what `make demo`, `make real`, `make diagnose-real` and `make paper` left behind."""
 
 from __future__ import annotations
 
@@ -29,6 +29,14 @@ WANTED = {
     },
     "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
 }
+DIAGNOSED = {
+    f"{run}_{short}": f"out/diagnosis/mice-{run}/{name}.png"
+    for run, coil in (("run07", "m1"), ("run05", "m2"))
+    for short, name in (
+        ("left", f"residual_around_{coil}_before_and_after"),
+        ("ladder", "what_each_cause_brought"),
+    )
+}
 PAPER = (
     "interactions",
     "valley",
@@ -52,12 +60,13 @@ def main() -> None:
         for file, title in names.items():
             drawn[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
             print(folder / f"{file}.png")
-    for name in PAPER:
-        drawn_before = ROOT / f"out/paper/{name}.png"
-        if drawn_before.exists():
-            print(shutil.copyfile(drawn_before, folder / f"paper_{name}.png"))
+    copies = {f"paper_{name}": f"out/paper/{name}.png" for name in PAPER}
+    copies |= {f"mice_{name}": path for name, path in DIAGNOSED.items()}
+    for name, path in copies.items():
+        if (ROOT / path).exists():
+            print(shutil.copyfile(ROOT / path, folder / f"{name}.png"))
         else:
-            print(f"{drawn_before} is not there; its copy stays as it is", file=sys.stderr)
+            print(f"{path} is not there; its copy stays as it is", file=sys.stderr)
 
 
 if __name__ == "__main__":
