@@ -6,7 +6,7 @@ given a normal prior that weakens with the order. Their evidence competes with t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -67,6 +67,13 @@ class Discrepancy:
     by_family: dict[str, float]
     rms_sigma: float
     columns: Float[Tensor, "component column"]
+
+    def weighed(self, weight: Float[Tensor, " component"]) -> Discrepancy:
+        """The same where each component weighs so many times what it did; as large as before in units of the noise."""
+        amplitude = self.columns.square().sum(1).mean().sqrt()
+        return replace(
+            self, columns=amplitude * Family.of(self.family, self.columns * weight[:, None]).columns
+        )
 
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:

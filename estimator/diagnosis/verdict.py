@@ -119,8 +119,8 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     Of a few causes each is judged by a fit without it, of many to first order about the last fit.
     """
     final = search.final
-    whole = search.whole.columns * final.weight_over(search.base)[:, None]
-    columns = torch.cat((whole, search.steps[-1].left.columns), dim=1)
+    whole = search.whole.weighed(final.weight_over(search.base))
+    columns = torch.cat((whole.columns, search.steps[-1].left.columns), dim=1)
     if len(named) > MOST_REFITTED:
         return [c for c in named if final.log_evidence_for(c.cause, columns) > 2.0 * LEAST_LOG_ODDS]
     kept = []
