@@ -32,10 +32,10 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
     residuals = [_residual_T(fit) for fit in (before, after)]
     is_extended = bool(after.rig.effects)
     rig = diagnosis.rig
-    for i, (name, place_m) in enumerate(list(sensor_in_coils(after).items())[:MOST_COILS]):
-        is_on = (after.observations.current_A[:, i] != 0.0).numpy()
-        if not is_on.any():
-            continue
+    is_powered = (after.observations.current_A != 0.0).numpy()
+    powered = [found for found in enumerate(sensor_in_coils(after).items()) if is_powered[:, found[0]].any()]
+    for i, (name, place_m) in powered[:MOST_COILS]:
+        is_on = is_powered[:, i]
         winding = winding_of(after.rig, after.rig.coils[i], after.values)
         sigma_T = _sigma_T(after)
         one_sigma = float(sigma_T.max()) if np.ptp(sigma_T) < 1e-12 else None
