@@ -19,6 +19,7 @@ from real_data import DATA_SETS, DataSet
 
 from estimator import diagnose, load_rig
 from estimator.calibration import write_text
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import REPORT
 from estimator.diagnosis_report import diagnosis_report
@@ -99,6 +100,15 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
         print(f"  log predictive density {record['elpd_difference']:+.0f} +- {record['elpd_se']:.0f}")
         moved = {name: round(value, 1) for name, value in record["moved_sd"].items() if abs(value) > 2.0}
         print(f"  moved by more than two standard deviations: {moved}")
+    for words, fit in (("before", found.plain), ("after", found.fit)):
+        print(f"  coils against their drawing, {words}: {against_prior(fit)}")
+
+
+def against_prior(fit: Fit) -> dict[str, float]:
+    """Free numbers of the coils by how many widths of the prior they are off its centre."""
+    coils = {coil.name for coil in fit.rig.coils}
+    own = [p for p in fit.rig.free if p.name.partition(".")[0] in coils]
+    return {p.name: round(p.prior.distance(float(fit.values[p.name])), 2) for p in own if p.prior is not None}
 
 
 if __name__ == "__main__":

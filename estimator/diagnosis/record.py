@@ -26,9 +26,7 @@ from estimator.rig import Cause, Rig
 MOST_FITS = 6
 MOST_FAULTS = 3
 MOST_READINGS = 100  # for the comparison of all starts
-MOST_LOST_ON_FEW = (
-    3.0  # log evidence on these readings, against no mistake, of one that is worth a fit to all
-)
+MOST_LOST_ON_FEW = 3.0  # log evidence on these, against no mistake, of one that is worth a fit to all
 LOG_PRIOR_FAULT = math.log(1e-3)
 EXPECTED_NOISE, EXPECTED_VALUE = (
     2.5,

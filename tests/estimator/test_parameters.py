@@ -143,3 +143,12 @@ def test_parameter_is_free_exactly_where_it_has_a_prior():
     assert Parameter("a", "m", 1.0, prior=Normal(1.0, 1.0)).is_free
     assert not Parameter("a", "m", 1.0).is_free
     assert not Parameter("a", "m", 1.0, tie=Tie("b", 2.0)).is_free
+
+
+@pytest.mark.parametrize(
+    "prior", [Normal(0.0, 2.0), Normal(0.0, 2.0, lower=0.0), Normal(1.0, 2.0, lower=0.0, upper=2.5)]
+)
+def test_density_of_a_normal_prior_integrates_to_one_however_it_is_truncated(prior):
+    value = torch.linspace(-30.0, 30.0, 600_001, dtype=torch.float64)
+    density = torch.exp(prior.log_density(value) + prior.log_normaliser)
+    assert float(torch.trapezoid(density, value)) == pytest.approx(1.0, abs=1e-4)

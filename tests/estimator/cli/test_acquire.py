@@ -123,13 +123,18 @@ def is_off(folder: Path) -> bool:
         return abs(devices.sources["coil1"].read_current_A(timeout_s=2.0).value) < 1e-3
 
 
+def copy_without_devices(folder: Path, to: Path) -> None:
+    """The files of a rig none of whose ports is there."""
+    text = (folder / "devices.yaml").read_text()
+    (to / "devices.yaml").write_text(text.replace("/dev/pts/", "/dev/none/"), encoding="utf-8")
+    for name in ("rig.yaml", "plan.yaml"):
+        (to / name).write_text((folder / name).read_text(), encoding="utf-8")
+
+
 def test_the_plan_and_its_times_are_shown_without_touching_anything(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:
-    text = (folder / "devices.yaml").read_text()
-    (tmp_path / "devices.yaml").write_text(text.replace("/dev/pts/", "/dev/none/"), encoding="utf-8")
-    for name in ("rig.yaml", "plan.yaml"):
-        (tmp_path / name).write_text((folder / name).read_text(), encoding="utf-8")
+    copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     result = run(*call(tmp_path, out, "--dry-run"))
     assert result.exit_code == 0, result.stderr
@@ -170,10 +175,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
 def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_are_not_opened(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:
-    text = (folder / "devices.yaml").read_text()
-    (tmp_path / "devices.yaml").write_text(text.replace("/dev/pts/", "/dev/none/"), encoding="utf-8")
-    for name in ("rig.yaml", "plan.yaml"):
-        (tmp_path / name).write_text((folder / name).read_text(), encoding="utf-8")
+    copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     header = new_header(load_rig(folder / "rig.yaml"), "a test", "plan", {})
     with Journal.create(out, header):
