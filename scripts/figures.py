@@ -31,7 +31,7 @@ WANTED = {
 }
 DIAGNOSED = {
     f"{run}_{short}": f"out/diagnosis/mice-{run}/{name}.png"
-    for run, coil in (("run07", "m1"), ("run05", "m2"))
+    for run, coil in (("run07", "m1"), ("run05", "m2"), ("run03", "e1"))
     for short, name in (
         ("left", f"residual_around_{coil}_before_and_after"),
         ("ladder", "what_each_cause_brought"),

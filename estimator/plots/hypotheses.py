@@ -89,7 +89,8 @@ def ladder(
     ax = axes(ax, 6.4, 1.2 + 0.26 * len(rms_T))
     for row, value_T in enumerate(rms_T):
         ax.barh(row, 1e6 * value_T, color=BLUE if row else GREY, height=0.7)
-        says = f"  {1e6 * value_T:.3g} µT" + (f", log evidence +{evidence[row - 1]:.0f}" if row else "")
+        shown = f"{1e6 * value_T:.3g}" if value_T < 1e-3 else f"{1e6 * value_T:.0f}"
+        says = f"  {shown} µT" + (f", log evidence +{evidence[row - 1]:.0f}" if row else "")
         ax.annotate(says, (1e6 * value_T, row), va="center", ha="left", fontsize=8)
     labels = ["as described", *(f"+ {name}" for name in names)]
     ax.set_yticks(range(len(rms_T)), [plain(label) for label in labels])

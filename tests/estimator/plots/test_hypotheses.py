@@ -82,3 +82,5 @@ def test_ladder_tells_what_was_left_after_each_cause_in_order():
     assert [bar.get_width() for bar in ax.patches] == pytest.approx([40.0, 25.0, 20.0])
     said = [text.get_text().strip() for text in ax.texts]
     assert said == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
+    large = ladder(["iron_plate[room]"], [4.25e-3, 2.9e-3], [604.0])
+    assert [text.get_text().strip() for text in large.texts] == ["4250 µT", "2900 µT, log evidence +604"]
