@@ -59,7 +59,9 @@ class Symptoms:
         size = self.lack_of_fit
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would leave {size.noise_T * 1e6:.3g} µT ({source})"
-        verdict = "more than noise may leave" if size.p_value < SIGNIFICANT else "no more than noise may leave"
+        verdict = (
+            "more than noise may leave" if size.p_value < SIGNIFICANT else "no more than noise may leave"
+        )
         found = [f"The residual is {against}: {verdict} (p = {_p(size.p_value)})."]
         striking = [one for one in self.structure if one.p_value < SIGNIFICANT]
         if striking:
