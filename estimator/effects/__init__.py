@@ -5,6 +5,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 
 from estimator.effects.base import Effect
+from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
     AxesSwapped,
@@ -34,7 +35,7 @@ from estimator.effects.sensor import (
     TemperatureDrift,
 )
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField, IronBody, IronPlate
+from estimator.effects.surroundings import BackgroundDrift, BackgroundField
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -71,6 +72,7 @@ EFFECTS: dict[str, Effect] = {
         BackgroundField(),
         BackgroundDrift(),
         IronPlate(),
+        PiercedPlate(),
         IronBody(),
         LeftHanded(),
         DisplacementFrameError(),

@@ -133,7 +133,7 @@ def test_declaration_is_complete(name):
 
 def test_names_are_those_that_other_scripts_rely_on():
     stable = """current_gain current_offset coil_heating axial_pitch radial_pitch turns_gradient short_layer coil_ovality lead_wire iron_core
-    core_saturation background_field background_drift iron_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
+    core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
     sensor_misplaced"""

@@ -59,6 +59,15 @@ SOURCES = {
     "background_field": {"x_T": 1e-5, "z_T": 4e-5},
     "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
     "iron_plate": {"strength": 0.4, "azimuth_rad": 0.7, "elevation_rad": -0.4, "distance_m": 0.12},
+    "pierced_plate": {
+        "strength": 0.8,
+        "azimuth_rad": 0.7,
+        "elevation_rad": -0.4,
+        "x_m": 0.05,
+        "y_m": 0.04,
+        "z_m": -0.04,
+        "radius_m": 0.03,
+    },
     "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years

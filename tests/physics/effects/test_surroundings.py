@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import magpylib
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from estimator.units import MU0_T_M_PER_A
 from tests.physics.effects.laboratory import (
     POINTS_M,
-    RIG,
     added_T,
-    assert_same_field,
-    dipole_T,
-    polyline_T,
-    predicted_T,
     readings,
-    winding,
 )
 
 ONE = readings(POINTS_M, (1.0, 0.0))
@@ -58,113 +49,3 @@ def test_background_drift_is_zero_at_the_beginning_of_the_session_not_of_its_par
     kept = part.rows(part.time_s >= 1800.0)
     found = added_T(kept, {"background_drift[room]": {"z_T_per_h": 1e-5}})[:, 2]
     np.testing.assert_allclose(found, 1e-5 * time_s[3:] / 3600.0, rtol=1e-9, atol=1e-18)
-
-
-AZIMUTH, ELEVATION, DISTANCE_M = 0.7, -0.4, 0.11
-ACROSS = np.array(
-    [
-        np.cos(ELEVATION) * np.cos(AZIMUTH),
-        np.cos(ELEVATION) * np.sin(AZIMUTH),
-        np.sin(ELEVATION),
-    ]
-)
-PLATE = {"strength": 1.0, "azimuth_rad": AZIMUTH, "elevation_rad": ELEVATION, "distance_m": DISTANCE_M}
-
-
-def mirrored(points_m: np.ndarray) -> np.ndarray:
-    return points_m - 2.0 * ((points_m @ ACROSS) - DISTANCE_M)[:, None] * ACROSS
-
-
-def image_T(points_m: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
-    """Mirrored wires; what runs along the plate keeps its direction in the image, what runs towards it is reversed."""
-    phi = np.linspace(0.0, 2.0 * np.pi, 361)
-    loops = winding()
-    total = np.zeros_like(points_m)
-    for a, z in zip(loops.radius_m, loops.height_m, strict=True):
-        wire_m = np.stack((a * np.cos(phi), a * np.sin(phi), np.full_like(phi, z)), axis=1) + shift_m
-        total += polyline_T(mirrored(wire_m), points_m)
-    return total
-
-
-@pytest.mark.parametrize("strength", [1.0, 0.25, -0.5])
-def test_iron_plate_adds_the_field_of_image_currents(strength):
-    """Polygons of 360 sides differ from circles by 1e-4."""
-    found = added_T(ONE, {"iron_plate[room]": {**PLATE, "strength": strength}})
-    assert_same_field(found, strength * image_T(POINTS_M, np.zeros(3)), 2e-4)
-
-
-def test_field_at_a_plate_of_soft_iron_stands_upright_on_it():
-    flat = np.linalg.svd(ACROSS[None])[2][1:]
-    on_plate_m = DISTANCE_M * ACROSS + np.random.default_rng(2).normal(0.0, 0.05, (8, 2)) @ flat
-    just_before_m = on_plate_m - 1e-12 * ACROSS
-    field = predicted_T(readings(just_before_m, (1.0, 0.0)), {"iron_plate[room]": PLATE})
-    alone = winding().field_T(on_plate_m)
-    assert np.abs(field @ flat.T).max() < 1e-9 * np.abs(field).max()
-    np.testing.assert_allclose(field @ ACROSS, 2.0 * (alone @ ACROSS), rtol=1e-9)
-
-
-def test_behind_a_sheet_of_iron_the_share_passes_that_is_not_reflected_and_the_field_along_the_sheet_is_continuous():
-    """No current flows in the sheet, so the tangential field is the same on both sides; the flux that is missing runs in the sheet."""
-    flat = np.linalg.svd(ACROSS[None])[2][1:]
-    at_m = DISTANCE_M * ACROSS + np.random.default_rng(2).normal(0.0, 0.05, (8, 2)) @ flat
-    sheet = {"iron_plate[room]": {**PLATE, "strength": 0.3}}
-    front, behind = (predicted_T(readings(at_m + side * ACROSS, (1.0, 0.0)), sheet) for side in (-1e-9, 1e-9))
-    np.testing.assert_allclose(behind, 0.7 * winding().field_T(at_m), rtol=1e-6)
-    np.testing.assert_allclose(front @ flat.T, behind @ flat.T, rtol=1e-6, atol=1e-6 * np.abs(front).max())
-    assert np.abs((front - behind) @ ACROSS).min() > 0.1 * np.abs(front @ ACROSS).min()
-
-
-CARRIED = (
-    RIG.replace("  coil: {radius_mm", "  coil: {carried_by: arm, radius_mm")
-    .replace("{mapper: {motion: pose}}", "{arm: {motion: displacement}}")
-    .replace("carried_by: mapper, noise", "noise")
-)
-
-
-def test_image_follows_the_coil_that_moves():
-    shifts_m = np.array([[0.0, 0.01, -0.04], [0.02, 0.0, -0.05], [-0.01, 0.02, -0.06]])
-    moved = readings(shifts_m, (1.0, 0.0), mover="arm")
-    expected = np.concatenate([image_T(np.zeros((1, 3)), shift_m) for shift_m in shifts_m])
-    assert_same_field(added_T(moved, {"iron_plate[room]": PLATE}, CARRIED), expected, 2e-4)
-
-
-BODY_M, BALL_M = np.array([0.05, -0.06, 0.03]), 0.012
-BODY = {"volume_m3": BALL_M**3, "x_m": BODY_M[0], "y_m": BODY_M[1], "z_m": BODY_M[2]}
-
-
-def test_iron_body_answers_as_the_dipole_that_a_ball_of_iron_becomes():
-    """A ball of large permeability in a field B0 has the moment 4 pi a^3 B0 / mu0 (Jackson, section 5.11)."""
-    moment = 4.0 * np.pi * BALL_M**3 / MU0_T_M_PER_A * winding().field_T(BODY_M[None])[0]
-    assert_same_field(added_T(ONE, {"iron_body[room]": BODY}), dipole_T(moment, BODY_M, POINTS_M))
-
-
-def test_iron_body_answers_every_coil_by_its_current():
-    both, first, second = (
-        added_T(readings(POINTS_M, current_A), {"iron_body[room]": BODY})
-        for current_A in ((2.0, -3.0), (2.0, 0.0), (0.0, -3.0))
-    )
-    assert_same_field(both, first + second, 1e-9)
-    assert (np.linalg.norm(second, axis=1) > 1e-2 * np.linalg.norm(first, axis=1)).all()
-
-
-def test_flux_at_the_poles_of_a_small_ball_of_iron_is_three_times_the_field():
-    """And none runs along its surface at the equator."""
-    radius_m = 1e-4
-    field = winding().field_T(BODY_M[None])[0]
-    along = field / np.linalg.norm(field)
-    across = np.linalg.svd(along[None])[2][1]
-    surface_m = BODY_M + radius_m * np.stack((along, -along, across))
-    ball = {**BODY, "volume_m3": radius_m**3}
-    total = predicted_T(readings(surface_m, (1.0, 0.0)), {"iron_body[room]": ball})
-    np.testing.assert_allclose(total @ along / np.linalg.norm(field), [3.0, 3.0, 0.0], rtol=0.0, atol=0.02)
-
-
-def test_iron_body_answers_the_coil_where_it_stands_now():
-    shifts_m = np.array([[0.0, 0.01, -0.04], [0.02, 0.0, -0.05]])
-    moved = readings(shifts_m, (1.0, 0.0), mover="arm")
-    expected = []
-    for shift_m in shifts_m:
-        at_body = winding().field_T((BODY_M - shift_m)[None])[0]
-        moment = 4.0 * np.pi * BALL_M**3 / magpylib.mu_0 * at_body
-        expected.append(dipole_T(moment, BODY_M, np.zeros((1, 3)))[0])
-    assert_same_field(added_T(moved, {"iron_body[room]": BODY}, CARRIED), np.array(expected), 1e-8)

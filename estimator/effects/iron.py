@@ -1,0 +1,242 @@
+"""Iron in the room that answers the coils: a plate, a plate with an opening, a small piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, shape
+from estimator.effects.scene import Extent, Scene
+from estimator.field.opening import RING, through_opening
+
+QUARTER_TURN = 0.5 * math.pi
+THIRDS_OF_A_TURN = (0.0, 2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0)
+ALONG_AXES = ((0.0, 0.0), (QUARTER_TURN, 0.0), (0.0, QUARTER_TURN))  # azimuth and elevation
+LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a plate to stand between them
+BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
+WIDER = 1.3  # than the places beside the axis: an opening to start from
+LEAST_OPENING = 1e-3  # of the reach
+
+
+class IronPlate(RoomEffect):
+    """A large plate of iron mirrors the coils and shields what is behind it."""
+
+    name: ClassVar[str] = "iron_plate"
+    words: ClassVar[str] = "a plate of iron mirrors the coils"
+    source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Strength of the image, direction from the world's origin to the plane, and its distance."""
+        return (
+            at_least_zero("strength", "1", 0.5),
+            *_direction(),
+            shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
+        )
+
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Planes across the world's axes, behind whatever stands there."""
+        starts = []
+        opposite = tuple((azimuth + 2.0 * QUARTER_TURN, -elevation) for azimuth, elevation in ALONG_AXES)
+        for azimuth, elevation in ALONG_AXES + opposite:
+            farthest_m = float((scene.places_m @ _unit(azimuth, elevation)).max())
+            starts += [
+                {
+                    "azimuth_rad": azimuth,
+                    "elevation_rad": elevation,
+                    "distance_m": farthest_m + gap * scene.reach_m,
+                }
+                for gap in (0.3, 1.0)
+            ]
+        return tuple(starts)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch place 3"]:
+        """In front the image of the coil, behind so much less of its field."""
+        across = _across(theta)
+        depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
+        coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
+        return theta["strength"][..., None, None] * _sheet(per_ampere, points_m, across, depth_m, coil_m)
+
+
+class PiercedPlate(RoomEffect):
+    """A large plate of iron with a round opening, through which sensors reached both of its sides."""
+
+    name: ClassVar[str] = "pierced_plate"
+    words: ClassVar[str] = "a plate of iron with a round opening stands between the readings"
+    source: ClassVar[str] = (
+        "near 1 for end plates and yokes of steel; the approximations of the model cost some 10 %"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of a perfect plate, direction across the plane, and middle and radius of the opening."""
+        ends_m = 8.0 * extent.reach_m
+        return (
+            at_least_zero("strength", "1", 1.0),
+            *_direction(),
+            *(shape(f"{axis}_m", "m", -ends_m, ends_m) for axis in "xyz"),
+            shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),
+        )
+
+    def concerns(self, scene: Scene, place: str) -> bool:
+        """Where places of sensors lie apart."""
+        return float(_spread_m(scene).max()) > LEAST_BETWEEN * scene.reach_m
+
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Planes across the world's axes between the places of sensors, open as wide as these lie about their middle."""
+        starts = []
+        places_m = scene.sensor_places_m
+        for (azimuth, elevation), distance_m in self._between(scene):
+            unit = _unit(azimuth, elevation)
+            beside_m = places_m - (places_m @ unit)[:, None] * unit
+            middle_m = 0.5 * (beside_m.min(0).values + beside_m.max(0).values) + distance_m * unit
+            wide_m = float((beside_m - middle_m + distance_m * unit).norm(dim=-1).max())
+            starts.append(
+                {
+                    "azimuth_rad": azimuth,
+                    "elevation_rad": elevation,
+                    **{f"{axis}_m": float(middle) for axis, middle in zip("xyz", middle_m, strict=True)},
+                    "radius_m": max(WIDER * wide_m, 2.0 * LEAST_OPENING * scene.reach_m),
+                }
+            )
+        return tuple(starts)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch place 3"]:
+        """A plate without opening, and what the opening lets through (see `through_opening`)."""
+        across = _across(theta)
+        middle_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
+        depth_m = ((points_m - middle_m) * across).sum(-1)
+        coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
+        towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
+        middle_T, *ring_T = (
+            (per_ampere.at(at_m + torch.zeros_like(per_ampere.position_m)) * towards_coil).sum(-1)
+            for at_m in (middle_m, *self._ring_m(middle_m, across, theta["radius_m"]))
+        )
+        mean_T = torch.stack(ring_T).mean(0)
+        leak = through_opening(points_m - middle_m, towards_coil, theta["radius_m"], mean_T, middle_T)
+        return theta["strength"][..., None, None] * (
+            _sheet(per_ampere, points_m, across, depth_m, coil_m) + leak
+        )
+
+    def _ring_m(
+        self,
+        middle_m: Float[Tensor, "*#batch 1 3"],
+        across: Float[Tensor, "*#batch 1 3"],
+        radius_m: Float[Tensor, "*#batch"],
+    ) -> tuple[Float[Tensor, "*batch 1 3"], ...]:
+        """Points over which the field in the opening is averaged: a third of a turn apart, so that slopes and saddles cancel."""
+        axes = torch.eye(3, dtype=across.dtype)
+        along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
+        along = along / along.norm(dim=-1, keepdim=True)
+        other = torch.linalg.cross(across, along)
+        ring_m = RING * radius_m[..., None, None]
+        return tuple(
+            middle_m + ring_m * (math.cos(turn) * along + math.sin(turn) * other) for turn in THIRDS_OF_A_TURN
+        )
+
+    def _between(self, scene: Scene) -> Iterator[tuple[tuple[float, float], float]]:
+        """Direction and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
+        spread_m, lowest_m = _spread_m(scene), scene.sensor_places_m.min(0).values
+        least_m = min(float(spread_m.max()), LEAST_BETWEEN * scene.reach_m)
+        for direction, low, spread in zip(ALONG_AXES, lowest_m.tolist(), spread_m.tolist(), strict=True):
+            if spread >= least_m:
+                yield from ((direction, low + share * spread) for share in BETWEEN)
+
+
+def _spread_m(scene: Scene) -> Float[Tensor, "3"]:
+    """How far places of sensors lie apart, along each axis of the world."""
+    places_m = scene.sensor_places_m
+    return places_m.max(0).values - places_m.min(0).values
+
+
+def _direction() -> tuple[Quantity, Quantity]:
+    return (
+        shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
+        shape("elevation_rad", "rad", -math.pi, math.pi),
+    )
+
+
+def _unit(azimuth_rad: float, elevation_rad: float) -> Float[Tensor, "3"]:
+    turned = {"azimuth_rad": azimuth_rad, "elevation_rad": elevation_rad}
+    return _across({key: torch.tensor(value, dtype=torch.float64) for key, value in turned.items()})[0]
+
+
+def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
+    """Unit vector across the plane."""
+    azimuth, elevation = theta["azimuth_rad"], theta["elevation_rad"]
+    return torch.stack(
+        (
+            torch.cos(elevation) * torch.cos(azimuth),
+            torch.cos(elevation) * torch.sin(azimuth),
+            torch.sin(elevation),
+        ),
+        dim=-1,
+    )[..., None, :]
+
+
+def _sheet(
+    per_ampere: PerAmpere,
+    points_m: Float[Tensor, "*#batch place 3"],
+    across: Float[Tensor, "*#batch 1 3"],
+    depth_m: Float[Tensor, "*#batch place"],
+    coil_m: Float[Tensor, "*#batch #place"],
+) -> Float[Tensor, "*batch place 3"]:
+    """What a perfect sheet adds: before it the field of the coil's image, behind it the coil's own with the other sign.
+
+    A thin sheet that reflects the share r lets 1 - r pass: then the field along the sheet is the same on both sides.
+    References: Jackson, Classical Electrodynamics, 3rd ed., section 5.17 (image), 5.8 (continuity).
+    """
+    is_behind = (depth_m * coil_m < 0.0)[..., None]
+    field = per_ampere.at(torch.where(is_behind, points_m, points_m - 2.0 * depth_m[..., None] * across))
+    turned = field - 2.0 * (field * across).sum(-1, keepdim=True) * across
+    return -torch.where(is_behind, field, turned)
+
+
+class IronBody(RoomEffect):
+    """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
+
+    name: ClassVar[str] = "iron_body"
+    words: ClassVar[str] = "a piece of iron in the room answers the coils"
+    source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and screws of 1 to 5 cm"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
+        ends = 8.0 * extent.reach_m
+        return (
+            at_least_zero("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
+            *(shape(f"{axis}_m", "m", -ends, ends) for axis in "xyz"),
+        )
+
+    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+        """Around the middle of the places, at two distances."""
+        middle = scene.places_m.mean(0)
+        directions = [
+            (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
+        ]
+        starts = []
+        for direction in directions:
+            along = torch.tensor(direction).double()
+            along = along / along.norm()
+            farthest_m = float(((scene.places_m - middle) @ along).max())
+            for gap in (0.4, 1.2):
+                point = middle + along * (farthest_m + gap * scene.reach_m)
+                starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
+        return tuple(starts)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch place 3"]:
+        """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
+        body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
+        at_body = per_ampere.at(body_m + torch.zeros_like(points_m))
+        r = points_m - body_m
+        r2 = (r**2).sum(-1, keepdim=True)
+        dipole = (3.0 * r * (r * at_body).sum(-1, keepdim=True) - r2 * at_body) * r2**-2.5
+        return theta["volume_m3"][..., None, None] * dipole
