@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.units import MU0_T_M_PER_A
+from tests.hidden.pierced_sheet import pierced_T
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,
@@ -18,7 +19,6 @@ from tests.physics.effects.laboratory import (
     readings,
     winding,
 )
-from tests.physics.effects.pierced_sheet import pierced_T
 
 ONE = readings(POINTS_M, (1.0, 0.0))
 
