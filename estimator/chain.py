@@ -361,6 +361,14 @@ class CoilInRoom(PerAmpere):
             self.field_per_ampere(self.world_from_coil.inverse().apply(points_m))
         )
 
+    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch place point 3"]:
+        """Field per ampere in the world frame at points that stand still, for every pose."""
+        pose = self.world_from_coil
+        pose = Transform(pose.rotation[..., None, :, :], pose.translation_m[..., None, :])
+        points_coil_m = pose.inverse().apply(points_m[..., None, :, :])
+        field = self.field_per_ampere(points_coil_m.flatten(-3, -2))
+        return pose.rotate(field.unflatten(-2, points_coil_m.shape[-3:-1]))
+
 
 def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
     """The same orientation at points off the origin of the body, given in its frame."""

@@ -188,6 +188,10 @@ class PerAmpere(ABC):
     def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*#batch place 3"]:
         """Field in the world frame at one point per distinct pose."""
 
+    @abstractmethod
+    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch place point 3"]:
+        """Field in the world frame at points that stand still in the room, for every distinct pose of the coil."""
+
 
 class RoomEffect(Effect):
     """Adds a field that stays in the room."""

@@ -15,7 +15,6 @@ from estimator.effects.scene import Extent, Scene
 from estimator.field.opening import RING, through_opening
 
 QUARTER_TURN = 0.5 * math.pi
-THIRDS_OF_A_TURN = (0.0, 2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0)
 ALONG_AXES = ((0.0, 0.0), (QUARTER_TURN, 0.0), (0.0, QUARTER_TURN))  # azimuth and elevation
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a plate to stand between them
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
@@ -115,12 +114,11 @@ class PiercedPlate(RoomEffect):
         depth_m = ((points_m - middle_m) * across).sum(-1)
         coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
         towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
-        middle_T, *ring_T = (
-            (per_ampere.at(at_m + torch.zeros_like(per_ampere.position_m)) * towards_coil).sum(-1)
-            for at_m in (middle_m, *self._ring_m(middle_m, across, theta["radius_m"]))
+        at_m = torch.cat((middle_m, self._ring_m(middle_m, across, theta["radius_m"])), dim=-2)
+        there_T = (per_ampere.at_each(at_m) * towards_coil[..., None, :]).sum(-1)
+        leak = through_opening(
+            points_m - middle_m, towards_coil, theta["radius_m"], there_T[..., 1:].mean(-1), there_T[..., 0]
         )
-        mean_T = torch.stack(ring_T).mean(0)
-        leak = through_opening(points_m - middle_m, towards_coil, theta["radius_m"], mean_T, middle_T)
         return theta["strength"][..., None, None] * (
             _sheet(per_ampere, points_m, across, depth_m, coil_m) + leak
         )
@@ -130,16 +128,16 @@ class PiercedPlate(RoomEffect):
         middle_m: Float[Tensor, "*#batch 1 3"],
         across: Float[Tensor, "*#batch 1 3"],
         radius_m: Float[Tensor, "*#batch"],
-    ) -> tuple[Float[Tensor, "*batch 1 3"], ...]:
+    ) -> Float[Tensor, "*batch 3 3"]:
         """Points over which the field in the opening is averaged: a third of a turn apart, so that slopes and saddles cancel."""
         axes = torch.eye(3, dtype=across.dtype)
         along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
         along = along / along.norm(dim=-1, keepdim=True)
         other = torch.linalg.cross(across, along)
-        ring_m = RING * radius_m[..., None, None]
-        return tuple(
-            middle_m + ring_m * (math.cos(turn) * along + math.sin(turn) * other) for turn in THIRDS_OF_A_TURN
-        )
+        turn = torch.tensor([0.0, 1.0, 2.0], dtype=across.dtype)[:, None] * 2.0 * math.pi / 3.0
+        ring = torch.cos(turn) * along + torch.sin(turn) * other
+        ring_m: Tensor = RING * radius_m[..., None, None] * ring
+        return middle_m + ring_m
 
     def _between(self, scene: Scene) -> Iterator[tuple[tuple[float, float], float]]:
         """Direction and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
@@ -235,7 +233,7 @@ class IronBody(RoomEffect):
     ) -> Float[Tensor, "*#batch place 3"]:
         """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
         body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-        at_body = per_ampere.at(body_m + torch.zeros_like(points_m))
+        at_body = per_ampere.at_each(body_m)[..., 0, :]
         r = points_m - body_m
         r2 = (r**2).sum(-1, keepdim=True)
         dipole = (3.0 * r * (r * at_body).sum(-1, keepdim=True) - r2 * at_body) * r2**-2.5
