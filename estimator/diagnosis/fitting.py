@@ -195,8 +195,16 @@ def fit_rig(
     start: Mapping[str, Tensor | float],
     rules: Mapping[str, Rule],
     more_starts: int = 0,
+    tolerance: float = 1e-4,
 ) -> Fit:
-    """Climb from given values of the rig's parameters, and from some draws of the prior, to the highest maximum."""
+    """Climb from given values of the rig's parameters, and from some draws of the prior, to the highest maximum.
+
+    Args:
+        rig, observations, rules: What is fitted to what.
+        start: Values by parameter; names that the rig has not got are left out.
+        more_starts: Draws of the prior.
+        tolerance: In log density, of what a further step would gain.
+    """
     chain = replace(Chain.unruled(rig, observations), rules=dict(rules))
     coordinates = Coordinates(rig)
     posterior = LogPosterior(coordinates, chain, observations)
@@ -206,7 +214,7 @@ def fit_rig(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
-    polished = polish(posterior, vector, tolerance=1e-4)
+    polished = polish(posterior, vector, tolerance=tolerance)
     top = int(polished.log_posterior.argmax())
     return Fit(posterior, polished.rows(slice(top, top + 1)))
 

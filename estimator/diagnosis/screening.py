@@ -16,6 +16,7 @@ from estimator.effects.attach import with_effect
 from estimator.rig import Cause
 
 SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
+ROUGH = 1e-2  # in log density: where a fit that is one of many stops; the last one goes on
 
 
 def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
@@ -63,7 +64,7 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over."""
     observations = fit.observations
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
-    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules)
+    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules, tolerance=ROUGH)
     gain = full.log_evidence - fit.log_evidence
     if not math.isfinite(gain):
         return screened, full

@@ -76,6 +76,8 @@ def search(base: Fit, tell: Callable[[str], None]) -> Search:
         fit = trail.forward(trail.revisited(fit))
     if len(trail.own(fit)) == 1 and leaves_structure(trail.steps[-1].left):
         fit = trail.with_alternative(fit)
+    if trail.own(fit):
+        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.chain.rules)
     return Search(base, fit, tuple(trail.steps), tuple(trail.dropped), tuple(pool), whole)
 
 
