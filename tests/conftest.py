@@ -23,7 +23,7 @@ settings.load_profile("coilcal")
 # Where simulated instruments, watchdogs and clusters run in processes of their own, a busy computer can miss a deadline.
 HERE = Path(__file__).parent
 REAL_TIME = (
-    *(HERE / f"contract/test_{name}.py" for name in ("arms", "drivers")),
+    *(HERE / f"contract/test_{name}.py" for name in ("arms", "drivers", "replays")),
     HERE / "drivers",
     *(
         HERE / f"estimator/cli/test_{name}.py"
