@@ -27,7 +27,15 @@ REAL_TIME = (
     HERE / "drivers",
     *(
         HERE / f"estimator/cli/test_{name}.py"
-        for name in ("acquire", "acquire_faults", "acquire_general", "devices", "live", "rig_simulator")
+        for name in (
+            "acquire",
+            "acquire_faults",
+            "acquire_general",
+            "acquire_warm",
+            "devices",
+            "live",
+            "rig_simulator",
+        )
     ),
     HERE / "estimator/batching/test_engine.py",
     HERE / "estimator/test_refresh.py",
