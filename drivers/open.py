@@ -2,7 +2,8 @@
 
 A supply runs in a process of its own, which switches it off when this one is gone. With `record`, the conversation with an instrument
 is written down; with `replay`, that transcript takes its place: the same questions again get the same answers (`ReplayedPort`), which
-is enough for `coilcal devices check`, and not for another measurement. Arms are not recorded. As YAML, the section reads
+is enough for `coilcal devices check`, and not for another measurement. Of an arm the calls are written down instead of bytes
+(`drivers.robots.recorded`). As YAML, the section reads
 
     devices:
       hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
@@ -23,7 +24,7 @@ is enough for `coilcal devices check`, and not for another measurement. Arms are
         highest_temperature_C: 80    # optional; a thermometer below must feel this coil
       arm1:
         arm: ur3e                 # or ur3
-        host: 192.168.0.10
+        host: 192.168.0.10        # or replay: arm1.txt, which an arm with record: arm1.txt wrote
         workspace_low_mm: [0, -300, 0]    # for the flange, in the frame of the arm's base
         workspace_high_mm: [500, 300, 500]
         highest_speed_mm_per_s: 100
@@ -315,6 +316,7 @@ def _make_source(
 
 def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     # Here, since it needs the compiled ur_rtde only when a rig has an arm.
+    from drivers.robots.recorded import RecordingArm, ReplayedArm
     from drivers.robots.universal_robot import JOINT_LIMITS_RAD, UniversalRobot
 
     model = ARMS[settings.choice("arm", tuple(ARMS))]
@@ -323,25 +325,42 @@ def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
         low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
         joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
-    arm = UniversalRobot(settings.text("host"), model, joint_limits_rad=joint_limits_rad)
+    way = _way(settings, ("host", "replay"))
+    address = settings.text(way)
+    record = Path(settings.text("record")) if "record" in settings else None
+    if way == "replay":
+        return GuardedArm(ReplayedArm(Path(address)), limits, interlock, name=name)
+    arm: RobotArm = UniversalRobot(address, model, joint_limits_rad=joint_limits_rad)
+    if record is not None:
+        try:
+            arm = RecordingArm(arm, record, name=name)
+        except OSError:
+            arm.close()
+            raise
     return GuardedArm(arm, limits, interlock, name=name)
+
+
+def _way(settings: Settings, ways: Sequence[str]) -> str:
+    """The one key that says how a device is reached."""
+    found = [way for way in ways if way in settings]
+    if len(found) != 1:
+        raise Refused(
+            f"{settings.place} must have one of {', '.join(ways[:-1])} and {ways[-1]}; received {' and '.join(found) or 'none'}"
+        )
+    return found[0]
 
 
 def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:
     """What opens the port of a device; importable, since a supply's process opens its own."""
-    ways = [way for way in ("serial", "tcp", "usbtmc", "replay") if way in settings]
-    if len(ways) != 1:
-        raise Refused(
-            f"{settings.place} must have one of serial, tcp, usbtmc and replay; received {' and '.join(ways) or 'none'}"
-        )
-    address = settings.text(ways[0])
+    way = _way(settings, ("serial", "tcp", "usbtmc", "replay"))
+    address = settings.text(way)
     baud = settings.whole_number("baud", serial.baud)
     record = Path(settings.text("record")) if "record" in settings else None
     port_number = tcp_port if tcp_port is not None and "port" not in settings else None
-    if ways[0] == "tcp" and port_number is None:
+    if way == "tcp" and port_number is None:
         port_number = settings.whole_number("port")
     line = SerialSettings(baud, serial.data_bits, serial.parity, serial.has_rts_cts)
-    return partial(_open_port, ways[0], address, line, port_number, record)
+    return partial(_open_port, way, address, line, port_number, record)
 
 
 def _open_port(

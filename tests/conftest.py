@@ -23,11 +23,19 @@ settings.load_profile("coilcal")
 # Where simulated instruments, watchdogs and clusters run in processes of their own, a busy computer can miss a deadline.
 HERE = Path(__file__).parent
 REAL_TIME = (
-    HERE / "contract/test_drivers.py",
+    *(HERE / f"contract/test_{name}.py" for name in ("arms", "drivers", "replays")),
     HERE / "drivers",
     *(
         HERE / f"estimator/cli/test_{name}.py"
-        for name in ("acquire", "acquire_faults", "acquire_general", "devices", "live", "rig_simulator")
+        for name in (
+            "acquire",
+            "acquire_faults",
+            "acquire_general",
+            "acquire_warm",
+            "devices",
+            "live",
+            "rig_simulator",
+        )
     ),
     HERE / "estimator/batching/test_engine.py",
     HERE / "estimator/test_refresh.py",

@@ -120,14 +120,18 @@ class ReplayedPort:
             self._arrived.append(self._left.popleft().data)
         expected = self._left.popleft() if self._left else None
         if expected is None or data != expected.data:
-            wanted = "nothing more" if expected is None else repr(expected.data)
-            raise DeviceFault(f"{self.name} must be sent {wanted} next; received {data!r}")
+            wanted = (
+                "nothing more: the recording ends here" if expected is None else f"{expected.data!r} next"
+            )
+            raise DeviceFault(f"{self.name} must be sent {wanted}; received {data!r}")
         self._set_s, self._set_recorded_s = time.monotonic(), expected.time_s
 
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
         while not self._arrived:
-            if not self._left or self._left[0].direction == ">":
+            if not self._left:
+                raise deadline.exceeded(f"{self.name} must receive", "the recording ends here")
+            if self._left[0].direction == ">":
                 raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
             wait_s = self._left[0].time_s - self._set_recorded_s - (time.monotonic() - self._set_s)
             if wait_s <= 0:
@@ -143,54 +147,73 @@ class ReplayedPort:
         """See `Port.close`."""
 
 
-class RecordingPort:
-    """Writes down what passes through a port, each chunk at once, so that a crash leaves all but the last.
+class TranscriptFile:
+    """A transcript that is being written, each call at once, so that a crash leaves all but the last.
 
-    One thread may send while another receives (`PumpedPort`). Where the disk is full the recording ends and the instrument goes on:
-    a supply must be switched off all the same.
+    Where the disk is full the transcript ends and the instrument goes on: a supply must be switched off all the same.
     """
+
+    def __init__(self, path: Path, name: str) -> None:
+        """Begin it; what the file held is kept.
+
+        Args:
+            path: Of the file.
+            name: Of what is recorded, for messages.
+        """
+        self._name = name
+        self._file: int | None = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._start_s = time.monotonic()
+        self._lock = threading.Lock()
+
+    @property
+    def now_s(self) -> float:
+        """Time since it began."""
+        return time.monotonic() - self._start_s
+
+    def write(self, *chunks: Chunk) -> None:
+        """Add chunks, with nothing of another thread between them."""
+        with self._lock:
+            if self._file is None:
+                return
+            try:
+                os.write(self._file, "".join(f"{encode(chunk)}\n" for chunk in chunks).encode("ascii"))
+            except OSError as error:
+                _LOG.error("the recording of %s ends here: %s", self._name, error)
+                self._end()
+
+    def close(self) -> None:
+        """End it; a second call does nothing."""
+        with self._lock:
+            self._end()
+
+    def _end(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+class RecordingPort:
+    """Writes down what passes through a port; one thread may send while another receives (`PumpedPort`)."""
 
     def __init__(self, port: Port, path: Path) -> None:
         """Record to a file; what it held is kept."""
         self.name = port.name
         self.arrived_s = port.arrived_s
-        self._port = port
-        self._file: int | None = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        self._start_s = time.monotonic()
-        self._lock = threading.Lock()
+        self._port, self._file = port, TranscriptFile(path, port.name)
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`."""
-        self._write(">", data)
+        self._file.write(Chunk(self._file.now_s, ">", data))
         self._port.send(data, deadline)
 
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
         data = self._port.receive(deadline)
         self.arrived_s = self._port.arrived_s
-        self._write("<", data)
+        self._file.write(Chunk(self._file.now_s, "<", data))
         return data
 
     def close(self) -> None:
         """See `Port.close`."""
         self._port.close()
-        with self._lock:
-            self._end()
-
-    def _write(self, direction: Literal["<", ">"], data: bytes) -> None:
-        with self._lock:
-            if self._file is None:
-                return
-            try:
-                os.write(
-                    self._file,
-                    (encode(Chunk(time.monotonic() - self._start_s, direction, data)) + "\n").encode("ascii"),
-                )
-            except OSError as error:
-                _LOG.error("the recording of %s ends here: %s", self.name, error)
-                self._end()
-
-    def _end(self) -> None:
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        self._file.close()

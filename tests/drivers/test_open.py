@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import textwrap
+import threading
 from functools import partial
 
 import pytest
@@ -131,6 +132,7 @@ def test_a_check_that_was_recorded_is_repeated_without_the_instruments(section, 
             "coil1": (SUPPLY, {"serial": section["coil1"]["serial"]}),
             "coil2": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0}, {"serial": korad.address}),
             "warmth": (monitor, {"serial": warmth.address}),
+            "arm1": (ARM, {"host": section["arm1"]["host"]}),
         }
         paths = {name: str(tmp_path / f"{name}.txt") for name in bare}
         recorded = {name: {**kind, **port, "record": paths[name]} for name, (kind, port) in bare.items()}
@@ -139,6 +141,37 @@ def test_a_check_that_was_recorded_is_repeated_without_the_instruments(section, 
     replayed = {name: {**kind, "replay": paths[name]} for name, (kind, _) in bare.items()}
     with open_devices(replayed) as devices:
         assert {name: check_device(device) for name, device in devices.devices.items()} == said
+
+
+def test_an_arm_that_was_recorded_repeats_its_motion_within_the_limits_of_its_section(section, tmp_path):
+    path = str(tmp_path / "arm1.txt")
+    there = FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0))
+    beyond = FlangePose((0.3, 0.4, 0.2), (0.0, 3.0, 0.0))
+
+    def moved(settings):
+        with open_devices({"arm1": settings}) as devices, devices.watch():
+            arm = devices.arms["arm1"]
+            arm.move_to(there, speed_m_per_s=0.1, timeout_s=20.0)
+            with pytest.raises(Refused, match="arm.target.y_m"):
+                arm.move_to(beyond, speed_m_per_s=0.1, timeout_s=20.0)
+            return arm.read_pose(timeout_s=2.0)
+
+    reading = moved({**section["arm1"], "record": path})
+    again = moved({**ARM, "replay": path})
+    assert again.value.position_m == pytest.approx(there.position_m, abs=1e-6)
+    assert (again.value, again.device_time_s, again.flags) == (
+        reading.value,
+        reading.device_time_s,
+        reading.flags,
+    )
+
+
+def test_an_arm_whose_recording_cannot_be_written_is_not_left_open(section):
+    arm = {**section["arm1"], "record": "/dev/null/arm1.txt"}
+    n_threads = threading.active_count()
+    with pytest.raises(OSError, match="arm1.txt"):
+        open_devices({"arm1": arm})
+    assert threading.active_count() == n_threads  # one reads the poses of an open arm
 
 
 def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, world):
@@ -175,6 +208,9 @@ BAD = {
     "with text": ({"sensor": "lakeshore_460", "range_mT": "30", "serial": "x"}, "range_mT must hold finite numbers"),
     "without limit": ({key: value for key, value in SUPPLY.items() if key != "continuous_A"} | {"serial": "x"}, "continuous_A"),
     "without workspace": ({"arm": "ur3", "host": "x", "highest_speed_m_per_s": 1}, "workspace_low_m must be given"),
+    "without host": (ARM, "bad must have one of host and replay; received none"),
+    "with host and recording": ({**ARM, "host": "x", "replay": "y"}, "bad must have one of host and replay; received host and replay"),
+    "without recording": ({**ARM, "replay": "/dev/none/arm1.txt"}, "arm1.txt must be readable as a transcript"),
     "not there": ({**SUPPLY, "serial": "/dev/no_such_port"}, "no_such_port must open"),
     "hot without thermometer": ({**SUPPLY, "highest_temperature_C": 80, "serial": "x"}, "highest_temperature_C must have a thermometer with an input for bad; there is none"),
     "without inputs": ({"thermometer": "lakeshore_224", "serial": "x"}, "inputs must be given"),
