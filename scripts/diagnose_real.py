@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -23,6 +24,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import REPORT
 from estimator.diagnosis_report import diagnosis_report
+from estimator.effects.attach import with_effect
 from estimator.store.importers import IMPORTERS
 
 OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
@@ -51,6 +53,9 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="data sets; all by default")
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--carry", help="DATA_SET/CAUSE: one that an earlier run has named is known, at its values there"
+    )
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
     if not data:
@@ -59,16 +64,28 @@ def main() -> None:
     others = [data_set for data_set in DATA_SETS if data_set.importer != "mice"]
     for data_set in (*others, *MORE, *MICE):
         if not options.names or data_set.name in options.names:
-            run(data_set, Path(data), options.out, options.seed)
+            run(data_set, Path(data), options.out, options.seed, options.carry)
 
 
-def run(data_set: DataSet, data: Path, out: Path, seed: int) -> None:
+def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None = None) -> None:
     begin = time.perf_counter()
     rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
     idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
     rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
     session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
+    if carry:
+        earlier, _, label = carry.partition("/")
+        known = load_rig(out / earlier / "rig_extended.yaml")
+        cause = next(cause for cause in known.effects if cause.label == label)
+        own = {
+            key.rpartition(".")[2]: value
+            for key, value in known.nominal_values().items()
+            if key.startswith(f"{label}.")
+        }
+        session = replace(
+            session, rig=with_effect(session.rig, cause, session.observations, own, is_free=False)
+        )
 
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.func import jacfwd
+from torch.func import jacfwd, jacrev
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
@@ -20,11 +20,12 @@ from estimator.effects import EFFECTS
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import Polished, polish
+from estimator.inference.polish import Polished, polish, solve
 from estimator.parameters import LogNormal, Parameter
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
+NEAR_BOUND = 1e-3  # of the prior's width
 ROUNDING = 1e-12  # of the largest reading: two that differ by less are the same
 
 
@@ -87,9 +88,26 @@ class Fit:
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
-        """Whitened residuals of the measured components."""
+        """Whitened residuals of the measured components, less what a last Newton step would take of them.
+
+        Flexible curves that run nearly along the Jacobian would see any rest of the climb as structure.
+        """
         with torch.no_grad():
-            return (self.posterior.measured_T - self.posterior.predicted(self.vector)) * self.whitening_per_T
+            here = (self.posterior.measured_T - self.posterior.predicted(self.vector)) * self.whitening_per_T
+        free = ~self._is_at_bound
+        gradient = self.jacobian.T @ here + jacrev(self.posterior.coordinates.log_prior)(self.vector)
+        step = solve(self.polished.precision[0][free][:, free], gradient[free])
+        left: Tensor = here - self.jacobian[:, free] @ step
+        return left
+
+    @property
+    def _is_at_bound(self) -> Bool[Tensor, " coordinate"]:
+        """Whose value lies at an end of its prior, where the density may still rise."""
+        coordinates = self.posterior.coordinates
+        lower, upper = coordinates.bounds()
+        value = torch.stack([self.values[name] for name in coordinates.names])
+        near = NEAR_BOUND * torch.tensor([p.prior.sd for p in coordinates.parameters if p.prior])
+        return (value - lower < near) | (upper - value < near)
 
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:

@@ -13,6 +13,7 @@ from torch import Tensor
 from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, shape
 from estimator.effects.scene import Extent, Scene
 from estimator.field.opening import RING, through_opening
+from estimator.parameters import Normal
 
 QUARTER_TURN = 0.5 * math.pi
 ALONG_AXES = ((0.0, 0.0), (QUARTER_TURN, 0.0), (0.0, QUARTER_TURN))  # azimuth and elevation
@@ -76,7 +77,7 @@ class PiercedPlate(RoomEffect):
         """Share of a perfect plate, direction across the plane, and middle and radius of the opening."""
         ends_m = 8.0 * extent.reach_m
         return (
-            at_least_zero("strength", "1", 1.0),
+            Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=1.1)),
             *_direction(),
             *(shape(f"{axis}_m", "m", -ends_m, ends_m) for axis in "xyz"),
             shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),

@@ -1,0 +1,42 @@
+"""A fit that stopped early says the same of what is left as one that went on; bounds are not overstepped to say it."""
+
+from __future__ import annotations
+
+import torch
+
+from estimator.diagnosis.discrepancy import discrepancy, families
+from estimator.diagnosis.fitting import fit_rig
+from estimator.effects.attach import with_effect
+from estimator.rig import Cause
+from tests.estimator.diagnosis.small_fits import fit_of
+
+
+def test_what_is_left_does_not_depend_on_where_the_climb_stopped(small_rig, small_session):
+    rig, observations = small_rig, small_session.observations
+    whole = fit_of(rig, observations)
+    near = {name: value + 0.3 * whole.value_sd(name) for name, value in whole.values.items()}
+    early = fit_rig(rig, observations, near, whole.posterior.chain.rules, tolerance=1e3)
+    shift = early.posterior.predicted(early.vector) - whole.posterior.predicted(whole.vector)
+    uncorrected = (shift * whole.whitening_per_T).norm()
+    assert uncorrected > 0.05
+    assert (early.residual - whole.residual).norm() < 0.05 * uncorrected
+    smooth = families(whole)
+    torch.testing.assert_close(
+        discrepancy(early, smooth).log_bayes_factor,
+        discrepancy(whole, smooth).log_bayes_factor,
+        atol=0.02,
+        rtol=0.0,
+    )
+
+
+def test_a_number_at_its_bound_is_not_pushed_beyond_it(small_rig, small_session):
+    """A plate whose strength is held at zero leaves what the rig without it leaves."""
+    observations = small_session.observations
+    without = fit_of(small_rig, observations)
+    wider = with_effect(small_rig, Cause("iron_plate", "room"), observations, {"distance_m": 0.2})
+    rules = without.posterior.chain.rules
+    held = fit_rig(wider, observations, without.start_with(wider), rules, tolerance=1e9)
+    slope = held.jacobian[:, held.posterior.coordinates.names.index("iron_plate[room].strength")]
+    assert held.values["iron_plate[room].strength"] == 0.0
+    assert (slope @ held.residual).abs() > 0.1
+    torch.testing.assert_close(held.residual, without.residual, atol=1e-3, rtol=0.0)
