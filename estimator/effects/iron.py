@@ -15,8 +15,7 @@ from estimator.effects.scene import Extent, Scene
 from estimator.field.opening import RING, through_opening
 from estimator.parameters import Normal
 
-QUARTER_TURN = 0.5 * math.pi
-ALONG_AXES = ((0.0, 0.0), (QUARTER_TURN, 0.0), (0.0, QUARTER_TURN))  # azimuth and elevation
+GAPS = (0.3, 1.0)  # of the reach, between the places and a plane behind them
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a plate to stand between them
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the places beside the axis: an opening to start from
@@ -31,7 +30,7 @@ class IronPlate(RoomEffect):
     source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Strength of the image, direction from the world's origin to the plane, and its distance."""
+        """Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin."""
         return (
             at_least_zero("strength", "1", 0.5),
             *_direction(),
@@ -39,20 +38,21 @@ class IronPlate(RoomEffect):
         )
 
     def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes, behind whatever stands there."""
-        starts = []
-        opposite = tuple((azimuth + 2.0 * QUARTER_TURN, -elevation) for azimuth, elevation in ALONG_AXES)
-        for azimuth, elevation in ALONG_AXES + opposite:
-            farthest_m = float((scene.places_m @ _unit(azimuth, elevation)).max())
-            starts += [
-                {
-                    "azimuth_rad": azimuth,
-                    "elevation_rad": elevation,
-                    "distance_m": farthest_m + gap * scene.reach_m,
-                }
-                for gap in (0.3, 1.0)
-            ]
-        return tuple(starts)
+        """Planes across the world's axes, before and behind whatever stands there."""
+        return tuple(
+            {
+                "axis": float(axis),
+                "tilt_1_rad": 0.0,
+                "tilt_2_rad": 0.0,
+                "distance_m": at_m + gap * scene.reach_m,
+            }
+            for axis in range(3)
+            for at_m, gaps in (
+                (float(scene.places_m[:, axis].max()), GAPS),
+                (float(scene.places_m[:, axis].min()), [-gap for gap in GAPS]),
+            )
+            for gap in gaps
+        )
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
@@ -90,17 +90,18 @@ class PiercedPlate(RoomEffect):
     def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """Planes across the world's axes between the places of sensors, open as wide as these lie about their middle."""
         starts = []
-        places_m = scene.sensor_places_m
-        for (azimuth, elevation), distance_m in self._between(scene):
-            unit = _unit(azimuth, elevation)
-            beside_m = places_m - (places_m @ unit)[:, None] * unit
-            middle_m = 0.5 * (beside_m.min(0).values + beside_m.max(0).values) + distance_m * unit
-            wide_m = float((beside_m - middle_m + distance_m * unit).norm(dim=-1).max())
+        for axis, distance_m in self._between(scene):
+            low_m, high_m = scene.sensor_places_m.min(0).values, scene.sensor_places_m.max(0).values
+            middle_m = 0.5 * (low_m + high_m)
+            beside_m = scene.sensor_places_m - middle_m
+            middle_m[axis], beside_m[:, axis] = distance_m, 0.0
+            wide_m = float(beside_m.norm(dim=-1).max())
             starts.append(
                 {
-                    "azimuth_rad": azimuth,
-                    "elevation_rad": elevation,
-                    **{f"{axis}_m": float(middle) for axis, middle in zip("xyz", middle_m, strict=True)},
+                    "axis": float(axis),
+                    "tilt_1_rad": 0.0,
+                    "tilt_2_rad": 0.0,
+                    **{f"{name}_m": float(middle) for name, middle in zip("xyz", middle_m, strict=True)},
                     "radius_m": max(WIDER * wide_m, 2.0 * LEAST_OPENING * scene.reach_m),
                 }
             )
@@ -140,13 +141,13 @@ class PiercedPlate(RoomEffect):
         ring_m: Tensor = RING * radius_m[..., None, None] * ring
         return middle_m + ring_m
 
-    def _between(self, scene: Scene) -> Iterator[tuple[tuple[float, float], float]]:
-        """Direction and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
+    def _between(self, scene: Scene) -> Iterator[tuple[int, float]]:
+        """Axis and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
         spread_m, lowest_m = _spread_m(scene), scene.sensor_places_m.min(0).values
         least_m = min(float(spread_m.max()), LEAST_BETWEEN * scene.reach_m)
-        for direction, low, spread in zip(ALONG_AXES, lowest_m.tolist(), spread_m.tolist(), strict=True):
+        for axis, (low, spread) in enumerate(zip(lowest_m.tolist(), spread_m.tolist(), strict=True)):
             if spread >= least_m:
-                yield from ((direction, low + share * spread) for share in BETWEEN)
+                yield from ((axis, low + share * spread) for share in BETWEEN)
 
 
 def _spread_m(scene: Scene) -> Float[Tensor, "3"]:
@@ -155,29 +156,23 @@ def _spread_m(scene: Scene) -> Float[Tensor, "3"]:
     return places_m.max(0).values - places_m.min(0).values
 
 
-def _direction() -> tuple[Quantity, Quantity]:
+def _direction() -> tuple[Quantity, ...]:
+    """The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y)."""
     return (
-        shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
-        shape("elevation_rad", "rad", -math.pi, math.pi),
+        shape("axis", "1", 0.0, 2.0, is_fixed=True),
+        shape("tilt_1_rad", "rad", -0.5 * math.pi, 0.5 * math.pi),
+        shape("tilt_2_rad", "rad", -0.5 * math.pi, 0.5 * math.pi),
     )
-
-
-def _unit(azimuth_rad: float, elevation_rad: float) -> Float[Tensor, "3"]:
-    turned = {"azimuth_rad": azimuth_rad, "elevation_rad": elevation_rad}
-    return _across({key: torch.tensor(value, dtype=torch.float64) for key, value in turned.items()})[0]
 
 
 def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
     """Unit vector across the plane."""
-    azimuth, elevation = theta["azimuth_rad"], theta["elevation_rad"]
-    return torch.stack(
-        (
-            torch.cos(elevation) * torch.cos(azimuth),
-            torch.cos(elevation) * torch.sin(azimuth),
-            torch.sin(elevation),
-        ),
-        dim=-1,
-    )[..., None, :]
+    first, second = theta["tilt_1_rad"], theta["tilt_2_rad"]
+    from_axis = torch.stack(
+        (torch.cos(first) * torch.cos(second), torch.sin(first), torch.cos(first) * torch.sin(second)), dim=-1
+    )
+    order = (torch.arange(3) - theta["axis"].long()[..., None]) % 3
+    return torch.gather(from_axis, -1, order)[..., None, :]
 
 
 def _sheet(

@@ -22,15 +22,16 @@ from tests.physics.effects.laboratory import (
 
 ONE = readings(POINTS_M, (1.0, 0.0))
 
-AZIMUTH, ELEVATION, DISTANCE_M = 0.7, -0.4, 0.11
-ACROSS = np.array(
+TILTS_RAD, DISTANCE_M = (0.7, -0.4), 0.11
+ACROSS = np.array(  # from the x axis towards y and z
     [
-        np.cos(ELEVATION) * np.cos(AZIMUTH),
-        np.cos(ELEVATION) * np.sin(AZIMUTH),
-        np.sin(ELEVATION),
+        np.cos(TILTS_RAD[0]) * np.cos(TILTS_RAD[1]),
+        np.sin(TILTS_RAD[0]),
+        np.cos(TILTS_RAD[0]) * np.sin(TILTS_RAD[1]),
     ]
 )
-PLATE = {"strength": 1.0, "azimuth_rad": AZIMUTH, "elevation_rad": ELEVATION, "distance_m": DISTANCE_M}
+TILTED = {"axis": 0.0, "tilt_1_rad": TILTS_RAD[0], "tilt_2_rad": TILTS_RAD[1]}
+PLATE = {"strength": 1.0, **TILTED, "distance_m": DISTANCE_M}
 
 
 def mirrored(points_m: np.ndarray) -> np.ndarray:
@@ -94,8 +95,9 @@ OPENING_M = 0.025
 # Normal along the coil's axis, beyond the winding's front.
 PIERCED = {
     "strength": 1.0,
-    "azimuth_rad": 0.0,
-    "elevation_rad": 0.5 * np.pi,
+    "axis": 2.0,
+    "tilt_1_rad": 0.0,
+    "tilt_2_rad": 0.0,
     "x_m": 0.0,
     "y_m": 0.0,
     "z_m": 0.08,
@@ -154,14 +156,27 @@ def test_field_at_a_pierced_plate_stands_upright_on_both_of_its_sides():
 
 def test_a_tiny_opening_leaves_the_plate():
     tiny = {"pierced_plate[room]": {**PIERCED, "z_m": 0.2, "radius_m": 1e-5}}
-    whole = {"iron_plate[room]": {"strength": 1.0, "elevation_rad": 0.5 * np.pi, "distance_m": 0.2}}
+    whole = {
+        "iron_plate[room]": {
+            "strength": 1.0,
+            "axis": 2.0,
+            "tilt_1_rad": 0.0,
+            "tilt_2_rad": 0.0,
+            "distance_m": 0.2,
+        }
+    }
     assert_same_field(added_T(ONE, tiny), added_T(ONE, whole), 1e-6)
 
 
 def test_pierced_plate_is_the_same_described_from_its_other_side_and_in_proportion_to_its_strength():
     at = readings(AROUND_M, (1.0, 0.0))
     found = added_T(at, {"pierced_plate[room]": PIERCED})
-    for other in ({"elevation_rad": -0.5 * np.pi}, {"azimuth_rad": 1.0, "elevation_rad": 1.5 * np.pi}):
+    quarter_rad = 0.5 * np.pi
+    for other in (
+        {"tilt_2_rad": np.pi},
+        {"axis": 0.0, "tilt_2_rad": quarter_rad},
+        {"axis": 1.0, "tilt_1_rad": -quarter_rad},
+    ):
         assert_same_field(added_T(at, {"pierced_plate[room]": {**PIERCED, **other}}), found, 1e-7)
     half = added_T(at, {"pierced_plate[room]": {**PIERCED, "strength": 0.5}})
     assert_same_field(half, 0.5 * found, 1e-9)
