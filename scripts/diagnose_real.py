@@ -54,7 +54,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--carry", help="DATA_SET/CAUSE: one that an earlier run has named is known, at its values there"
+        "--carry",
+        help="FOLDER/CAUSE: one that an earlier run, which left this folder, has named is known, at its values there",
     )
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
@@ -75,8 +76,8 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
     session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
     if carry:
-        earlier, _, label = carry.partition("/")
-        known = load_rig(out / earlier / "rig_extended.yaml")
+        earlier, _, label = carry.rpartition("/")
+        known = load_rig(Path(earlier) / "rig_extended.yaml")
         cause = next(cause for cause in known.effects if cause.label == label)
         own = {
             key.rpartition(".")[2]: value

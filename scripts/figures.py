@@ -30,8 +30,12 @@ WANTED = {
     "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
 }
 DIAGNOSED = {
-    f"{run}_{short}": f"out/diagnosis/mice-{run}/{name}.png"
-    for run, coil in (("run07", "m1"), ("run05", "m2"), ("run03", "e1"))
+    f"{run}_{short}": f"out/{folder}/mice-{run}/{name}.png"
+    for folder, run, coil in (
+        ("diagnosis_with_plate", "run07", "m1"),
+        ("diagnosis_with_plate", "run05", "m2"),
+        ("diagnosis", "run03", "e1"),
+    )
     for short, name in (
         ("left", f"residual_around_{coil}_before_and_after"),
         ("ladder", "what_each_cause_brought"),
