@@ -40,7 +40,8 @@ def through_opening(
     In the opening, the flux of source and image behind the sheet (none) and in front of it (twice the source's) meet half way:
 
     >>> import torch
-    >>> at, up, one = torch.tensor([[0.01, 0.0, 1e-9]]).double(), torch.tensor([0.0, 0.0, 1.0]).double(), torch.ones(1).double()
+    >>> at, up = torch.tensor([[[0.01, 0.0, 1e-9]], [[0.0, 0.0, 1.0]]], dtype=torch.float64)
+    >>> one = torch.ones(1, dtype=torch.float64)
     >>> round(through_opening(at, up, 0.2 * one[0], one, one)[0, 2].item(), 6)
     -1.0
     """

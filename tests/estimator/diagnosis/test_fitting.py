@@ -33,7 +33,9 @@ def test_a_number_at_its_bound_is_not_pushed_beyond_it(small_rig, small_session)
     """A plate whose strength is held at zero leaves what the rig without it leaves."""
     observations = small_session.observations
     without = fit_of(small_rig, observations)
-    wider = with_effect(small_rig, Cause("iron_plate", "room"), observations, {"distance_m": 0.2})
+    wider = with_effect(
+        small_rig, Cause("iron_plate", "room"), observations, {"axis": 2.0, "distance_m": 0.1}
+    )
     rules = without.posterior.chain.rules
     held = fit_rig(wider, observations, without.start_with(wider), rules, tolerance=1e9)
     slope = held.jacobian[:, held.posterior.coordinates.names.index("iron_plate[room].strength")]
