@@ -25,7 +25,8 @@ imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
 unit: $(INSTALLED)
-	$(RUN) pytest -n 2 -m "not slow"
+	$(RUN) pytest -n 2 -m "not slow" --ignore=tests/hidden
+	$(RUN) pytest -n 2 -m "not slow" --jaxtyping-packages= tests/hidden  # whole diagnoses: twice as fast without checks of every call
 
 # Studies behind the numbers in README and docs/results.md, minutes to an hour each; `make test` leaves them out.
 

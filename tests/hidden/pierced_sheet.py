@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-NODES = 800
+NODES, ANGLES = 800, 40
 
 
 def pierced_T(
@@ -25,6 +25,7 @@ def pierced_T(
     total = np.where(is_behind[:, None], 0.0, source_T(points_m) + image_T)
     nodes, weights = leggauss(NODES)
     t, dt = 0.5 * radius_m * (nodes + 1.0), 0.5 * radius_m * weights
+    nodes, weights = leggauss(ANGLES)
     angle, d_angle = 0.25 * np.pi * (nodes + 1.0), 0.25 * np.pi * weights
     rho = t[:, None] * np.sin(angle)
     on_plane_m = np.stack((rho, np.zeros_like(rho), np.full_like(rho, height_m)), axis=-1)
