@@ -78,7 +78,11 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
     if carry:
         earlier, _, label = carry.rpartition("/")
         known = load_rig(Path(earlier) / "rig_extended.yaml")
-        cause = next(cause for cause in known.effects if cause.label == label)
+        cause = next((cause for cause in known.effects if cause.label == label), None)
+        if cause is None:
+            sys.exit(
+                f"diagnose_real: --carry must name a cause of {earlier}/rig_extended.yaml; received {label}"
+            )
         own = {
             key.rpartition(".")[2]: value
             for key, value in known.nominal_values().items()
