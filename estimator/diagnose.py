@@ -26,6 +26,7 @@ from estimator.diagnosis.verdict import (
     beside_discrepancy,
     extended_fit,
     named_causes,
+    stand_ins,
     verdict_of,
 )
 from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
@@ -107,6 +108,7 @@ def diagnose(
         verdict,
         tuple(faults),
         tuple(named),
+        tuple(stand_ins(found, named)),
         found,
         tuple(smallest_visible(base, found.pool)),
         tuple(indistinguishable(base, found.pool)),

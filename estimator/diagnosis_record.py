@@ -46,12 +46,13 @@ class Diagnosis:
         verdict: The outcome.
         faults: Mistakes of the record that were undone first.
         causes: What was named after that, in order.
+        stand_ins: What the extended rig has beside them: taken, but not named, for something unknown may look like it.
         search: How it was found, step by step.
         visible: Smallest visible size of every quantity of every cause.
         twins: Groups of causes that this session could not tell apart.
         next_measurements: What would tell the alternatives apart, best first.
         plain: The rig as it was described, fitted.
-        extended: The rig with the causes that were named, fitted to the readings of the search.
+        extended: The rig with what was named and what stands in for the rest, fitted to the readings of the search.
         fit: The same, fitted to many readings.
         before, after: What their residuals show.
         gain: On readings that were not used for fitting; None where there are none.
@@ -64,6 +65,7 @@ class Diagnosis:
     verdict: Verdict
     faults: tuple[Fault, ...]
     causes: tuple[NamedCause, ...]
+    stand_ins: tuple[Cause, ...]
     search: Search
     visible: tuple[Visible, ...]
     twins: tuple[tuple[Cause, ...], ...]
@@ -89,6 +91,10 @@ class Diagnosis:
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
             "causes": [*(self._fault(f) for f in self.faults), *(self._cause(c) for c in self.causes)],
+            "stand_ins": [
+                {"name": self.label(cause), "place": cause.place, "parameters": self.parameters(cause)}
+                for cause in self.stand_ins
+            ],
             "indistinguishable": [[self.label(cause) for cause in group] for group in self.twins],
             "next_measurement": [
                 {

@@ -75,6 +75,11 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
             sentences.append(
                 f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
             )
+    if diagnosis.stand_ins:
+        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.stand_ins)
+        sentences.append(
+            f"The extended rig also has {kept}: needed here, but something unknown may look like them."
+        )
     sentences += [_next(diagnosis)] if diagnosis.next_measurements else []
     left = diagnosis.search.steps[-1].left
     if diagnosis.verdict is Verdict.UNEXPLAINED:
@@ -169,7 +174,10 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, dict[str, Any], fl
                 factor, unit = 1e6, f"µ{p['unit']}"
             else:
                 factor, unit = display.factor, display.unit or p["unit"]
-            found.append((diagnosis.label(cause), key, p, factor, unit))
+            label = diagnosis.label(cause)
+            found.append(
+                (f"{label} (stands in)" if cause in diagnosis.stand_ins else label, key, p, factor, unit)
+            )
     return found
 
 

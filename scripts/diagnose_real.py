@@ -104,6 +104,8 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
     print(f"  verdict: {record['verdict']}; left: {record['unexplained']}")
+    for cause in record["stand_ins"]:
+        print(f"  stands in: {cause['name']}")
     for cause in record["causes"]:
         others = [other["name"] for other in cause["alternatives"]]
         print(

@@ -138,15 +138,17 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
 
 
 def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
-    """The last fit of a search with only those of its causes that were named."""
-    final = search.final
-    kept = {one.cause for one in named} | set(search.base.rig.effects)
-    rig = final.rig
-    for cause in final.rig.effects:
-        rig = rig if cause in kept else rig.without_cause(cause)
-    if rig is final.rig:
-        return final
-    return fit_rig(rig, final.observations, final.values, final.posterior.chain.rules)
+    """The last fit of a search where something was named, the first where nothing was.
+
+    Beside what was named it keeps what was taken: without those the named ones, and the coils, would bend to what they stand in for.
+    """
+    return search.final if named else search.base
+
+
+def stand_ins(search: Search, named: list[NamedCause]) -> list[Cause]:
+    """Causes of the extended fit that are not named, for something unknown may look like them."""
+    known = {one.cause for one in named} | set(search.base.rig.effects)
+    return [cause for cause in extended_fit(search, named).rig.effects if cause not in known]
 
 
 def _with_columns(fit: Fit, columns: Tensor) -> Fit:

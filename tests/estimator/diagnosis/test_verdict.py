@@ -22,6 +22,7 @@ from estimator.diagnosis.verdict import (
     beside_discrepancy,
     extended_fit,
     named_causes,
+    stand_ins,
     verdict_of,
 )
 from estimator.rig import Cause, Rig
@@ -175,9 +176,15 @@ def test_a_cause_that_a_curve_imitates_has_no_evidence_beside_it_and_one_across_
     assert fit.log_evidence_for(OFFSET, torch.zeros_like(imitation)) == pytest.approx(alone, rel=1e-9)
 
 
-def test_the_extended_fit_keeps_the_causes_that_were_named_and_no_other(base, both):
+def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_nothing_where_not(base, both):
     search = found(base, both, LAST)
     assert extended_fit(search, [named(OFFSET), named(GAIN)]) is both
-    only = extended_fit(search, [named(GAIN)])
-    assert only.rig.effects == (GAIN,)
-    assert extended_fit(search, []).rig.effects == ()
+    assert extended_fit(search, [named(GAIN)]) is both
+    assert extended_fit(search, []) is base
+
+
+def test_what_was_taken_and_is_not_named_stands_in(base, both):
+    search = found(base, both, LAST)
+    assert stand_ins(search, [named(OFFSET), named(GAIN)]) == []
+    assert stand_ins(search, [named(GAIN)]) == [OFFSET]
+    assert stand_ins(search, []) == []
