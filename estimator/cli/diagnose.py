@@ -97,6 +97,11 @@ def _text(record: dict[str, Any], out: Path) -> str:
         for key, p in cause["parameters"].items():
             low, high = p["ci90"]
             lines.append(f"    {key:16} {p['median']:12.5g}  90 %: {low:.5g} to {high:.5g}  {p['unit']}")
+    if record["stand_ins"]:
+        kept = ", ".join(cause["name"] for cause in record["stand_ins"])
+        lines.append(
+            f"  {EXTENDED_RIG} also has {kept}: needed here, but something unknown may look like them"
+        )
     if record["verdict"] == "unexplained":
         left = record["unexplained"]
         lines.append(

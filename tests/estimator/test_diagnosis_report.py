@@ -77,6 +77,17 @@ def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Di
     assert "could as well be axis_gain (25%)." in found
 
 
+def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
+    (one,) = diagnosis.causes
+    said = as_text(replace(diagnosis, causes=(), stand_ins=(one.cause,), verdict=Verdict.UNEXPLAINED))
+    label = diagnosis.label(one.cause)
+    assert (
+        f"The extended rig also has {label}: needed here, but something unknown may look like them." in said
+    )
+    assert f"{label} (stands in) x_T" in said
+    assert f"{label} (" not in said.partition("The extended rig")[0]
+
+
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
     first, *rest = diagnosis.search.steps

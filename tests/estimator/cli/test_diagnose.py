@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from click.testing import Result
 
+from estimator.cli.diagnose import _text
 from estimator.config import load_rig
 from estimator.errors import InvalidInput
 from estimator.store.session import load_session
@@ -76,6 +77,7 @@ def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]
     assert {
         "verdict",
         "causes",
+        "stand_ins",
         "indistinguishable",
         "smallest_visible",
         "gain",
@@ -125,6 +127,13 @@ def test_extended_rig_takes_the_session(biased: Path, out: Path, record: dict[st
     rig = load_rig(out / "rig_extended.yaml")
     assert [cause.name for cause in rig.effects] == [cause["name"] for cause in record["causes"]]
     load_session(biased).check_rig(rig)
+
+
+def test_what_stands_in_for_the_unexplained_is_said_in_words(record: dict[str, Any], out: Path):
+    (cause,) = record["causes"]
+    said = _text(record | {"causes": [], "stand_ins": [cause]}, out)
+    assert f"rig_extended.yaml also has {cause['name']}: needed here" in said
+    assert "also has" not in _text(record, out)
 
 
 def test_clean_session_in_words_names_nothing_and_ends_well(workspace: Path, run: Run, tmp_path: Path):
