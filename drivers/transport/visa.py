@@ -1,4 +1,4 @@
-"""Instruments that take messages (USBTMC, GPIB, VXI-11, HiSLIP) through pyvisa and pyvisa-py, on Linux, macOS and Windows.
+"""Instruments that take messages (USBTMC, GPIB, VXI-11, HiSLIP) through pyvisa and pyvisa-py.
 
 VISA has messages, not a stream of bytes: asking for an answer that is not there is an error of the instrument, so this port only
 reads after a question. It keeps no deadline either: pyvisa-py writes to USB for up to a second whatever the timeout, and once an

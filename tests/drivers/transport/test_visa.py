@@ -127,6 +127,8 @@ def test_no_read_is_begun_where_there_is_no_time_to_wait(bench):
 def test_a_mute_instrument_misses_the_deadline_and_answers_again(bench):
     bench.port.send(b"a?\n", soon())
     assert 0.3 <= missed_s(bench.port.receive, timeout_s=0.3) < 0.3 + LATE_S
+    with pytest.raises(DeadlineExceeded, match="nothing was asked"):
+        bench.port.receive(soon())
     bench.port.send(b"b?\n", soon())
     bench.say(b"2\n")
     assert bench.port.receive(soon()) == b"2\n"
@@ -141,6 +143,7 @@ def test_every_call_keeps_its_deadline_while_calling_off_a_transfer_hangs_for_se
     begin_s = time.monotonic()
     bench.port.send(b"c?\n", soon(10.0))  # as soon as pyvisa-py gives up
     assert 2.0 < time.monotonic() - begin_s < 5.0
+    assert bench.heard(6) == b"a?\nc?\n"  # what was given up is not sent afterwards
     bench.say(b"3\n")
     assert bench.port.receive(soon()) == b"3\n"
 
@@ -184,7 +187,7 @@ def test_a_late_answer_is_not_taken_for_that_of_another_question(bench, forgets,
 def test_an_answer_that_comes_after_the_deadline_is_dropped(bench):
     bench.port.send(b"a?\n", soon())
     read = bench.instrument.give
-    bench.instrument.give = lambda n_bytes, timeout_s: read(n_bytes, 1.0)  # longer than it is told, as linux-gpib
+    bench.instrument.give = lambda n_bytes, timeout_s: read(n_bytes, 1.0)  # beyond its timeout
     missed_s(bench.port.receive, timeout_s=0.1)
     bench.say(b"1\n")
     bench.port.send(b"b?\n", soon())
@@ -287,12 +290,13 @@ def test_what_opens_too_late_is_a_fault_in_time_and_is_let_go(bench):
     other = FakeInstrument(bench.instrument.serial_number)
     other.opens_after_s = 0.6
     begin_s = time.monotonic()
-    with pytest.raises(DeviceFault, match="must open within 0.3 s; it does not"):
+    with pytest.raises(DeviceFault, match="must open within 0.3 s; it does not") as caught:
         other.open(timeout_s=0.3)
     assert time.monotonic() - begin_s < 0.3 + LATE_S
     assert other.is_open
     time.sleep(0.6)
     assert not other.is_open
+    assert caught.tb is not None  # which holds the port, so that it was not let go by being forgotten
 
 
 @pytest.mark.parametrize("name", ["GPIB0::6::INSTR", "nonsense", "USB0::0x1BFA::0x0498::1::RAW"])
