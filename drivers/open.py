@@ -9,11 +9,11 @@ is enough for `coilcal devices check`, and not for another measurement. Of an ar
       hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
       # sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30
       # sensor: senis_3mh6, serial: /dev/ttyUSB0, rate_Hz: 1000, range_number: 1, full_scale_mT: 100
-      # sensor: metrolab_thm1176, usbtmc: /dev/usbtmc0, range_mT: 100, averaged_samples: 100
+      # sensor: metrolab_thm1176, visa: 'USB0::0x1BFA::0x0498::0001::INSTR', range_mT: 100, averaged_samples: 100
       # own_temperature: true    # where its probe has a thermometer (F71, 3MH6): it is recorded with each reading
       coil1:
         supply: kepco_bop         # or korad_ka3005p, scpi
-        serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025
+        serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025; or visa: 'GPIB0::6::INSTR'
         compliance_V: 20          # limit of its voltage
         tolerance_mA: 5           # of set-points read back and of the measured current
         lowest_A: -5              # 0 where not given; the limits of the coil from here on
@@ -63,7 +63,7 @@ from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
-from drivers.transport.usbtmc import UsbtmcPort
+from drivers.transport.visa import VisaPort
 from drivers.watch import Watch
 
 SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
@@ -236,7 +236,7 @@ def _open_sensor(settings: Settings) -> FieldSensor:
             settings.whole_number("range_number"),
             settings.quantity("full_scale", "field"),
         )
-        port = _port(settings, senis_3mh6.SERIAL)()
+        port = _port(settings, senis_3mh6.SERIAL, has_messages=False)()
         port = port if "replay" in settings else PumpedPort(port)
         try:
             return senis_3mh6.Senis3MH6(
@@ -259,8 +259,9 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     compliance_V = settings.quantity("compliance", "voltage")
     slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
     is_replayed = "replay" in settings
-    serial = korad_ka3005p.SERIAL if kind == "korad_ka3005p" else _SCPI_SERIAL
-    open_port = _port(settings, serial)
+    is_korad = kind == "korad_ka3005p"
+    serial = korad_ka3005p.SERIAL if is_korad else _SCPI_SERIAL
+    open_port = _port(settings, serial, has_messages=not is_korad)
     make = partial(_make_source, kind, open_port, limits, compliance_V, slew_A_per_s, tolerance_A)
     off_s = longest_off_s(max(-limits.lowest_A, limits.highest_A), slew_A_per_s)
     source: CurrentSource = (
@@ -350,9 +351,11 @@ def _way(settings: Settings, ways: Sequence[str]) -> str:
     return found[0]
 
 
-def _port(settings: Settings, serial: SerialSettings, tcp_port: int | None = None) -> Callable[[], Port]:
-    """What opens the port of a device; importable, since a supply's process opens its own."""
-    way = _way(settings, ("serial", "tcp", "usbtmc", "replay"))
+def _port(
+    settings: Settings, serial: SerialSettings, tcp_port: int | None = None, *, has_messages: bool = True
+) -> Callable[[], Port]:
+    """What opens the port of a device; importable, since a supply's process opens its own. VISA is for devices with messages."""
+    way = _way(settings, ("serial", "tcp", *(("visa",) if has_messages else ()), "replay"))
     address = settings.text(way)
     baud = settings.whole_number("baud", serial.baud)
     record = Path(settings.text("record")) if "record" in settings else None
@@ -371,8 +374,8 @@ def _open_port(
     port: Port
     if way == "serial":
         port = SerialPort(address, line)
-    elif way == "usbtmc":
-        port = UsbtmcPort(address)
+    elif way == "visa":
+        port = VisaPort(address)
     else:
         assert port_number is not None
         port = TcpPort(address, port_number, timeout_s=_CONNECT_S)

@@ -1,4 +1,4 @@
-r"""Metrolab THM1176 three-axis Hall magnetometer, the sensor of the paper, over USBTMC.
+r"""Metrolab THM1176 three-axis Hall magnetometer, the sensor of the paper, over USBTMC (`VisaPort`).
 
 Protocol: public Python drivers (pyTHM1176 of Hyperfine). The three axes are measured one after the other, each averaged over all its
 samples before the next begins: about 5 ms between them at 100 samples, so the field has to stand still meanwhile. `:CAL:INIT` and

@@ -26,7 +26,7 @@ _SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
     "metrolab_thm1176": SimulatedTHM1176,
 }
 _VERSIONS = {"ur3": "3.15.4.106291", "ur3e": "5.11.1.108318"}
-_PORTS = ("serial", "tcp", "usbtmc", "port", "replay", "host", "baud", "record")
+_PORTS = ("serial", "tcp", "visa", "port", "replay", "host", "baud", "record")
 
 
 class SimulatedRig(ClosesItself):

@@ -138,7 +138,7 @@ class SimulatedKorad:
     """A Korad KA3005P: no terminators, and commands that follow too fast are lost."""
 
     _COMMAND = re.compile(
-        rb"\*IDN\?|STATUS\?|[IV](?:SET|OUT)1\?|ISET1:\d\.\d{3}|VSET1:\d\d\.\d\d|OUT[01]|O[CV]P[01]"
+        rb"\*IDN\?|STATUS\?|[IV](?:SET|OUT)1\?|ISET1:\d\.\d{3}|VSET1:\d{1,2}\.\d\d|OUT[01]|O[CV]P[01]"
     )
     _GAP_S = 0.05
 

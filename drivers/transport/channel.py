@@ -210,5 +210,10 @@ class Channel:
         try:
             self._arrived += self._port.receive(deadline)
         except DeadlineExceeded as error:
-            received = f"received {bytes(self._arrived[-80:])!r}" if self._arrived else "nothing received"
+            # Else what the port says, such as that a recording ends here.
+            received = (
+                f"received {bytes(self._arrived[-80:])!r}"
+                if self._arrived
+                else str(error).rpartition("; ")[2]
+            )
             raise deadline.exceeded(rule, received) from error

@@ -129,7 +129,7 @@ class ReplayedPort:
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
         while not self._arrived:
-            if not self._left:
+            if not any(chunk.direction == "<" for chunk in self._left):
                 raise deadline.exceeded(f"{self.name} must receive", "the recording ends here")
             if self._left[0].direction == ">":
                 raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")

@@ -145,6 +145,7 @@ def test_a_device_identifies_itself(kind, started):
         "korad": "KORAD",
         "scpi_tcp": "COILCAL",
         "thm1176": "Metrolab",
+        "thm1176_usb": "Metrolab",
     }
     assert text.startswith(maker.get(kind, "LSCI"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 
 import pytest
 
@@ -157,6 +158,28 @@ def test_a_replayed_arm_is_where_it_was_counted_and_flagged_as_then(session):
     assert lasting(again) == lasting(first)
     assert [reading.value for reading in again[:2]] == [HOME, HOME]
     assert again[2].value.position_m == pytest.approx(NEAR.position_m, abs=5e-4)
+
+
+@kinds(["3mh6"])
+@pytest.mark.parametrize("was_killed", [False, True])
+def test_a_stream_ends_where_its_recording_does_and_says_so_in_a_sentence(session, was_killed):
+    with session.recorded() as devices:
+        first = devices.devices["device"].read_new_T(timeout_s=TIMEOUT_S)
+    session.simulated.close()
+    if was_killed:  # before it could end the stream
+        lines = session.path.read_text().splitlines(keepends=True)
+        assert lines.pop().endswith("> b'S'\n")
+        session.path.write_text("".join(lines))
+    replayed = session.replayed().devices["device"]
+    readings = []
+    begin_s = time.monotonic()
+    with pytest.raises(DeadlineExceeded) as caught:  # noqa: PT012
+        while len(readings) < 1000:
+            readings += replayed.read_new_T(timeout_s=TIMEOUT_S)
+    assert time.monotonic() - begin_s < TIMEOUT_S
+    assert lasting(readings[: len(first)]) == lasting(first)
+    end = f"the stream must go on within {TIMEOUT_S:g} s; the recording ends here ({session.path})"
+    assert str(caught.value) == end
 
 
 @kinds(KINDS)

@@ -32,6 +32,7 @@ from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from tests.drivers.fields import along_z
+from tests.drivers.transport.fake_usb import FakeInstrument
 
 KEPCO_SERIAL = SerialSettings(9600)
 SLEW_A_PER_S = 20.0
@@ -79,6 +80,10 @@ SENSORS["thm1176"] = (
     "serial",
     lambda world: partial(SimulatedTHM1176, world, along_z),
     lambda address: MetrolabTHM1176(SerialPort(address, SERIAL_SENIS), range_T=0.1),
+)
+SENSORS["thm1176_usb"] = (
+    *SENSORS["thm1176"][:2],
+    lambda address: MetrolabTHM1176(FakeInstrument(address).open(), range_T=0.1),
 )
 SOURCES = {
     "kepco": (

@@ -201,7 +201,10 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
 BAD = {
     "of no kind": ({"serial": "x"}, "must say what it is"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
-    "without port": (SENSOR, "must have one of serial, tcp, usbtmc and replay; received none"),
+    "without port": (SENSOR, "must have one of serial, tcp, visa and replay; received none"),
+    "without messages": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0, "visa": "GPIB0::6::INSTR"}, "must have one of serial, tcp and replay; received none"),
+    "not there in VISA": ({"sensor": "metrolab_thm1176", "range_mT": 100, "visa": "USB0::0x1BFA::0x0498::none::INSTR"}, "none::INSTR must be there, once, and be permitted"),
+    "with a serial line in VISA": ({**SENSOR, "visa": "ASRL/dev/ttyUSB0::INSTR"}, "visa must name a USB, GPIB or VXI-11 instrument"),
     "with two ports": ({**SENSOR, "serial": "x", "tcp": "y"}, "received serial and tcp"),
     "without unit": ({"sensor": "lakeshore_460", "range": 30, "serial": "x"}, "range_T must be given once, as range_T or range_mT"),
     "with two units": ({"sensor": "lakeshore_460", "range_T": 1, "range_mT": 30, "serial": "x"}, "must be given once"),

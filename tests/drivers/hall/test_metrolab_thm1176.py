@@ -6,12 +6,12 @@ import pytest
 
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.metrolab_thm1176 import MEASURE, MetrolabTHM1176, choose_range_T, encode_setup
+from drivers.open import open_devices
 from drivers.protocols import ReadingFlag
-from drivers.transport import usbtmc
-from drivers.transport.usbtmc import UsbtmcPort
 from tests.drivers.fields import PER_AMPERE_T, ROOM_T
 from tests.drivers.replay import conversation
 from tests.drivers.rig import SENSORS
+from tests.drivers.transport.fake_usb import FakeInstrument, bus_with
 
 SETUP = (encode_setup(0.1, 100).encode() + b"\n", b"0\n")
 ASK = MEASURE.encode() + b"\n"
@@ -38,15 +38,24 @@ def test_a_measurement_that_comes_again_is_stale():
     assert flags == [ReadingFlag.NONE, ReadingFlag.STALE]
 
 
-def test_it_measures_over_the_port_of_the_kernel(started, world, monkeypatch):
-    """Its simulator behind a pseudo-terminal, which knows no timeout of USBTMC."""
-    monkeypatch.setattr(usbtmc.fcntl, "ioctl", lambda *_: 0)
+@pytest.mark.parametrize("packet_bytes", [64, 512])
+def test_it_measures_over_usb_through_pyvisa(packet_bytes, started, world):
+    """Opened as a rig file says; its simulator in a process of its own is the function behind a fake USB bus."""
     world.drive(0, 2.0)
-    line, instrument, _ = SENSORS["thm1176"]
-    _, sensor = started((line, instrument, lambda address: MetrolabTHM1176(UsbtmcPort(address), range_T=0.1)))
-    with sensor:
+
+    def opened(address):
+        instrument = FakeInstrument(address, packet_bytes)
+        settings = {"sensor": "metrolab_thm1176", "visa": instrument.name, "range_mT": 100}
+        with bus_with(instrument):
+            return open_devices({"hall": settings})
+
+    _, devices = started((*SENSORS["thm1176"][:2], opened))
+    with devices:
+        sensor = devices.sensors["hall"]
         assert sensor.identify(timeout_s=10.0).startswith("Metrolab")
         values_T = [sensor.read_field_T(timeout_s=10.0).value[2] for _ in range(3)]
+        world.drive(0, 500.0)
+        assert ReadingFlag.OVER_RANGE in sensor.read_field_T(timeout_s=10.0).flags
     assert values_T == pytest.approx([ROOM_T[2] + 2.0 * PER_AMPERE_T] * 3, abs=1e-8)
 
 

@@ -18,7 +18,7 @@ from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.process import Simulator
 from drivers.simulated.scpi import short_form
-from drivers.simulated.supplies import simulated_kepco
+from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulated_scpi_supply
 from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
@@ -50,6 +50,12 @@ def test_a_simulator_ends_when_its_parent_is_killed():
             time.sleep(0.02)
 
 
+def said_by(client, address):
+    """What a client prints, in a process of its own, about the instrument at its first argument."""
+    arguments = [sys.executable, "-c", textwrap.dedent(client), address]
+    return subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
+
+
 def test_lake_shores_own_driver_reads_the_simulated_f71(world):
     world.drive(0, 3.0)
     client = """
@@ -62,8 +68,7 @@ def test_lake_shores_own_driver_reads_the_simulated_f71(world):
     print(meter.model_number, meter.get_field_units(), len(points), points[-1].z, meter.get_dc_field_xyz()[3])
     """
     with Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as simulator:
-        arguments = [sys.executable, "-c", textwrap.dedent(client), simulator.address]
-        output = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
+        output = said_by(client, simulator.address)
     assert output.split() == ["F71", "TESLA", "10", "0.00596", "0.00596"]
 
 
@@ -78,11 +83,64 @@ def test_lake_shores_own_driver_reads_the_simulated_224(world):
     """
     world.drive(0, 100.0)
     with Simulator.on_tcp(partial(Simulated224, world, {"A": 0, "C1": None})) as simulator:
-        arguments = [sys.executable, "-c", textwrap.dedent(client), simulator.address]
-        output = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
+        output = said_by(client, simulator.address)
     coil_K, room_K, is_open = output.split()
     assert float(coil_K) > 296.0
     assert (room_K, is_open) == ("295", "True")
+
+
+def test_tenmas_driver_reads_the_simulated_korad(world):
+    """A Tenma 72-2540 is a KA3005P under another name."""
+    client = """
+    import sys
+    from tenma.tenmaDcLib import Tenma72_2540
+    supply = Tenma72_2540(sys.argv[1])
+    print(supply.getVersion(), supply.setVoltage(1, 4000), supply.setCurrent(1, 1500))  # both are read back
+    supply.ON()
+    print(supply.runningCurrent(1), supply.runningVoltage(1), supply.getStatus()["ch1Mode"], supply.getStatus()["outEnabled"])
+    supply.setVoltage(1, 2500)
+    print(supply.runningCurrent(1), supply.getStatus()["ch1Mode"])
+    supply.OFF()
+    print(supply.runningCurrent(1), supply.getStatus()["outEnabled"])
+    """
+    with Simulator.on_serial_line(partial(SimulatedKorad, world, 0)) as simulator:
+        lines = said_by(client, simulator.address).splitlines()
+    assert lines == ["KORADKA3005PV2.0 4.0 1.5", "1.5 3.0 C.C True", "1.25 C.V", "0.0 False"]
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "current_A"),
+    [
+        (simulated_kepco, "KEPCO,BOP 50-20M,A12345,2.1", -1.5),
+        (simulated_scpi_supply, "COILCAL,SCPI SUPPLY,0,1.0", 1.5),
+    ],
+)
+def test_a_client_of_any_scpi_instrument_sets_and_reads_the_simulated_supplies(make, name, current_A, world):
+    """easy-scpi, through pyvisa on a serial line; it knows nothing of supplies, so it is told the words of the manual."""
+    client = f"""
+    import sys
+    from easy_scpi import Instrument
+    supply = Instrument(port=sys.argv[1], port_match=False, backend="@py", read_termination="\\n", write_termination="\\n")
+    supply.connect()
+    if {name.startswith("KEPCO")}:
+        supply.system.remote(1)
+        supply.function.mode("CURR")
+    supply.voltage(20)
+    supply.current({current_A})
+    supply.output("ON")
+    questions = (supply.output, supply.current, supply.voltage, supply.measure.current, supply.measure.voltage)
+    answers = [supply.id, *(question() for question in questions), supply.system.error()]
+    supply.current(6)
+    answers += [supply.system.error(), supply.system.error()]
+    print("|".join(answer.strip("\\x11\\x13\\r") for answer in answers))
+    supply.disconnect()
+    """
+    with Simulator.on_serial_line(partial(make, world, 0, 5.0)) as simulator:
+        answers = said_by(client, simulator.address).strip().split("|")
+    assert answers[0] == name
+    assert [float(answer) for answer in answers[1:6]] == [1.0, current_A, 20.0, current_A, 2.0 * current_A]
+    assert answers[6:] == ['0,"No error"', '-222,"Data out of range"', '0,"No error"']
+    assert world.snapshot().currents_A == (current_A,)
 
 
 def test_the_simulated_kepco_understands_what_pymeasure_sends(world):

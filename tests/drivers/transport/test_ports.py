@@ -110,7 +110,13 @@ def test_a_port_that_is_not_there_is_a_fault():
 
 
 def test_a_replay_answers_as_recorded_and_refuses_other_questions():
-    chunks = [Chunk(0.0, ">", b"a?"), Chunk(0.1, "<", b"1"), Chunk(0.2, "<", b"2"), Chunk(0.3, ">", b"b?")]
+    chunks = [
+        Chunk(0.0, ">", b"a?"),
+        Chunk(0.1, "<", b"1"),
+        Chunk(0.2, "<", b"2"),
+        Chunk(0.3, ">", b"b?"),
+        Chunk(0.4, "<", b"3"),
+    ]
     port = ReplayedPort(chunks, "recorded.txt")
     port.send(b"a?", soon())
     assert port.receive(soon()) + port.receive(soon()) == b"12"
