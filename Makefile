@@ -58,8 +58,9 @@ storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalib
 batch-kills: $(INSTALLED) # 200 sessions with workers and client killed, byte by byte those of the batch that was let alone; half an hour
 	$(BIN)/python scripts/batch_kill_study.py --out out/batch_kills
 
-recalibrate-years: $(INSTALLED)   # 20 years of weekly sessions, a cause from week 20 on; hours, continues where it was interrupted
-	$(BIN)/python scripts/recalibrate_years.py --out out/years
+recalibrate-years: $(INSTALLED)   # 40 years of weekly sessions, a cause from week 20 on; over an hour, continues where it was interrupted
+	$(BIN)/python scripts/recalibrate_years.py --first-seed 5000 --weeks 22 --out out/years
+	$(BIN)/python scripts/recalibrate_years.py --first-seed 6000 --weeks 22 --out out/years
 
 recalibrate-mice: $(INSTALLED)    # run06 and run07 of the measured solenoid, below COILCAL_DATA
 	$(BIN)/python scripts/recalibrate_mice.py --out out/recalibrate_mice
