@@ -7,8 +7,8 @@ parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -25,6 +25,7 @@ from estimator.effects.base import (
     ReadingEffect,
     RoomEffect,
     SourceEffect,
+    Theta,
     WindingEffect,
 )
 from estimator.effects.record import UnitError
@@ -44,6 +45,10 @@ from estimator.frames import Transform
 from estimator.motion import base_from_motion
 from estimator.records import Observations
 from estimator.rig import Body, Coil, Rig
+
+SourceField = Callable[
+    [Tensor, Winding, Rule, Theta], Tensor
+]  # at points of a coil's frame, as `SourceEffect.apply`
 
 
 @dataclass(frozen=True)
@@ -247,12 +252,11 @@ class Chain:
         coil_from_sensor = world_from_coil.inverse() @ world_from_sensor
         points_m = coil_from_sensor.translation_m
         winding = winding_of(self.rig, coil, values)
-        rule = self.rules[coil.name]
         field = self._coil_field(coil, points_m, winding)
         found = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
             theta = use.theta(values)
-            more = use.effect.apply(points_m, winding, rule, theta)
+            more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
             drive = use.effect.drive(current_A, theta)
             if drive is current_A:
                 field = field + more
@@ -274,15 +278,29 @@ class Chain:
     ) -> Float[Tensor, "*batch point 3"]:
         """Field of one ampere in the coil frame, by the coil's rule."""
 
-        def per_ampere(points_m: Tensor, of: Winding) -> Tensor:
-            return coil_field_per_ampere(coil, points_m, of, self.rules[coil.name], self.is_compiled)
+        def per_ampere(points_m: Tensor, of: Winding, rule: Rule, _: Theta) -> Tensor:
+            return coil_field_per_ampere(coil, points_m, of, rule, self.is_compiled)
 
+        return self._sloped(coil, per_ampere, points_coil_m, winding, {})
+
+    def _sloped(
+        self, coil: Coil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
+    ) -> Tensor:
+        """A field that a coil makes, with cheap derivatives where these are asked for."""
+        rule = self.rules[coil.name]
         if not self.has_cheap_slope:
-            return per_ampere(points_coil_m, winding)
+            return field(points_coil_m, winding, rule, theta)
         is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
             self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS
         )
-        return with_cheap_slope(per_ampere, points_coil_m, winding, is_fixed)
+        geometry = [] if is_fixed else [getattr(winding, one.name) for one in fields(Winding)]
+
+        def of(points_m: Tensor, numbers: Sequence[Tensor]) -> Tensor:
+            there = Winding(*numbers[: len(geometry)]) if geometry else winding
+            own = dict(zip(theta, numbers[len(geometry) :], strict=True))
+            return field(points_m, there, rule, own)
+
+        return with_cheap_slope(of, points_coil_m, [*geometry, *theta.values()])
 
     def _everywhere(self, field: Tensor, rows: Tensor) -> Tensor:
         """Field at the rows of some poses as one at all poses; of a coil and a sensor that are both fixed, one row stands for all."""

@@ -12,7 +12,11 @@ from torch.func import jacfwd
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.coordinates import Coordinates
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.effects.base import SourceEffect
 from estimator.records import Observations
+from estimator.rig import Cause, Rig
 
 RIG = """
 schema_version: 1
@@ -41,17 +45,16 @@ effects:
 """
 
 
-@pytest.mark.parametrize(
-    "radius", ["{prior: {normal: {mean: 51, sd: 1}}}", "51"], ids=["free", "fixed radius"]
-)
-def test_cheap_slope_has_the_value_and_the_derivatives_of_the_plain_field(radius):
-    rig = rig_from_text(
-        RIG.replace("radius_mm: {prior: {normal: {mean: 51, sd: 1}}}", f"radius_mm: {radius}")
-    )
+SOURCES = [effect.name for effect in EFFECTS.values() if isinstance(effect, SourceEffect)]
+
+
+@pytest.fixture(scope="module")
+def observations() -> Observations:
+    """Two sensors turned and moved at random, with one coil on, the other, or both."""
     random = np.random.default_rng(3)
     motion = np.concatenate((random.uniform(-0.02, 0.02, (8, 3)), random.normal(size=(8, 3))), axis=1)
     n = len(motion)
-    observations = Observations(
+    return Observations(
         time_s=torch.arange(n, dtype=torch.float64),
         sensor=torch.arange(n) % 2,
         current_A=torch.tensor([[1.0, 0.0], [1.0, 0.5], [0.0, 2.0], [-1.0, 0.0]] * 2, dtype=torch.float64),
@@ -61,14 +64,32 @@ def test_cheap_slope_has_the_value_and_the_derivatives_of_the_plain_field(radius
         repeat=torch.zeros(n, dtype=torch.int64),
         temperature_C={},
     )
+
+
+@pytest.mark.parametrize(
+    "radius", ["{prior: {normal: {mean: 51, sd: 1}}}", "51"], ids=["free", "fixed radius"]
+)
+def test_cheap_slope_has_the_value_and_the_derivatives_of_the_plain_field(observations, radius):
+    agree(rig_from_text(RIG.replace("{prior: {normal: {mean: 51, sd: 1}}}", radius)), observations)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_cheap_slope_of_what_moves_with_a_coil_has_the_derivatives_of_the_plain_field(observations, source):
+    rig = rig_from_text(RIG)
+    for coil in ("coil1", "coil2"):
+        rig = with_effect(rig, Cause(source, coil), observations, {})
+    agree(rig, observations)
+
+
+def agree(rig: Rig, observations: Observations) -> None:
+    """Value and derivatives of both chains, at a draw from the prior."""
     coordinates = Coordinates(rig)
     plain = Chain.build(rig, observations)
     cheap = replace(plain, has_cheap_slope=True)
-    at = coordinates.sample_prior(random, 1)[0]
+    at = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
     values = [chain.predict(coordinates.values(at)) for chain in (plain, cheap)]
     torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
     slopes = [jacfwd(lambda v, c=chain: c.predict(coordinates.values(v)))(at) for chain in (plain, cheap)]
-    assert (
-        slopes[0].flatten(0, 1).norm(dim=0)[torch.tensor([".noise" not in n for n in coordinates.names])] > 0
-    ).all()
+    moves = torch.tensor([".noise" not in name for name in coordinates.names])
+    assert (slopes[0].flatten(0, 1).norm(dim=0)[moves] > 0.0).all()
     torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-10, atol=1e-12 * float(slopes[0].abs().max()))
