@@ -105,8 +105,11 @@ class _Trail:
             if step.taken is None and (both := self._with_pair(fit, step)) is not None:
                 fit = both
                 continue
+            if step.taken is not None and len(self.own(fit)) >= MOST_CAUSES:
+                self.tell(f"{step.taken.label} would earn a place too, but {MOST_CAUSES} causes are the most")
+                step = replace(step, taken=None)
             self.steps.append(step)
-            if step.taken is None or len(self.own(fit)) >= MOST_CAUSES:
+            if step.taken is None:
                 return fit
             self.tell(
                 f"{step.taken.label} earns its place ({step.winner.log_evidence - fit.log_evidence:+.1f} in log evidence)"

@@ -1,4 +1,4 @@
-"""What causes would change weighs, at every step of a search, what the readings weigh there."""
+"""What causes would change weighs, at every step of a search, what the readings weigh there; and where a search ends."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from estimator.diagnosis.discrepancy import discrepancy, families
 from estimator.diagnosis.step import take_step
 from estimator.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import fit_of
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
-GAIN = Cause("axis_gain", "hall")
+GAIN, OFFSET = Cause("axis_gain", "hall"), Cause("sensor_offset", "hall")
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +55,19 @@ def test_a_curve_keeps_its_size_in_units_of_the_noise(noisy_and_quiet):
     noisy, quiet = noisy_and_quiet
     whole = discrepancy(noisy, families(noisy))
     torch.testing.assert_close(whole.weighed(quiet.weight_over(noisy)).columns, whole.columns)
+
+
+def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
+    small_rig, small_session, small_truth, monkeypatch
+):
+    monkeypatch.setattr(search, "MOST_CAUSES", 1)
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
+    readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
+    told = []
+    found = search.search(fit_of(small_rig, readings.calibration), told.append)
+    taken = [step.taken for step in found.steps]
+    assert taken[-1] is None
+    assert tuple(taken[:-1]) == found.final.rig.effects
+    assert len(found.final.rig.effects) == 1
+    assert told[-1].endswith("would earn a place too, but 1 causes are the most")
