@@ -26,6 +26,7 @@ from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
 NEAR_BOUND = 1e-3  # of the prior's width
+ROUGH = 1e-2  # in log density: where a fit that is one of many stops; the last one goes on
 ROUNDING = 1e-12  # of the largest reading: two that differ by less are the same
 
 

@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 
 from estimator.diagnosis.candidates import Candidate
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig import Cause
 
 SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
-ROUGH = 1e-2  # in log density: where a fit that is one of many stops; the last one goes on
 
 
 def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, Candidate]]:

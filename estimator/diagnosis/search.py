@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.diagnosis.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.diagnosis.pairs import pairs
 from estimator.diagnosis.step import (
     LEAST_LOG_ODDS,
@@ -200,7 +200,7 @@ def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         if cause is None or needs[cause] > SURELY_NEEDED:
             return fit, gone
         rig, rules = fit.rig.without_cause(cause), fit.posterior.chain.rules
-        best = fit_rig(rig, fit.observations, fit.values, rules)
+        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=ROUGH)
         if best.log_evidence <= fit.log_evidence:
             return fit, gone
         gone.append(cause)
