@@ -51,6 +51,7 @@ real: $(INSTALLED)        # measured coils below COILCAL_DATA
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
 	$(BIN)/python scripts/diagnose_real.py mice-run07 mice-run05 --carry 'out/diagnosis/mice-run03/pierced_plate[room]' --out out/diagnosis_with_plate
+	$(BIN)/python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
 
 storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
 	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py tests/estimator/cli/test_recalibrate_storm.py

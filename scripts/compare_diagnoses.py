@@ -1,0 +1,57 @@
+"""What several diagnoses of one rig, each by itself, say of the same causes: a line for every quantity that all of them tell from zero.
+
+python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from estimator.diagnosis_record import DIAGNOSIS
+from estimator.plots.style import with_sd
+
+CLEAR_SD = 5.0  # from zero, in every diagnosis
+PREFIXES = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "T": ("µT", 1e6), "1": ("%", 1e2)}
+
+Sized = tuple[float, float]  # value and its standard deviation
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", nargs="+", type=Path, help="that coilcal diagnose wrote")
+    folders: list[Path] = parser.parse_args().folders
+    found = [quantities(folder) for folder in folders]
+    shared = [key for key in found[0] if all(is_clear(one.get(key)) for one in found)]
+    print("| cause | quantity | unit | " + " | ".join(folder.name for folder in folders) + " |")
+    print("|---" * (3 + len(folders)) + "|")
+    for cause, name, unit in shared:
+        words, factor = PREFIXES.get(unit, (unit, 1.0))
+        values = [
+            with_sd(factor * value, factor * sd) for value, sd in (one[cause, name, unit] for one in found)
+        ]
+        print(f"| `{cause}` | {name.removesuffix(f'_{unit}')} | {words} | " + " | ".join(values) + " |")
+
+
+def quantities(folder: Path) -> dict[tuple[str, str, str], Sized]:
+    """Every quantity of what a diagnosis named, by cause, name and unit."""
+    record = json.loads((folder / DIAGNOSIS).read_text(encoding="utf-8"))
+    return {
+        (cause["name"], name, p["unit"]): (p["median"], p["sd"])
+        for cause in record["causes"]
+        for name, p in cause["parameters"].items()
+    }
+
+
+def is_clear(sized: Sized | None) -> bool:
+    return sized is not None and abs(sized[0]) > CLEAR_SD * sized[1] > 0.0
+
+
+if __name__ == "__main__":
+    main()
