@@ -58,7 +58,7 @@ class Discrepancy:
         log_bayes_factor: Against no structure, averaged over families and amplitudes.
         family: The one with the largest evidence.
         by_family: Log Bayes factor of each.
-        rms_sigma: Rms of that family's best curve, in units of the noise.
+        rms_sigma: Rms of that family's best curve, less what the fit can follow of it, in units of the noise.
         columns: Whitened, that family's, with standard normal coefficients.
     """
 
@@ -90,7 +90,7 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
     total = log_mean_exp(torch.tensor(list(by_family.values()), dtype=torch.float64))
     _, strongest, amplitude = best
     assert strongest is not None
-    curve = _curve(fit, strongest.columns, amplitude)
+    curve = fit.projector.rest(_curve(fit, strongest.columns, amplitude))
     rms_sigma = float(curve.square().mean().sqrt())
     return Discrepancy(total, strongest.name, by_family, rms_sigma, amplitude * strongest.columns)
 

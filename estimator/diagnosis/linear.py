@@ -49,6 +49,11 @@ class Projector:
         product: Tensor = one.T @ other - follow_one.T @ follow_other
         return product
 
+    def rest(self, vector: Float[Tensor, " component"]) -> Float[Tensor, " component"]:
+        """What the fit cannot follow of a vector."""
+        followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ vector)))
+        return vector - followed
+
 
 @dataclass(frozen=True)
 class FreeNoise:

@@ -160,8 +160,7 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
     )
     projector = Projector.of(jacobian, prior)
     copy = Fit(fit.posterior, fit.polished)
-    left = fit.residual - jacobian @ (projector.factor @ (projector.factor.T @ (jacobian.T @ fit.residual)))
-    copy.__dict__.update(projector=projector, residual=left)
+    copy.__dict__.update(projector=projector, residual=projector.rest(fit.residual))
     return copy
 
 

@@ -59,6 +59,15 @@ def test_projection_takes_out_what_parameters_without_prior_can_follow():
     torch.testing.assert_close(projector.gram(columns, columns), left.T @ left)
 
 
+def test_the_rest_of_a_vector_is_what_ridge_regression_leaves_of_it():
+    jacobian, prior, _, vector = problem(5)
+    augmented = torch.cat((jacobian, prior.sqrt()))
+    best = torch.linalg.lstsq(augmented, torch.cat((vector, torch.zeros(3).double()))[:, None]).solution
+    rest = Projector.of(jacobian, prior).rest(vector)
+    torch.testing.assert_close(rest, vector - (jacobian @ best)[:, 0], rtol=1e-10, atol=1e-12)
+    assert rest.norm() < 0.99 * vector.norm()
+
+
 def test_columns_without_width_change_nothing():
     gram, score = torch.eye(2).double(), torch.tensor([3.0, 4.0]).double()
     assert log_bayes_factor(gram, score, torch.full((2,), 1e-9).double()).item() == pytest.approx(
