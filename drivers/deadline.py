@@ -46,7 +46,9 @@ class Deadline:
 
     def exceeded(self, rule: str, received: str) -> DeadlineExceeded:
         """The error to raise when it is over, as in `exceeded("supply must answer", "nothing received")`."""
-        return DeadlineExceeded(f"{rule} within {self.allowed_s:g} s; {received}")
+        error = DeadlineExceeded(f"{rule} within {self.allowed_s:g} s; {received}")
+        error.received = received
+        return error
 
     def sleep(self, duration_s: float, rule: str) -> None:
         """Wait; where that takes longer than what is left, wait that long and raise.

@@ -10,12 +10,17 @@ class DriverError(Exception):
 class DeadlineExceeded(DriverError, TimeoutError):
     """No answer within the time allowed; whether the device obeyed is unknown.
 
+    Attributes:
+        received: What came instead, in words; empty where nobody said.
+
     Examples:
         >>> raise DeadlineExceeded("supply must answer within 0.5 s; nothing received (/dev/ttyUSB0)")
         Traceback (most recent call last):
         ...
         drivers.errors.DeadlineExceeded: supply must answer within 0.5 s; nothing received (/dev/ttyUSB0)
     """
+
+    received: str = ""
 
 
 class DeviceFault(DriverError):

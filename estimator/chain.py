@@ -46,9 +46,8 @@ from estimator.motion import base_from_motion
 from estimator.records import Observations
 from estimator.rig import Body, Coil, Rig
 
-SourceField = Callable[
-    [Tensor, Winding, Rule, Theta], Tensor
-]  # at points of a coil's frame, as `SourceEffect.apply`
+# Of points in a coil's frame, as `SourceEffect.apply`.
+SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
 
 
 @dataclass(frozen=True)

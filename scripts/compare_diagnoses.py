@@ -1,6 +1,8 @@
 """What several diagnoses of one rig, each by itself, say of the same causes: a line for every quantity that all of them tell from zero.
 
-python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
+    python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05
+
+It prints a table in Markdown.
 """
 
 from __future__ import annotations
@@ -27,6 +29,9 @@ def main() -> None:
     )
     parser.add_argument("folders", nargs="+", type=Path, help="that coilcal diagnose wrote")
     folders: list[Path] = parser.parse_args().folders
+    for folder in folders:
+        if not (folder / DIAGNOSIS).is_file():
+            sys.exit(f"compare_diagnoses: folders must hold a {DIAGNOSIS}; received {folder}")
     found = [quantities(folder) for folder in folders]
     shared = [key for key in found[0] if all(is_clear(one.get(key)) for one in found)]
     print("| cause | quantity | unit | " + " | ".join(folder.name for folder in folders) + " |")

@@ -210,10 +210,5 @@ class Channel:
         try:
             self._arrived += self._port.receive(deadline)
         except DeadlineExceeded as error:
-            # Else what the port says, such as that a recording ends here.
-            received = (
-                f"received {bytes(self._arrived[-80:])!r}"
-                if self._arrived
-                else str(error).rpartition("; ")[2]
-            )
-            raise deadline.exceeded(rule, received) from error
+            arrived = f"received {bytes(self._arrived[-80:])!r}" if self._arrived else error.received
+            raise deadline.exceeded(rule, arrived or "nothing received") from error

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import torch
 from jaxtyping import Float
-from torch import Tensor, zeros
+from torch import Tensor
 from torch.func import jacfwd
 
 
@@ -26,7 +27,6 @@ def with_cheap_slope(
         numbers: Of winding and effect; only in these and the points is a derivative wanted.
 
     Examples:
-        >>> import torch
         >>> points = torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64)
         >>> radius_m = torch.tensor(0.05, dtype=torch.float64)
         >>> def dipole(points_m, numbers):
@@ -41,7 +41,7 @@ def with_cheap_slope(
         moved = field(here_m + step[:3], [n + d for n, d in zip(here, step[3:], strict=True)])
         return moved, moved
 
-    slope, value = jacfwd(near, has_aux=True)(zeros(3 + len(numbers), dtype=points_coil_m.dtype))
+    slope, value = jacfwd(near, has_aux=True)(torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype))
     total: Tensor = value + (slope[..., :3] @ (points_coil_m - here_m)[..., None])[..., 0]
     for i, (number, at) in enumerate(zip(numbers, here, strict=True)):
         total = total + slope[..., 3 + i] * (number - at)[..., None, None]
