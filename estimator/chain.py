@@ -27,6 +27,7 @@ from estimator.effects.base import (
     SourceEffect,
     Theta,
     WindingEffect,
+    WindingMagnetisation,
 )
 from estimator.effects.record import UnitError
 from estimator.effects.scene import Scene
@@ -34,6 +35,7 @@ from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import coil_field_per_ampere
 from estimator.field.first_order import with_cheap_slope
+from estimator.field.magnetised import field_of_rings
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -227,11 +229,18 @@ class Chain:
         total = torch.zeros(len(self.scene), 3, dtype=self.scene.current_A.dtype)
         delivered_A = self.delivered_A(values)
         for use in uses_of(self.rig, RoomEffect):
-            constant_T = use.effect.constant_T(use.theta(values), self.scene)
-            if constant_T is not None:
+            theta = use.theta(values)
+            steady_T = use.effect.steady_T(world_from_sensor.translation_m, theta)
+            if steady_T is not None:
+                here = self._everywhere(world_from_sensor.unrotate(steady_T), torch.arange(len(self.sensor)))
+                total = total + here[..., self.place, :]
+            drifting_T = use.effect.drifting_T(theta, self.scene)
+            if drifting_T is not None:
                 rotation = world_from_sensor.rotation
                 of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
-                total = total + (of_reading.mT @ constant_T[..., None])[..., 0]
+                total = total + (of_reading.mT @ drifting_T[..., None])[..., 0]
+        for magnetised in uses_of(self.rig, WindingMagnetisation):
+            total = total + self._magnetised(magnetised, values, world_from_sensor, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
             if coil.name not in self.rules or not len(rows):
@@ -271,6 +280,33 @@ class Chain:
             if answer is not None:
                 field = field + world_from_sensor.unrotate(answer)
         return [(field, current_A), *found]
+
+    def _magnetised(
+        self,
+        use: Use[WindingMagnetisation],
+        values: Values,
+        world_from_sensor: Transform,
+        delivered_A: Float[Tensor, "*#batch reading coil"],
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field of a magnetised winding in the sensor's frame."""
+        every = torch.arange(len(self.sensor))
+        coil = self.rig.coils[use.index(self.rig.coils)]
+        coil_from_sensor = self._world_from_body(coil, "coil", every, values).inverse() @ world_from_sensor
+        rings, patterns = use.effect.rings(self.rig, coil)
+        drives = use.effect.drives(delivered_A, use.theta(values))
+        idle = [i for i, other in enumerate(self.rig.coils) if not len(self.powered[other.name])]
+        there = [i for i in range(len(patterns)) if i not in idle]
+
+        def field(points_m: Tensor, _: Sequence[Tensor] = ()) -> Tensor:
+            return field_of_rings(points_m, rings, patterns[there]).flatten(-2)
+
+        points_m = coil_from_sensor.translation_m
+        flat = with_cheap_slope(field, points_m, ()) if self.has_cheap_slope else field(points_m)
+        flat = flat.expand(*flat.shape[:-2], len(every), -1)[..., self.place, :]
+        total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
+        rotation = coil_from_sensor.rotation
+        of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
+        return Transform(of_reading, total).unrotate(total)
 
     def _coil_field(
         self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding

@@ -197,8 +197,9 @@ def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numb
     _pure(section, name, "current_gain", numbers, default=1.0)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
     field_sum = section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS)
+    is_superconducting = section.flag("superconducting")
     section.finish()
-    return Coil(name, carried_by, FieldSum(field_sum))
+    return Coil(name, carried_by, FieldSum(field_sum), is_superconducting)
 
 
 def _sensor(section: Section, name: str, movers: tuple[Mover, ...], numbers: _Numbers) -> Sensor:

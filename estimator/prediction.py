@@ -13,14 +13,14 @@ from torch.func import jvp
 from estimator.bodies import static_columns, winding_of, world_from_body
 from estimator.chain import CoilInRoom
 from estimator.coordinates import Values
-from estimator.effects.base import CurrentEffect, RoomEffect, SourceEffect
+from estimator.effects.base import CurrentEffect, RoomEffect, SourceEffect, WindingMagnetisation
 from estimator.effects.record import UnitError
 from estimator.effects.scene import Scene
 from estimator.effects.supply import CoilHeating
-from estimator.effects.surroundings import BackgroundField
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import coil_field_per_ampere
+from estimator.field.magnetised import field_of_rings
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -117,8 +117,17 @@ class RoomField:
                 if answer is not None:
                     field = field + own_A[..., None, None] * answer
             total = total + field
-        for room in uses_of(self.rig, BackgroundField):
-            total = total + room.effect.field_T(room.theta(values))[..., None, :]
+        for magnetised in uses_of(self.rig, WindingMagnetisation):
+            coil = self.rig.coils[magnetised.index(self.rig.coils)]
+            world_from_coil = self._world_from_coil(coil, values)
+            rings, patterns = magnetised.effect.rings(self.rig, coil)
+            each = field_of_rings(world_from_coil.inverse().apply(points_m), rings, patterns)
+            drives = magnetised.effect.drives(delivered_A[..., None, :], magnetised.theta(values))
+            total = total + world_from_coil.rotate((drives[..., None] * each).sum(-2))
+        for room in uses_of(self.rig, RoomEffect):
+            steady_T = room.effect.steady_T(points_m, room.theta(values))
+            if steady_T is not None:
+                total = total + steady_T
         return torch.where(self.is_inside[:, None], torch.nan, total)
 
     def gradient_T_per_m(

@@ -74,9 +74,15 @@ class Body:
 
 @dataclass(frozen=True)
 class Coil(Body):
-    """A circular multi-layer winding; `field_sum` says how its simulation adds loops."""
+    """A circular multi-layer winding.
+
+    Attributes:
+        field_sum: How its simulation adds loops.
+        is_superconducting: Its wire may hold on to flux.
+    """
 
     field_sum: FieldSum = FieldSum.VECTORS
+    is_superconducting: bool = False
 
 
 class Sensor(Body):

@@ -138,6 +138,13 @@ class Section:
             self.refuse(key, f"must be one of {', '.join(choices)}", repr(value))
         return str(value)
 
+    def flag(self, key: str) -> bool:
+        """Whether a key says true; false where it is not given."""
+        value = self.value(key, False)
+        if not isinstance(value, bool):
+            self.refuse(key, "must be true or false", value)
+        return value
+
     def key_of(self, choices: tuple[str, ...], section: str) -> str:
         """The one key that the mapping below `section` holds, out of a list."""
         keys = list(self.section(section))

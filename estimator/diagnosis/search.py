@@ -29,7 +29,7 @@ from estimator.effects.attach import with_effect
 from estimator.rig import Cause
 from estimator.split import blocks_of_places
 
-MOST_CAUSES = 20
+MOST_CAUSES = 30
 SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 

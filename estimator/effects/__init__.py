@@ -34,6 +34,7 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
+from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
 from estimator.effects.surroundings import BackgroundDrift, BackgroundField
 from estimator.effects.winding import (
@@ -69,6 +70,7 @@ EFFECTS: dict[str, Effect] = {
         CoreSaturation(),
         SphericalSum(),
         DipoleModel(),
+        FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
         IronPlate(),

@@ -18,10 +18,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.scene import Extent, Scene
+from estimator.field.magnetised import Rings
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.parameters import LogNormal, Normal, Prior, Uniform
-from estimator.rig import Body, Mover, Rig
+from estimator.rig import Body, Coil, Mover, Rig
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 
@@ -176,6 +177,22 @@ class SourceEffect(Effect):
         return current_A
 
 
+class WindingMagnetisation(Effect):
+    """Magnetises a winding in some patterns, each driven by currents or always there."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
+        """Rings of the winding in its frame, and the patterns: mu0 M outwards and along the axis, in T."""
+
+    @abstractmethod
+    def drives(
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading pattern"]:
+        """How strongly each pattern is there, given the currents of all coils."""
+
+
 class PerAmpere(ABC):
     """Field of one ampere in a coil, in the room, at any points: what things that stand in the room respond to."""
 
@@ -198,8 +215,14 @@ class RoomEffect(Effect):
 
     kind = Kind.ROOM
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"] | None:
+    def steady_T(
+        self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch place 3"] | None:
         """Field in the world frame that is there without current."""
+        return None
+
+    def drifting_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"] | None:
+        """Field in the world frame that comes and goes with time, everywhere the same."""
         return None
 
     def response(

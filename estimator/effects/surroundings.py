@@ -23,14 +23,12 @@ class BackgroundField(RoomEffect):
         """Components in the world frame."""
         return triple("xyz", "_T", "T", 50e-6)
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
-        """The same at every reading."""
-        field = self.field_T(theta)
-        return field[..., None, :].expand(*field.shape[:-1], len(scene), 3)
-
-    def field_T(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
-        """The field, in the world frame."""
-        return torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
+    def steady_T(
+        self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch place 3"]:
+        """The same everywhere."""
+        field = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
+        return field.expand(*field.shape[:-2], points_m.shape[-2], 3)
 
 
 class BackgroundDrift(RoomEffect):
@@ -44,7 +42,7 @@ class BackgroundDrift(RoomEffect):
         """Change per hour in the world frame, from the beginning of the session on."""
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
-    def constant_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
+    def drifting_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
         """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
         return rate[..., None, :] * scene.hours[:, None]

@@ -31,6 +31,7 @@ coils:
     wire_radius_mm: 0.5
     axial_loops: 6
     radial_loops: 4
+    superconducting: true
     world_from_coil0: {z_mm: -45, tilt_x_deg: 2}
   coil2: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {x_mm: 80, ry_deg: -90}}
 sensors:
@@ -136,7 +137,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
-    sensor_misplaced"""
+    sensor_misplaced filament_magnetisation"""
     assert set(EFFECTS) == set(stable.split())
 
 

@@ -1,0 +1,132 @@
+"""What the filaments of a superconducting winding do to its field: they screen what changes and keep what was there."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Kind, Quantity, Theta, WindingMagnetisation, triple
+from estimator.effects.scene import Extent, Scene
+from estimator.field.magnetised import Rings, field_inside_per_ampere
+from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.frames import Transform
+from estimator.motion import pose_of
+from estimator.parameters import Normal
+from estimator.rig import Coil, Rig
+
+LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
+AZIMUTHS = 4  # of a ring, over which the field of another coil is averaged
+SOURCE_RULE = Rule(64, 8, 7)
+Numbers = tuple[float, ...]
+
+
+class FilamentMagnetisation(WindingMagnetisation):
+    """Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
+
+    The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that keep their
+    place beside it.
+    """
+
+    name: ClassVar[str] = "filament_magnetisation"
+    kind: ClassVar[Kind] = Kind.COIL
+    words: ClassVar[str] = "currents that persist in the superconductor's filaments magnetise the winding"
+    source: ClassVar[str] = (
+        "Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of "
+        "the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8)"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of the present field that is turned against it; mu0 M that an earlier field has left.
+
+        What is left is taken to first order along the winding: along the axis, outwards, and fanned out (outwards at the front face,
+        inwards at the back).
+        """
+        return (
+            Quantity("susceptibility", "1", Normal(0.0, 0.3, lower=0.0, upper=1.0)),
+            *triple(LEFT, "_T", "T", 0.02),
+        )
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Coils that the rig file calls superconducting."""
+        return tuple(coil.name for coil in rig.coils if coil.is_superconducting)
+
+    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+        """Without any current nothing is screened."""
+        has_current = bool((scene.observations.history.current_A != 0.0).any())
+        return frozenset() if has_current else frozenset({"susceptibility"})
+
+    def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
+        """Patterns: against one ampere in each coil, along the axis, outwards, and fanned out."""
+        target = _described(rig, coil)
+        sources = tuple(
+            _described(rig, other) if other.carried_by == coil.carried_by else None for other in rig.coils
+        )
+        return _rings(target, sources)
+
+    def drives(
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading pattern"]:
+        """How strongly each pattern is there."""
+        screened = theta["susceptibility"][..., None, None] * current_A
+        left = torch.stack([theta[f"{key}_T"] for key in LEFT], dim=-1)[..., None, :]
+        batch = torch.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
+        return torch.cat((screened.expand(*batch, -1), left.expand(*batch, -1)), dim=-1)
+
+
+def _described(rig: Rig, coil: Coil) -> Numbers:
+    """Winding and place of a coil as the rig file describes them."""
+    nominal = rig.nominal_values()
+    keys = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+    block = "world_from_coil" if coil.carried_by is None else "flange_from_coil"
+    pose = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
+    return (
+        *(nominal[f"{coil.name}.{key}"] for key in keys),
+        *(nominal[f"{coil.name}.{block}.{key}"] for key in pose),
+    )
+
+
+@lru_cache(maxsize=256)
+def _rings(target: Numbers, sources: tuple[Numbers | None, ...]) -> tuple[Rings, Tensor]:
+    winding, pose = _winding(target), _pose(target)
+    rings = Rings.of(winding)
+    own = field_inside_per_ampere(winding, rings)
+    patterns = []
+    for source in sources:
+        if source is None:
+            patterns.append(torch.zeros_like(own))
+        else:
+            patterns.append(-own if source == target else -_from_other(rings, pose, source))
+    zero, one = torch.zeros_like(rings.height_m), torch.ones_like(rings.height_m)
+    fanned = 1.0 + 2.0 * rings.height_m / winding.length_m
+    left = [torch.stack(parts, dim=-1) for parts in ((zero, one), (one, zero), (fanned, zero))]
+    return rings, torch.stack((*patterns, *left))
+
+
+def _from_other(rings: Rings, pose: Transform, source: Numbers) -> Float[Tensor, "ring 2"]:
+    """Field of one ampere in another coil, outwards and along the axis of the rings, averaged around them."""
+    turn = 2.0 * torch.pi * torch.arange(AZIMUTHS, dtype=torch.float64) / AZIMUTHS
+    outwards = torch.stack((torch.cos(turn), torch.sin(turn), torch.zeros_like(turn)), dim=-1)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    at_m = rings.radius_m[:, None, None] * outwards + rings.height_m[:, None, None] * up
+    target_from_source = pose.inverse() @ _pose(source)
+    points_m = target_from_source.inverse().apply(at_m.reshape(-1, 3))
+    field = target_from_source.rotate(winding_field_per_ampere(points_m, _winding(source), SOURCE_RULE))
+    field = field.reshape(at_m.shape)
+    return torch.stack(((field * outwards).sum(-1).mean(-1), field[..., 2].mean(-1)), dim=-1)
+
+
+def _winding(numbers: Numbers) -> Winding:
+    return Winding(*torch.tensor(numbers[:5], dtype=torch.float64))
+
+
+def _pose(numbers: Numbers) -> Transform:
+    keys = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
+    values = {
+        f"coil.{key}": torch.tensor(value, dtype=torch.float64)
+        for key, value in zip(keys, numbers[5:], strict=True)
+    }
+    return pose_of("coil", values)
