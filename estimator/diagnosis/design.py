@@ -1,7 +1,8 @@
 """Which further readings would tell hypotheses apart, or shrink a parameter, before they are taken.
 
 Hypotheses are fits of the same readings. A further reading counts by what they expect of it differently, less what the other could
-still adjust; to first order about each fit, the expected log evidence is half the squared distance that is left.
+still adjust; to first order about each fit, the expected log evidence is half the squared distance that is left, and what their scatters
+differ by.
 """
 
 from __future__ import annotations
@@ -155,13 +156,18 @@ class Rows:
 
 
 def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:
-    """Half the squared distance between what two hypotheses expect, after the rival has adjusted its parameters within their priors."""
-    sigma_T = torch.cat([rows.sigma_T for rows in truth])
+    """What readings of the truth are expected to hold against a rival, after it has adjusted its parameters within their priors.
+
+    Half the squared distance of what the two predict, in units of the rival's scatter, and what tells their scatters apart (Kullback and
+    Leibler's divergence of two normal distributions).
+    """
+    sigma_T = torch.cat([rows.sigma_T for rows in own])
     change = torch.cat([t.predicted_T - o.predicted_T for t, o in zip(truth, own, strict=True)]) / sigma_T
     columns = torch.cat([rows.jacobian_T for rows in own]) / sigma_T[:, None]
     prior = (rival.polished.precision - rival.polished.information)[0]
-    projector = Projector.of(columns, prior)
-    return 0.5 * projector.gram(change[:, None], change[:, None])[0, 0]
+    followed = Projector.of(columns, prior).gram(change[:, None], change[:, None])[0, 0]
+    wider = (torch.cat([rows.sigma_T for rows in truth]) / sigma_T).square()
+    return 0.5 * (followed + (wider - 1.0 - wider.log()).sum())
 
 
 def _some_stops(session: Observations) -> Tensor:

@@ -25,8 +25,7 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
 
     Args:
         fit: Without them.
-        beside: Log Bayes factor of the best cause of another kind, 0 where none earns its place. A mover that scatters is asked after all
-            others, and outliers where they promise more; else the hint stands for the evidence and nothing is fitted.
+        beside: Log Bayes factor from which on a hint is worth a full fit; below, the hint stands for the evidence.
     """
     for name, effect in EFFECTS.items():
         if isinstance(effect, NoiseEffect):
@@ -35,8 +34,7 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
             gain, cause = max(hints, key=lambda pair: pair[0], default=(0.0, None))
             if cause is None or gain <= LEAST_GAIN:
                 continue
-            is_asked = beside <= 0.0 or (name == "outliers" and gain > beside)
-            if not is_asked:
+            if gain < beside:
                 yield cause, gain, None
             else:
                 yield cause, *(_outliers(fit, cause) if name == "outliers" else _jitter(fit, cause))

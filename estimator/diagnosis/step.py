@@ -101,7 +101,7 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
     least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(max(len(ranked), 1)) + LOG_PRIOR_NOTHING
     beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
-    noisy = noise_causes(fit, beside if beside > least else 0.0)
+    noisy = noise_causes(fit, beside - LEADERS_WITHIN if beside > least else 0.0)
     rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noisy]
     rivals = _with_probabilities([_judged(fit, rival, block) for rival in rivals], len(ranked))
     causes = [rival for rival in rivals if rival.cause is not None]

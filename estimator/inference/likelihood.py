@@ -13,7 +13,14 @@ from torch import Tensor
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.effects.base import Effect, ElementEffect, MotionEffect, MountEffect, WindingEffect
+from estimator.effects.base import (
+    Effect,
+    ElementEffect,
+    MotionEffect,
+    MountEffect,
+    WindingEffect,
+    WindingMagnetisation,
+)
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
@@ -76,7 +83,8 @@ class LogPosterior:
     @cached_property
     def for_slopes(self) -> LogPosterior:
         """The same density with predictions whose first derivatives are cheap in many coordinates, and whose second ones are missing."""
-        if int(self.moves_field.sum()) <= FEW_COORDINATES:
+        is_dear = bool(uses_of(self.chain.rig, WindingMagnetisation))
+        if int(self.moves_field.sum()) <= FEW_COORDINATES and not is_dear:
             return self
         other = copy(self)
         other.chain = replace(self.chain, has_cheap_slope=True)
