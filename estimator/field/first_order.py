@@ -18,11 +18,11 @@ def with_cheap_slope(
     field: Callable[[Tensor, Sequence[Tensor]], Tensor],
     points_coil_m: Float[Tensor, "*#batch point 3"],
     numbers: Sequence[Float[Tensor, "*#batch"]],
-) -> Float[Tensor, "*batch point 3"]:
+) -> Float[Tensor, "*batch point component"]:
     """The field with the right value and first derivatives; second ones are missing.
 
     Args:
-        field: Of points and numbers; differentiable.
+        field: Of points and numbers; differentiable. Some components at each point: those of one field, or of several.
         points_coil_m: Points in the coil frame.
         numbers: Of winding and effect; only in these and the points is a derivative wanted.
 

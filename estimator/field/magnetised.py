@@ -17,7 +17,7 @@ from estimator.units import MU0_T_M_PER_A
 FEWEST_AXIAL, AXIAL_PER_RADIUS = 4, 3.0  # nodes along a winding, and for each inner radius of its length
 FEWEST_RADIAL, RADIAL_PER_RADIUS = 1, 4.0
 CORNER_NODES = 8  # each way, in the four parts into which a point inside a winding cuts it
-STEP = 1e-6  # of a ring's radius: differences of loops that stand for its dipoles
+STEP = 1e-5  # of a ring's radius: differences of loops that stand for its dipoles
 STEPS = 7  # of the arithmetic-geometric mean: enough next to a ring
 
 

@@ -43,6 +43,12 @@ REFUSALS = {
         "coils.coil1.field_sum must be one of vectors, spherical_components; received 'sum'",
         11,
     ),
+    "no truth": (
+        WIRE,
+        f"{WIRE}\n    superconducting: 4.2",
+        "coils.coil1.superconducting must be true or false; received 4.2",
+        11,
+    ),
     "missing key": ("    radial_loops: 22\n", "", "coils.coil1.radial_loops is missing", 8),
     "missing wire": (f"    {WIRE}\n", "", "coils.coil1.wire_radius_m is missing", 8),
     "missing version": ("schema_version: 1\n", "", "schema_version is missing", 1),

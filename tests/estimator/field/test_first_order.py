@@ -14,7 +14,7 @@ from estimator.config import rig_from_text
 from estimator.coordinates import Coordinates
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import SourceEffect
+from estimator.effects.base import SourceEffect, WindingMagnetisation
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
@@ -45,7 +45,9 @@ effects:
 """
 
 
-SOURCES = [effect.name for effect in EFFECTS.values() if isinstance(effect, SourceEffect)]
+SOURCES = [
+    name for name, effect in EFFECTS.items() if isinstance(effect, SourceEffect | WindingMagnetisation)
+]
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ schema_version: 1
 name: laboratory
 movers: {mapper: {motion: pose}}
 coils:
-  coil: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4}
+  coil: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4, superconducting: true}
   other: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {x_mm: 120, ry_deg: -90}}
 sensors:
   probe: {carried_by: mapper, noise_uT: 5}
@@ -61,6 +61,7 @@ SOURCES = {
     "iron_plate": {"strength": 0.4, "axis": 0.0, "tilt_1_rad": 0.7, "tilt_2_rad": -0.4, "distance_m": 0.12},
     "pierced_plate": {
         "strength": 0.8,
+        "step_T": 1e-4,
         "axis": 0.0,
         "tilt_1_rad": 0.7,
         "tilt_2_rad": -0.4,
@@ -69,6 +70,7 @@ SOURCES = {
         "z_m": -0.04,
         "radius_m": 0.03,
     },
+    "filament_magnetisation": {"susceptibility": 0.3, "axial_T": 0.02, "radial_T": 0.01, "fan_T": -0.03},
     "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years

@@ -154,6 +154,18 @@ def test_field_at_a_pierced_plate_stands_upright_on_both_of_its_sides():
         assert np.abs(field[:, :2]).max() < 1e-5 * np.abs(field[:, 2]).min()
 
 
+def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_problem_has_it():
+    """The room's field as that of a far source in front of the sheet, less half of it everywhere."""
+    step_T = 3e-4
+    found = added_T(
+        readings(AROUND_M, (0.0, 0.0)),
+        {"pierced_plate[room]": {**PIERCED, "strength": 0.0, "step_T": step_T}},
+    )
+    half_T = np.array([0.0, 0.0, -0.5 * step_T])  # larger behind, which is where the normal points
+    exact = pierced_T(lambda at_m: np.broadcast_to(half_T, at_m.shape), 0.08, OPENING_M, AROUND_M) - half_T
+    assert_same_field(found, exact, 1e-4)
+
+
 def test_a_tiny_opening_leaves_the_plate():
     tiny = {"pierced_plate[room]": {**PIERCED, "z_m": 0.2, "radius_m": 1e-5}}
     whole = {

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from estimator.effects import EFFECTS
-from estimator.effects.base import RoomEffect, SourceEffect, WindingEffect
+from estimator.effects.base import RoomEffect, SourceEffect, WindingEffect, WindingMagnetisation
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, chain_of, label_of, readings
 
 UNIFORM = ("background_field", "background_drift")
@@ -23,7 +23,7 @@ def added_gradient(name: str) -> Tensor:
 
 
 def test_every_source_is_looked_at():
-    kinds = (SourceEffect, RoomEffect, WindingEffect)
+    kinds = (SourceEffect, RoomEffect, WindingEffect, WindingMagnetisation)
     assert set(SOURCES) == {name for name, effect in EFFECTS.items() if isinstance(effect, kinds)}
 
 
