@@ -32,7 +32,7 @@ BORE_M = np.array(
     ]
 )
 OFF = readings(BORE_M, (0.0, 0.0))
-PARTS, ANGLES = (24, 48), 96
+PARTS, ANGLES = (12, 24), 48
 
 
 def test_uniform_magnetisation_along_the_axis_is_that_of_a_hollow_magnet():
