@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from functools import lru_cache
 from typing import ClassVar
 
@@ -16,7 +17,7 @@ from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform
 from estimator.motion import pose_of
 from estimator.parameters import Normal
-from estimator.rig import Coil, Rig
+from estimator.rig import POSE_KEYS, Coil, Rig
 
 LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
 AZIMUTHS = 4  # of a ring, over which the field of another coil is averaged
@@ -80,13 +81,10 @@ class FilamentMagnetisation(WindingMagnetisation):
 def _described(rig: Rig, coil: Coil) -> Numbers:
     """Winding and place of a coil as the rig file describes them."""
     nominal = rig.nominal_values()
-    keys = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
     block = "world_from_coil" if coil.carried_by is None else "flange_from_coil"
-    pose = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
-    return (
-        *(nominal[f"{coil.name}.{key}"] for key in keys),
-        *(nominal[f"{coil.name}.{block}.{key}"] for key in pose),
-    )
+    winding = (nominal[f"{coil.name}.{one.name}"] for one in fields(Winding))
+    pose = (nominal[f"{coil.name}.{block}.{key}"] for key in POSE_KEYS)
+    return (*winding, *pose)
 
 
 @lru_cache(maxsize=256)
@@ -120,13 +118,9 @@ def _from_other(rings: Rings, pose: Transform, source: Numbers) -> Float[Tensor,
 
 
 def _winding(numbers: Numbers) -> Winding:
-    return Winding(*torch.tensor(numbers[:5], dtype=torch.float64))
+    return Winding(*torch.tensor(numbers[: -len(POSE_KEYS)], dtype=torch.float64))
 
 
 def _pose(numbers: Numbers) -> Transform:
-    keys = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
-    values = {
-        f"coil.{key}": torch.tensor(value, dtype=torch.float64)
-        for key, value in zip(keys, numbers[5:], strict=True)
-    }
-    return pose_of("coil", values)
+    pose = torch.tensor(numbers[-len(POSE_KEYS) :], dtype=torch.float64)
+    return pose_of("coil", {f"coil.{key}": value for key, value in zip(POSE_KEYS, pose, strict=True)})
