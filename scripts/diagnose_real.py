@@ -27,6 +27,7 @@ from estimator.diagnosis_report import diagnosis_report
 from estimator.effects.attach import with_effect
 from estimator.store.importers import IMPORTERS
 
+OF_THE_DAY = {"step_T"}  # may differ from run to run
 OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
 POWERED = {"run01": (), "run07": ("M1",), "run05": ("M2",), "run03": ("E1", "CC", "E2")}
 MICE = tuple(
@@ -55,7 +56,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--carry",
-        help="FOLDER/CAUSE: one that an earlier run, which left this folder, has named is known, at its values there",
+        help="FOLDER/CAUSE: one that an earlier run, which left this folder, has named is known, at its values there; only the step of the "
+        "room's own field across a plate is of each run",
     )
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
@@ -88,9 +90,9 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
             for key, value in known.nominal_values().items()
             if key.startswith(f"{label}.")
         }
-        session = replace(
-            session, rig=with_effect(session.rig, cause, session.observations, own, is_free=False)
-        )
+        known_rig = with_effect(session.rig, cause, session.observations, own)
+        fixed = [f"{label}.{key}" for key in own if key not in OF_THE_DAY]
+        session = replace(session, rig=known_rig.with_fixed(fixed))
 
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)

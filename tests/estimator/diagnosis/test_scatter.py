@@ -1,0 +1,50 @@
+"""Hypotheses that differ in how readings scatter: when they are fitted, and what tells them apart."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.diagnosis.design import rows_seen, separation
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.noise import noise_causes
+from estimator.effects.attach import with_effect
+from estimator.rig import Cause
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+SPHERICAL = Cause("spherical_sum", "coil1")
+
+
+@pytest.fixture(scope="module")
+def biased(small_rig, small_session) -> Fit:
+    """A wrong sum of the loops, which grows towards the coil as the scatter of a mover does."""
+    seen = small_session.observations.calibration
+    return fit_of(small_rig, with_wrong(small_rig, seen, SPHERICAL, {"weight": 1.0}))
+
+
+def test_a_hint_near_the_best_is_fitted_and_one_far_below_is_not(biased):
+    hints = {cause.name: (value, fit) for cause, value, fit in noise_causes(biased, 1e9)}
+    hint, fit = hints["position_jitter"]
+    assert fit is None
+    (cause, value, fit), *_ = [
+        one for one in noise_causes(biased, hint - 1.0) if one[0].name == "position_jitter"
+    ]
+    assert fit is not None
+    assert value == pytest.approx(fit.log_evidence - biased.log_evidence)
+    assert cause in fit.rig.effects
+
+
+def test_what_tells_two_scatters_apart_is_the_divergence_of_two_normal_distributions(
+    small_rig, small_session
+):
+    seen = small_session.observations.calibration
+    plain = fit_of(small_rig, seen)
+    moved = Cause("position_jitter", small_rig.movers[0].name)
+    wider = with_effect(plain.rig, moved, seen, {"sd_m": 2e-4}, is_free=False)
+    scattered = fit_of(wider, seen)
+    fits = {"plain": plain, "scattered": scattered}
+    rows = rows_seen(fits)
+    ratio2 = (rows[0].sigma_T / rows[1].sigma_T).square()
+    expected = 0.5 * (ratio2 - 1.0 - ratio2.log()).sum()
+    assert expected > 1.0
+    torch.testing.assert_close(separation(fits, rows)[0], expected, rtol=0.2, atol=0.0)
