@@ -18,15 +18,15 @@ from estimator.rig import Cause
 SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
 
 
-def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, Candidate]]:
-    """Log evidence of every cause in the linear model, with its best start."""
+def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, float, Candidate]]:
+    """Log evidence of every cause in the linear model, averaged over its starts and of the best of them, and that start."""
     by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
     for candidate in pool:
         by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate), candidate))
     result = {}
     for cause, starts in by_cause.items():
         values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
-        result[cause] = (log_mean_exp(values), starts[int(values.argmax())][1])
+        result[cause] = (log_mean_exp(values), float(values.max()), starts[int(values.argmax())][1])
     return result
 
 

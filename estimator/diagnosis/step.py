@@ -31,7 +31,7 @@ LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
 LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
 CREDIBLE = 0.95
 MOST_LEADERS = 4
-LEADERS_WITHIN = 10.0  # in log evidence, of the best that was fitted
+LEADERS_WITHIN = 10.0  # in log evidence, of the best that was fitted, to be fitted too
 Blocks = Int[np.ndarray, " reading"]
 
 
@@ -93,9 +93,9 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     rivals = [Rival(None, "nothing", 0.0), Rival(None, "unexplained", left.log_bayes_factor)]
     best = 0.0
     for i, cause in enumerate(ranked):
-        value, start = screened[cause]
+        value, highest, start = screened[cause]
         fitted = None
-        if i < MOST_LEADERS and value > max(best - LEADERS_WITHIN, 0.0):
+        if i < MOST_LEADERS and highest > max(best - LEADERS_WITHIN, 0.0):
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))

@@ -20,6 +20,7 @@ LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a pla
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the places beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
+NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
 
 
@@ -223,10 +224,13 @@ class IronBody(RoomEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
-        ends = 8.0 * extent.reach_m
+        near_m = NEAR * extent.reach_m
         return (
             at_least_zero("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
-            *(shape(f"{axis}_m", "m", -ends, ends) for axis in "xyz"),
+            *(
+                shape(f"{axis}_m", "m", middle_m - near_m, middle_m + near_m)
+                for axis, middle_m in zip("xyz", extent.middle_m, strict=True)
+            ),
         )
 
     def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:

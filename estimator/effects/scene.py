@@ -21,12 +21,13 @@ SMALLEST_MOVE_M = 1e-9
 
 @dataclass(frozen=True)
 class Extent:
-    """How long, strong and wide a session is: the priors of some causes scale with it."""
+    """How long, strong and wide a session is, and where: the priors of some causes scale with it."""
 
     duration_h: float = 1.0
     largest_current_A: float = 1.0
     largest_field_T: float = 1.0
     reach_m: float = 1.0
+    middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,9 @@ class Scene:
 
     @property
     def extent(self) -> Extent:
-        """How long, strong and wide the session is."""
-        return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m)
+        """How long, strong and wide the session is, and where."""
+        x, y, z = self.places_m.mean(0).tolist()
+        return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m, (x, y, z))
 
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
