@@ -119,6 +119,15 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
         torch.testing.assert_close(slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-18))
 
 
+@pytest.mark.parametrize(("name", "place"), CASES)
+def test_fits_start_within_the_priors(rig, observations, name, place):
+    scene = Chain.unruled(rig, observations).scene
+    priors = {q.key: q.prior for q in EFFECTS[name].quantities(scene.extent)}
+    for shapes in EFFECTS[name].starts(scene, place):
+        for key, value in shapes.items():
+            assert priors[key].lower <= value <= priors[key].upper, (key, value)
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_declaration_is_complete(name):
     effect = EFFECTS[name]

@@ -6,6 +6,9 @@ import magpylib
 import numpy as np
 import pytest
 
+from estimator.config import rig_from_text
+from estimator.effects.iron import IronBody
+from estimator.effects.scene import Scene
 from estimator.units import MU0_T_M_PER_A
 from tests.hidden.pierced_sheet import pierced_T
 from tests.physics.effects.laboratory import (
@@ -20,6 +23,14 @@ from tests.physics.effects.laboratory import (
     winding,
 )
 
+# A coil that is carried with the sensor, so that the whole laboratory may lie anywhere.
+FAR = """
+schema_version: 1
+name: elsewhere
+movers: {mapper: {motion: pose}}
+coils: {coil: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4, carried_by: mapper}}
+sensors: {probe: {carried_by: mapper, noise_uT: 5}}
+"""
 ONE = readings(POINTS_M, (1.0, 0.0))
 
 TILTS_RAD, DISTANCE_M = (0.7, -0.4), 0.11
@@ -231,6 +242,18 @@ def test_flux_at_the_poles_of_a_small_ball_of_iron_is_three_times_the_field():
     ball = {**BODY, "volume_m3": radius_m**3}
     total = predicted_T(readings(surface_m, (1.0, 0.0)), {"iron_body[room]": ball})
     np.testing.assert_allclose(total @ along / np.linalg.norm(field), [3.0, 3.0, 0.0], rtol=0.0, atol=0.02)
+
+
+def test_a_piece_of_iron_is_looked_for_around_the_session_wherever_the_world_begins():
+    far_m = np.array([2.0, -1.0, 5.0])
+    here, there = (Scene(rig_from_text(FAR), readings(POINTS_M + m, (1.0,))) for m in (np.zeros(3), far_m))
+    for axis, shift_m in zip("xyz", far_m, strict=True):
+        near, far = (
+            next(q.prior for q in IronBody().quantities(scene.extent) if q.key == f"{axis}_m")
+            for scene in (here, there)
+        )
+        assert far.lower - near.lower == pytest.approx(shift_m, abs=1e-9)
+        assert far.upper - near.upper == pytest.approx(shift_m, abs=1e-9)
 
 
 def test_iron_body_answers_the_coil_where_it_stands_now():
