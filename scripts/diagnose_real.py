@@ -26,6 +26,7 @@ from estimator.diagnosis_record import REPORT
 from estimator.diagnosis_report import diagnosis_report
 from estimator.effects.attach import with_effect
 from estimator.store.importers import IMPORTERS
+from estimator.store.session import Session
 
 OF_THE_DAY = {"step_T"}  # may differ from run to run
 OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
@@ -72,27 +73,10 @@ def main() -> None:
 
 def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None = None) -> None:
     begin = time.perf_counter()
-    rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
-    idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
-    rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
-    session = IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
+    session = session_of(data_set, data)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
     if carry:
-        earlier, _, label = carry.rpartition("/")
-        known = load_rig(Path(earlier) / "rig_extended.yaml")
-        cause = next((cause for cause in known.effects if cause.label == label), None)
-        if cause is None:
-            sys.exit(
-                f"diagnose_real: --carry must name a cause of {earlier}/rig_extended.yaml; received {label}"
-            )
-        own = {
-            key.rpartition(".")[2]: value
-            for key, value in known.nominal_values().items()
-            if key.startswith(f"{label}.")
-        }
-        known_rig = with_effect(session.rig, cause, session.observations, own)
-        fixed = [f"{label}.{key}" for key in own if key not in OF_THE_DAY]
-        session = replace(session, rig=known_rig.with_fixed(fixed))
+        session = with_known(session, carry)
 
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
@@ -128,6 +112,31 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
         print(f"  moved by more than two standard deviations: {moved}")
     for words, fit in (("before", found.plain), ("after", found.fit)):
         print(f"  coils against their drawing, {words}: {against_prior(fit)}")
+
+
+def session_of(data_set: DataSet, data: Path) -> Session:
+    """The readings; what is free of coils that were off is fixed."""
+    rig = load_rig(Path(__file__).resolve().parent.parent / f"configs/{data_set.rig}.yaml")
+    idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
+    rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
+    return IMPORTERS[data_set.importer](sorted(data.glob(data_set.files)), rig, data_set.currents_A)
+
+
+def with_known(session: Session, carry: str) -> Session:
+    """The session of a rig that has a cause already, fixed as an earlier diagnosis left it."""
+    earlier, _, label = carry.rpartition("/")
+    known = load_rig(Path(earlier) / "rig_extended.yaml")
+    cause = next((cause for cause in known.effects if cause.label == label), None)
+    if cause is None:
+        sys.exit(f"--carry must name a cause of {earlier}/rig_extended.yaml; received {label}")
+    own = {
+        key.rpartition(".")[2]: value
+        for key, value in known.nominal_values().items()
+        if key.startswith(f"{label}.")
+    }
+    rig = with_effect(session.rig, cause, session.observations, own)
+    fixed = [f"{label}.{key}" for key in own if key not in OF_THE_DAY]
+    return replace(session, rig=rig.with_fixed(fixed))
 
 
 def against_prior(fit: Fit) -> dict[str, float]:
