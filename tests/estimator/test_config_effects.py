@@ -16,7 +16,7 @@ schema_version: 1
 name: small
 movers: {arm: {motion: displacement}, ur: {motion: UR3e}}
 coils:
-  coil: {carried_by: arm, radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4}
+  coil: {carried_by: arm, radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4, superconducting: true}
 sensors:
   probe: {noise_uT: 5}
 """  # the effects follow in line 8
