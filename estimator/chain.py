@@ -236,9 +236,7 @@ class Chain:
                 total = total + here[..., self.place, :]
             drifting_T = use.effect.drifting_T(theta, self.scene)
             if drifting_T is not None:
-                rotation = world_from_sensor.rotation
-                of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
-                total = total + (of_reading.mT @ drifting_T[..., None])[..., 0]
+                total = total + self._unrotated(world_from_sensor, drifting_T)
         for magnetised in uses_of(self.rig, WindingMagnetisation):
             total = total + self._magnetised(magnetised, values, world_from_sensor, delivered_A)
         for i, coil in enumerate(self.rig.coils):
@@ -304,9 +302,13 @@ class Chain:
         flat = with_cheap_slope(field, points_m, ()) if self.has_cheap_slope else field(points_m)
         flat = flat.expand(*flat.shape[:-2], len(every), -1)[..., self.place, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
-        rotation = coil_from_sensor.rotation
-        of_reading = rotation if rotation.shape[-3] == 1 else rotation[..., self.place, :, :]
-        return Transform(of_reading, total).unrotate(total)
+        return self._unrotated(coil_from_sensor, total)
+
+    def _unrotated(self, poses: Transform, vectors: Float[Tensor, "*#batch reading 3"]) -> Tensor:
+        """Vectors of the readings turned into the frames of their sensors; poses are distinct ones, or share one rotation."""
+        rotation = poses.rotation if poses.rotation.shape[-3] == 1 else poses.rotation[..., self.place, :, :]
+        turned: Tensor = (rotation.mT @ vectors[..., None])[..., 0]
+        return turned
 
     def _coil_field(
         self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding

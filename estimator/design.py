@@ -9,7 +9,6 @@ from estimator.chain import Chain
 from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.design import Proposal, actions, proposals, rows_seen, separation
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.resolution import project
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.stops import best_to_shrink, best_to_split, candidate_stops
 from estimator.effects import EFFECTS
@@ -106,12 +105,12 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
     pool = candidates(base, [cause])
     if not pool:
         raise InvalidInput(f"{cause.label} must have some effect on the readings of the session")
-    best = max(pool, key=lambda one: float(project(base.projector, one.columns).norm()))
+    best = max(pool, key=lambda one: float(base.projector.rest(one.columns).norm()))
     rig = with_effect(base.rig, cause, base.observations, best.shapes)
     fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.chain.rules)
     if fit.log_evidence - base.log_evidence > CLEAR:
         return fit
-    visible = project(base.projector, best.columns).norm(dim=0) * best.prior_sd
+    visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
     strongest = int(visible.argmax())
     if float(visible[strongest]) < NEARLY_NOTHING:
         raise InvalidInput(

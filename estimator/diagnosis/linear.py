@@ -49,10 +49,10 @@ class Projector:
         product: Tensor = one.T @ other - follow_one.T @ follow_other
         return product
 
-    def rest(self, vector: Float[Tensor, " component"]) -> Float[Tensor, " component"]:
-        """What the fit cannot follow of a vector."""
-        followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ vector)))
-        return vector - followed
+    def rest(self, change: Float[Tensor, "component *column"]) -> Float[Tensor, "component *column"]:
+        """What the fit cannot follow of one change of the readings, or of several."""
+        followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
+        return change - followed
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from estimator.diagnosis.covariates import Covariate, covariates
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.resolution import project
 from estimator.diagnosis.smooth import legendre, unit_interval
 from estimator.parameters import LogNormal
 from estimator.records import Observations
@@ -99,7 +98,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     ]
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), N_DRAWS, generator=generator, dtype=torch.float64)
-    noise = project(fit.projector, noise)
+    noise = fit.projector.rest(noise)
     noise = noise / noise.norm(dim=0)
     own = fit.residual / fit.residual.norm()
     least = torch.ones(N_DRAWS, dtype=torch.float64)
@@ -131,7 +130,7 @@ def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "componen
     on_axis = torch.zeros(smooth.shape[1], len(values), 3, dtype=torch.float64)
     on_axis[:, :, axis] = smooth.T
     columns = (fit.posterior.measured_components(on_axis) * fit.whitening_per_T).T
-    return _orthonormal(project(fit.projector, columns), columns.norm(dim=0).max())
+    return _orthonormal(fit.projector.rest(columns), columns.norm(dim=0).max())
 
 
 def _without(basis: Tensor, other: Tensor) -> Tensor:

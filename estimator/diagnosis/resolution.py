@@ -14,7 +14,6 @@ from torch import Tensor
 
 from estimator.diagnosis.candidates import Candidate
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import Projector
 from estimator.rig import Cause
 
 VISIBLE_SIGMA = 5.0
@@ -83,17 +82,10 @@ def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     """Columns of each cause over all its starts that a plausible size makes visible, projected."""
     found: dict[Cause, list[Tensor]] = {}
     for candidate in pool:
-        own = project(fit.projector, candidate.columns)
+        own = fit.projector.rest(candidate.columns)
         visible = own.norm(dim=0) * candidate.prior_sd * 3.0 > VISIBLE_SIGMA
         found.setdefault(candidate.cause, []).append(own[:, visible])
     return {cause: torch.cat(parts, dim=1) for cause, parts in found.items()}
-
-
-def project(projector: Projector, columns: Tensor) -> Tensor:
-    """Columns less what the fit can follow of them."""
-    follow = projector.jacobian @ (projector.factor @ (projector.factor.T @ (projector.jacobian.T @ columns)))
-    left: Tensor = columns - follow
-    return left
 
 
 def _span(columns: Tensor) -> Tensor:

@@ -80,7 +80,7 @@ def field_of_rings(
     """
     x, y, z = points_coil_m[..., None].unbind(-2)
     step_m = STEP * rings.radius_m
-    outwards = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
+    radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
     here, wider, higher = (
         loop_terms(x, y, z - height, radius, STEPS)
         for height, radius in (
@@ -90,7 +90,7 @@ def field_of_rings(
         )
     )
     h, axial = (
-        (out - in_) @ outwards[1].T - (up - in_) @ outwards[0].T
+        (out - in_) @ axial_A.T - (up - in_) @ radial_A.T
         for in_, out, up in zip(here, wider, higher, strict=True)
     )
     return torch.stack((x * h, y * h, axial), dim=-1)

@@ -5,7 +5,6 @@ import torch
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.residual_tests import lack_of_fit, structure
-from estimator.diagnosis.resolution import project
 from tests.estimator.diagnosis.sessions import plain_fit
 
 
@@ -14,7 +13,7 @@ def with_noise(fit: Fit, seed: int) -> Fit:
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), 1, generator=generator, dtype=torch.float64)
     copy = Fit(fit.posterior, fit.polished)
-    copy.__dict__["residual"] = project(fit.projector, noise)[:, 0]
+    copy.__dict__["residual"] = fit.projector.rest(noise)[:, 0]
     return copy
 
 
