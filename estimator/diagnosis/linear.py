@@ -49,7 +49,7 @@ class Projector:
         product: Tensor = one.T @ other - follow_one.T @ follow_other
         return product
 
-    def rest(self, change: Float[Tensor, "component *column"]) -> Float[Tensor, "component *column"]:
+    def rest(self, change: Float[Tensor, "component ..."]) -> Float[Tensor, "component ..."]:
         """What the fit cannot follow of one change of the readings, or of several."""
         followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
         return change - followed

@@ -17,7 +17,7 @@ from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.resolution import indistinguishable, project
+from estimator.diagnosis.resolution import indistinguishable
 from estimator.effects.attach import with_effect
 from estimator.records import Observations
 from estimator.rig import Cause
@@ -126,7 +126,7 @@ def test_what_the_free_parameters_follow_does_not_show(configured, name):
 def test_isotropic_robot_scale_is_followed_by_the_size_of_the_coil(configured):
     """All lengths times k give the field over k (Biot and Savart); one axis alone is no such scaling."""
     candidate = next(c for c in configured.pool if c.cause.name == "robot_scale")
-    own = project(configured.fit.projector, candidate.columns)
+    own = configured.fit.projector.rest(candidate.columns)
     all_axes, one_axis = 5.0 / float(own.sum(1).norm()), 5.0 / float(own[:, 0].norm())
     assert one_axis < 0.003
     assert all_axes > 30.0 * one_axis
@@ -212,7 +212,7 @@ def test_displaced_element_is_nearly_a_cross_sensitivity(near):
     found = near["snake"]
     moved = columns_of(found, Cause("element_displacement", "hall"), "z_at_x_m")
     mixed = columns_of(found, Cause("cross_axis", "hall"), "zx")
-    left = project(found.fit.projector, torch.stack((moved, mixed), dim=1))
+    left = found.fit.projector.rest(torch.stack((moved, mixed), dim=1))
     cosine = float(torch.nn.functional.cosine_similarity(left[:, 0], left[:, 1], dim=0))
     assert abs(cosine) == pytest.approx(0.94, abs=0.01)
     assert not any({"element_displacement", "cross_axis"} <= group for group in twins(found))
