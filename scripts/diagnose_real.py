@@ -65,8 +65,10 @@ def main() -> None:
     if not data:
         sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
     torch.set_num_threads(1)
-    others = [data_set for data_set in DATA_SETS if data_set.importer != "mice"]
-    for data_set in (*others, *MORE, *MICE):
+    data_sets = (*(one for one in DATA_SETS if one.importer != "mice"), *MORE, *MICE)
+    for name in set(options.names) - {data_set.name for data_set in data_sets}:
+        sys.exit(f"diagnose_real: names must be of its data sets; received {name}")
+    for data_set in data_sets:
         if not options.names or data_set.name in options.names:
             run(data_set, Path(data), options.out, options.seed, options.carry)
 

@@ -1,4 +1,4 @@
-"""Pictures in docs/figures, from what `make demo`, `make real`, `make diagnose-real` and `make paper` left behind."""
+"""Pictures in docs/figures, from what `make` left behind: demo, real, diagnose-real, mice-filaments and paper."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ def main() -> None:
             print(folder / f"{file}.png")
     copies = {f"paper_{name}": f"out/paper/{name}.png" for name in PAPER}
     copies |= {f"mice_{name}": path for name, path in DIAGNOSED.items()}
+    copies["mice_run01_without_current"] = "out/mice_filaments/without_current.png"
     for name, path in copies.items():
         if (ROOT / path).exists():
             print(shutil.copyfile(ROOT / path, folder / f"{name}.png"))

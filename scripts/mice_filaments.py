@@ -34,22 +34,24 @@ MAPS = ("mice-run05", "mice-run07")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=MAPS, help="run05 (M2) and run07 (M1) by default")
+    known = [data_set.name for data_set in MICE]
+    parser.add_argument(
+        "names", nargs="*", help=f"of {', '.join(known)}; by default run05 (M2) and run07 (M1)"
+    )
     parser.add_argument("--readings", type=int, default=900, help="to fit; drawn from four blocks in five")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--picture", type=Path, help="only draw the field along the axis that is there without current"
-    )
+    parser.add_argument("--out", type=Path, default=Path("out/mice_filaments"), help="of the picture")
     options = parser.parse_args()
+    for name in set(options.names) - set(known):
+        sys.exit(f"mice_filaments: names must be of {', '.join(known)}; received {name}")
     data = os.environ.get("COILCAL_DATA")
     if not data:
         sys.exit("mice_filaments: COILCAL_DATA must name the folder with the measured maps; it is not set")
-    if options.picture:
-        draw_without_current(Path(data), options.picture)
-        return
+    options.out.mkdir(parents=True, exist_ok=True)
+    draw_without_current(Path(data), options.out / "without_current.png")
     torch.set_num_threads(1)
     for data_set in MICE:
-        if data_set.name not in options.names:
+        if data_set.name not in (options.names or MAPS):
             continue
         session = with_known(session_of(data_set, Path(data)), str(PLATE))
         split = session.observations.with_validation(block_split(session.observations, 0.2, options.seed))
