@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,6 +20,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # The first example of a test imports and compiles, so a deadline per example measures the machine.
 settings.register_profile("coilcal", deadline=None, derandomize=True)
 settings.load_profile("coilcal")
+
+# A shell starts what runs in the background deaf to Ctrl-C, and so would be the programs that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Where simulated instruments, watchdogs and clusters run in processes of their own, a busy computer can miss a deadline.
 HERE = Path(__file__).parent
@@ -41,9 +46,30 @@ REAL_TIME = (
     HERE / "estimator/test_refresh.py",
 )
 
+# Whole fits, chains and diagnoses: a check of the shapes in every call makes them take two to three times as long.
+WHOLE = (
+    HERE / "hidden",
+    *(HERE / f"estimator/{name}" for name in ("batching", "cli", "recalibration")),
+    *(
+        HERE / f"estimator/diagnosis/test_{name}.py"
+        for name in ("cross_validation", "evidence", "search", "verdict")
+    ),
+    *(HERE / f"estimator/inference/test_{name}.py" for name in ("ensemble", "lattice", "point_estimate")),
+    *(
+        HERE / f"estimator/test_{name}.py"
+        for name in ("calibrate", "design", "diagnosis_report", "recalibrate", "refresh", "superposition")
+    ),
+)
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests against real time fail where they fail three times."""
+    """Tests against real time fail where they fail three times; `make test` runs whole fits without checks of shapes."""
     for item in items:
-        if any(item.path == place or place in item.path.parents for place in REAL_TIME):
+        if lies_in(item, REAL_TIME):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=2))
+        if lies_in(item, WHOLE):
+            item.add_marker(pytest.mark.whole)
+
+
+def lies_in(item: pytest.Item, places: tuple[Path, ...]) -> bool:
+    return any(item.path == place or place in item.path.parents for place in places)
