@@ -133,24 +133,26 @@ class Diagnosis:
         write_text(folder / EXTENDED_RIG, self.extended_rig_text)
 
     def parameters(self, cause: Cause) -> dict[str, dict[str, Any]]:
-        """Median, width and interval of each quantity of a cause in the extended rig: sampled, or by Laplace."""
+        """Median, width and interval of each quantity of a cause that the session can see: sampled, or by Laplace."""
         prefix = f"{cause.label}."
+        unseen = EFFECTS[cause.name].unseen(self.fit.posterior.chain.scene, cause.place)
         sampled = {} if self.posterior is None else self.posterior.record["parameters"]
         result = {}
         for name, parameter in self.fit.rig.parameters.items():
-            if name in sampled and name.startswith(prefix):
+            key = name.removeprefix(prefix)
+            if not name.startswith(prefix) or key in unseen:
+                continue
+            if name in sampled:
                 own = sampled[name]
-                result[name[len(prefix) :]] = self._widened(
-                    name, own["median"], own["sd"], own["ci90"], own["unit"]
-                )
-            elif name.startswith(prefix):
+                result[key] = self._widened(name, own["median"], own["sd"], own["ci90"], own["unit"])
+            else:
                 value = float(self.fit.values[name])
                 sd = self.fit.value_sd(name) if parameter.is_free else 0.0
                 ends = [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd]
                 own = self._widened(name, value, sd, ends, parameter.unit)
                 if (prior := parameter.prior) is not None:
                     own["ci90"] = [min(max(end, prior.lower), prior.upper) for end in own["ci90"]]
-                result[name[len(prefix) :]] = own
+                result[key] = own
         return result
 
     def _widened(

@@ -9,15 +9,17 @@ from dataclasses import replace
 import pytest
 
 from estimator.diagnose import diagnose
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import Diagnosis
 from estimator.diagnosis_report import diagnosis_report
+from estimator.effects.attach import with_effect
 from estimator.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
 
-OFFSET = Cause("sensor_offset", "hall")
+OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4
 
 
@@ -49,6 +51,14 @@ def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_te
 def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
     value, sd = re.search(r"x_T (−?\d+\.?\d*) ± (\d+\.?\d*)", text).groups()
     assert float(value) == pytest.approx(1e6 * OFFSET_T, abs=4.0 * float(sd))
+
+
+def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
+    """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
+    fit = diagnosis.fit
+    rig = with_effect(fit.rig, HEATING, fit.observations, {})
+    heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.chain.rules))
+    assert set(heated.parameters(HEATING)) == {"loss_per_A2", "tau_h"}
 
 
 def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
