@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect
@@ -64,7 +64,7 @@ def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit]:
     rig = with_effect(fit.rig, cause, fit.observations, {"share": share, "ratio": ratio / shrink})
     noise = f"{cause.place}.noise_T"
     start = {**fit.start_with(rig), noise: fit.values[noise] * shrink}
-    full = fit_rig(rig, fit.observations, start, fit.posterior.chain.rules)
+    full = fit_rig(rig, fit.observations, start, fit.posterior.chain.rules, tolerance=ROUGH)
     return full.log_evidence - fit.log_evidence - math.log(
         len(z)
     ), full  # two numbers at half a logarithm each
@@ -73,7 +73,7 @@ def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit]:
 def _jitter(fit: Fit, cause: Cause) -> tuple[float, Fit]:
     """Everything fitted with a mover that scatters."""
     rig = with_effect(fit.rig, cause, fit.observations, {})
-    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules)
+    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules, tolerance=ROUGH)
     return full.log_evidence - fit.log_evidence, full
 
 
