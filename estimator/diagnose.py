@@ -38,6 +38,7 @@ from estimator.split import block_split, thinned
 from estimator.store.session import Session
 
 MORE_STARTS = 3
+MOST_PROPOSALS = 8  # for each credible set
 VALIDATION_SHARE = 0.2
 MOST_SEARCHED, MOST_FITTED = 512, 3000  # readings in the search, and in the final fits
 
@@ -172,7 +173,7 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
 
 
 def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list[Proposal]:
-    """What would tell the members of each credible set apart, as far as their fits show a difference."""
+    """What would tell the members of each credible set apart, as far as their fits show a difference: the best few for each."""
     best: list[Proposal] = []
     for one in named:
         step = next(step for step in found.steps if step.taken == one.cause)
@@ -181,5 +182,6 @@ def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list
         }
         if len(rivals) > 1:
             possible = actions(next(iter(rivals.values())).observations, rig)
-            best += [p for p in proposals(rivals, possible) if p.expected_log_evidence > CLEAR]
+            clear = [p for p in proposals(rivals, possible) if p.expected_log_evidence > CLEAR]
+            best += clear[:MOST_PROPOSALS]
     return best

@@ -152,7 +152,7 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
                 "What to measure next",
                 ["readings", "tells apart", "expected log evidence"],
                 proposals,
-                "3 is 20 to 1; what is not listed would not tell them apart.",
+                "3 is 20 to 1; what adds less than that is not listed.",
             )
         )
     return tables

@@ -85,7 +85,7 @@ def _text(found: Design, out: Path | None, shrink: str | None) -> str:
 
     lines.append(f"{what} of the readings so far: {in_unit(found.so_far)}")
     if found.actions:
-        lines.append("with a programme of readings added:")
+        lines.append("a programme of readings would add:")
         lines += [
             f"  {one.expected_log_evidence:8.1f}  {one.action.words}" for one in found.actions[:MOST_PRINTED]
         ]

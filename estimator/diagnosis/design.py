@@ -50,7 +50,7 @@ class Proposal:
 
     Attributes:
         splits: Labels of the hypotheses.
-        expected_log_evidence: For the true one against the closest of the others, in the worst case of which is true.
+        expected_log_evidence: That it adds for the true one against the closest of the others, in the worst case of which is true.
     """
 
     action: Action
@@ -59,15 +59,16 @@ class Proposal:
 
 
 def proposals(hypotheses: Mapping[str, Fit], actions: Sequence[Action]) -> list[Proposal]:
-    """What each action would bring to tell hypotheses apart, best first.
+    """What each action would add to what the readings so far tell hypotheses apart by, best first.
 
     Args:
         hypotheses: Fits of the same readings by label, two or more.
         actions: Such as `actions` proposes.
     """
     seen = rows_seen(hypotheses)
+    so_far = separation(hypotheses, seen)
     found = [
-        Proposal(action, tuple(hypotheses), separation(hypotheses, seen, action).min().item())
+        Proposal(action, tuple(hypotheses), (separation(hypotheses, seen, action) - so_far).min().item())
         for action in actions
     ]
     return sorted(found, key=lambda one: -one.expected_log_evidence)
