@@ -29,7 +29,9 @@ def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
     assert float(gains[:4].mean()) > float(gains[4:].mean())
     dark = next(one for one in found.actions if "without current" in one.action.words)
     assert found.so_far > 3.0
-    assert dark.expected_log_evidence == pytest.approx(0.0, abs=0.1)  # no field, nothing of either, whatever is known
+    assert dark.expected_log_evidence == pytest.approx(
+        0.0, abs=0.1
+    )  # no field, nothing of either, whatever is known
 
 
 def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
