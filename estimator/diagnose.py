@@ -16,7 +16,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.record import Fault, without_faults
 from estimator.diagnosis.resolution import indistinguishable, smallest_visible
-from estimator.diagnosis.search import Search, search
+from estimator.diagnosis.search import MOST_CAUSES, Search, search
 from estimator.diagnosis.signatures import CLEAR
 from estimator.diagnosis.step import leaves_structure
 from estimator.diagnosis.symptoms import Symptoms
@@ -51,6 +51,7 @@ def diagnose(
     out: Path | str | None = None,
     seed: int = 0,
     has_posterior: bool = False,
+    most_causes: int = MOST_CAUSES,
     on_stage: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and measure the gain.
@@ -63,6 +64,7 @@ def diagnose(
         seed: Of the split, the thinning, the starts and the sampling.
         has_posterior: Sample the extended rig where a cause was found and a coil carried current, with all readings but those for
             validation.
+        most_causes: Where the search ends though another would earn its place; each further one takes longer.
         on_stage: Told what is going on.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
@@ -83,11 +85,11 @@ def diagnose(
     tell("mistakes of the record")
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
-    found = search(base, tell)
+    found = search(base, tell, most_causes)
     if faults and _is_doubtful(faults, found):
         tell("the mistakes of the record are doubtful: again without undoing them")
         base, faults = plain, []
-        found = search(base, tell)
+        found = search(base, tell, most_causes)
     named = named_causes(found)
     verdict = verdict_of(found, named)
     if verdict is Verdict.UNEXPLAINED and named:

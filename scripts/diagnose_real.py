@@ -21,6 +21,7 @@ from real_data import DATA_SETS, DataSet
 from estimator import diagnose, load_rig
 from estimator.calibration import write_text
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.search import MOST_CAUSES
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import REPORT
 from estimator.diagnosis_report import diagnosis_report
@@ -55,6 +56,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="data sets; all by default")
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--most-causes", type=int, default=MOST_CAUSES, help="where each search ends")
     parser.add_argument(
         "--carry",
         help="FOLDER/CAUSE: one that an earlier run, which left this folder, has named is known, at its values there; only the step of the "
@@ -70,10 +72,17 @@ def main() -> None:
         sys.exit(f"diagnose_real: names must be of its data sets; received {name}")
     for data_set in data_sets:
         if not options.names or data_set.name in options.names:
-            run(data_set, Path(data), options.out, options.seed, options.carry)
+            run(data_set, Path(data), options.out, options.seed, options.most_causes, options.carry)
 
 
-def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None = None) -> None:
+def run(
+    data_set: DataSet,
+    data: Path,
+    out: Path,
+    seed: int,
+    most_causes: int = MOST_CAUSES,
+    carry: str | None = None,
+) -> None:
     begin = time.perf_counter()
     session = session_of(data_set, data)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
@@ -83,7 +92,7 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, carry: str | None =
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
-    found = diagnose(session, seed=seed, out=out / data_set.name, on_stage=tell)
+    found = diagnose(session, seed=seed, out=out / data_set.name, most_causes=most_causes, on_stage=tell)
     record = found.record()
     write_text(
         out / data_set.name / REPORT, diagnosis_report(found, f"scripts/diagnose_real.py {data_set.name}")

@@ -61,15 +61,16 @@ class Search:
         return self.final.log_evidence - self.base.log_evidence + n * each
 
 
-def search(base: Fit, tell: Callable[[str], None]) -> Search:
+def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSES) -> Search:
     """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others.
 
     Args:
         base: The rig as it is described, fitted.
         tell: Told what is going on, step by step.
+        most_causes: Where it ends though another would earn its place.
     """
     pool = candidates(base, causes_of(base.rig, base))
-    trail = _Trail(base, pool, families(base), tell)
+    trail = _Trail(base, pool, families(base), tell, most_causes)
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
     if 1 < len(trail.own(fit)) <= MOST_REVISITED:
@@ -85,11 +86,16 @@ class _Trail:
     """The steps of a search, with what all of them share: columns of the causes, smooth families."""
 
     def __init__(
-        self, base: Fit, pool: list[Candidate], smooth: list[Family], tell: Callable[[str], None]
+        self,
+        base: Fit,
+        pool: list[Candidate],
+        smooth: list[Family],
+        tell: Callable[[str], None],
+        most_causes: int,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
         self.block = blocks_of_places(base.observations, np.random.default_rng(0))
-        self.tell = tell
+        self.tell, self.most_causes = tell, most_causes
         self.steps: list[Step] = []
         self.dropped: list[Cause] = []
 
@@ -105,8 +111,10 @@ class _Trail:
             if step.taken is None and (both := self._with_pair(fit, step)) is not None:
                 fit = both
                 continue
-            if step.taken is not None and len(self.own(fit)) >= MOST_CAUSES:
-                self.tell(f"{step.taken.label} would earn a place too, but {MOST_CAUSES} causes are the most")
+            if step.taken is not None and len(self.own(fit)) >= self.most_causes:
+                self.tell(
+                    f"{step.taken.label} would earn a place too, but {self.most_causes} causes are the most"
+                )
                 step = replace(step, taken=None)
             self.steps.append(step)
             if step.taken is None:
@@ -154,7 +162,7 @@ class _Trail:
         pool = [c.weighed(fit.weight_over(self.base)) for c in self.pool if c.cause not in taken]
         n = len({c.cause for c in pool})
         ranked = pairs(fit, pool)
-        if not ranked or len(self.own(fit)) + 2 > MOST_CAUSES:
+        if not ranked or len(self.own(fit)) + 2 > self.most_causes:
             return None
         nothing = LOG_PRIOR_NOTHING + LEAST_LOG_ODDS
         unexplained = LOG_PRIOR_UNEXPLAINED + stop.left.log_bayes_factor

@@ -44,7 +44,7 @@ def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypa
 
     monkeypatch.setattr(search, "take_step", spy)
     smooth = families(noisy)
-    search._Trail(noisy, pool, smooth, lambda words: None).step(quiet)
+    search._Trail(noisy, pool, smooth, lambda words: None, search.MOST_CAUSES).step(quiet)
     ((columns,), curves) = given[0]
     torch.testing.assert_close(columns.columns, 4.0 * pool[0].columns)
     for before, after in zip(smooth, curves, strict=True):  # amplitudes stay in units of the noise
@@ -58,14 +58,13 @@ def test_a_curve_keeps_its_size_in_units_of_the_noise(noisy_and_quiet):
 
 
 def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
-    small_rig, small_session, small_truth, monkeypatch
+    small_rig, small_session, small_truth
 ):
-    monkeypatch.setattr(search, "MOST_CAUSES", 1)
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
     told = []
-    found = search.search(fit_of(small_rig, readings.calibration), told.append)
+    found = search.search(fit_of(small_rig, readings.calibration), told.append, most_causes=1)
     taken = [step.taken for step in found.steps]
     assert taken[-1] is None
     assert tuple(taken[:-1]) == found.final.rig.effects
