@@ -152,7 +152,7 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
                 "What to measure next",
                 ["readings", "tells apart", "expected log evidence"],
                 proposals,
-                "3 is 20 to 1; what adds less than that is not listed.",
+                "What they add to the readings so far, the best few; 3 is 20 to 1, and what adds less is not listed.",
             )
         )
     return tables

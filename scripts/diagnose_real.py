@@ -75,14 +75,7 @@ def main() -> None:
             run(data_set, Path(data), options.out, options.seed, options.most_causes, options.carry)
 
 
-def run(
-    data_set: DataSet,
-    data: Path,
-    out: Path,
-    seed: int,
-    most_causes: int = MOST_CAUSES,
-    carry: str | None = None,
-) -> None:
+def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, carry: str | None) -> None:
     begin = time.perf_counter()
     session = session_of(data_set, data)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)

@@ -29,17 +29,13 @@ WANTED = {
     },
     "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
 }
+LADDER = "what_each_cause_brought"
 DIAGNOSED = {
-    f"{run}_{short}": f"out/{folder}/mice-{run}/{name}.png"
-    for folder, run, coil in (
-        ("diagnosis_with_plate", "run07", "m1"),
-        ("diagnosis_with_plate", "run05", "m2"),
-        ("diagnosis", "run03", "e1"),
-    )
-    for short, name in (
-        ("left", f"residual_around_{coil}_before_and_after"),
-        ("ladder", "what_each_cause_brought"),
-    )
+    "run01_ladder": f"out/diagnosis/mice-run01/{LADDER}.png",
+    "run03_ladder": f"out/diagnosis/mice-run03/{LADDER}.png",
+    "run03_left": "out/diagnosis/mice-run03/residual_around_e1_before_and_after.png",
+    "run07_ladder": f"out/diagnosis_with_plate/mice-run07/{LADDER}.png",
+    "run07_left": "out/diagnosis_with_plate/mice-run07/residual_around_m1_before_and_after.png",
 }
 PAPER = (
     "interactions",

@@ -27,11 +27,10 @@ def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
     gains = torch.diff(reached)
     assert bool((gains > -1e-6).all())
     assert float(gains[:4].mean()) > float(gains[4:].mean())
+    # No field, nothing of either: that the readings so far tell them apart already is no merit of what comes next.
     dark = next(one for one in found.actions if "without current" in one.action.words)
     assert found.so_far > 3.0
-    assert dark.expected_log_evidence == pytest.approx(
-        0.0, abs=0.1
-    )  # no field, nothing of either, whatever is known
+    assert dark.expected_log_evidence == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
