@@ -5,18 +5,17 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import UTC, datetime
+from queue import Empty, SimpleQueue
 
 import click
-from apscheduler.executors.debug import DebugExecutor
-from apscheduler.jobstores.base import JobLookupError
-from apscheduler.schedulers.blocking import BlockingScheduler
+from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimator.errors import CoilcalError, InvalidInput
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
 SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+LONGEST_WAIT_S = 1.0  # a signal that comes in the instant before waiting begins is only seen when it ends
 
 
 def interval_s(text: str) -> float:
@@ -38,36 +37,37 @@ def interval_s(text: str) -> float:
 def keep_running(job: Callable[[], object], every_s: float) -> None:
     """Run a job now and at every interval until SIGTERM or Ctrl-C, which interrupt it: it has to bear that at any instant.
 
-    A fault that coilcal or the system can explain is said and does not end it: an inbox that is not mounted now may be there the next time.
+    Intervals that end while the job runs are made up for by one run after it. A fault that coilcal or the system can explain is said
+    and does not end it: an inbox that is not mounted now may be there the next time.
     """
-    # The job runs in this thread, where signals arrive.
-    scheduler = BlockingScheduler(executors={"default": DebugExecutor()}, timezone=UTC)
-
-    def stop(*_: object) -> None:
-        if scheduler.running:
-            scheduler.shutdown(wait=False)
-        raise KeyboardInterrupt
-
-    def guarded() -> None:
-        try:
-            job()
-        except (CoilcalError, OSError) as error:
-            click.echo(f"coilcal: {error}", err=True)
-        except KeyboardInterrupt:
-            return  # the scheduler is shut down and ends after this job
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, stop)
+    due: SimpleQueue[None] = SimpleQueue()  # unlike an Event, a signal may interrupt its waiting anywhere
+    scheduler = BackgroundScheduler(timezone=UTC)
     scheduler.add_job(
-        guarded,
+        lambda: due.put(None) if due.empty() else None,
         "interval",
         seconds=every_s,
         next_run_time=datetime.now(UTC),
-        coalesce=True,
         misfire_grace_time=None,
     )
-    with suppress(
-        KeyboardInterrupt, JobLookupError
-    ):  # where the job itself was interrupted, it is missed afterwards
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
+    try:
         scheduler.start()
-    click.echo("coilcal: stopped", err=True)
+        # The job runs in this thread, where signals arrive; the scheduler's own thread only says when.
+        while True:
+            try:
+                due.get(timeout=LONGEST_WAIT_S)
+                job()
+            except Empty:
+                continue
+            except (CoilcalError, OSError) as error:
+                click.echo(f"coilcal: {error}", err=True)
+    except KeyboardInterrupt:
+        click.echo("coilcal: stopped", err=True)
+    finally:
+        if scheduler.running:
+            scheduler.shutdown(wait=False)

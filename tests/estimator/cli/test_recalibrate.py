@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,15 @@ def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_it
     assert json.loads((tmp_path / "alert.json").read_text())["reason"] == "it did not converge"
 
 
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGALRM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("own_signals")
 def test_what_the_system_refuses_does_not_end_the_running_service(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -111,12 +121,23 @@ def test_what_the_system_refuses_does_not_end_the_running_service(
             raise PermissionError(13, "Permission denied", "inbox")
         os.kill(os.getpid(), signal.SIGTERM)
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     keep_running(job, 1.0)
-    for number, handler in before.items():
-        signal.signal(number, handler)
     assert len(calls) == 2
     assert "Permission denied" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("own_signals")
+def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    def job(after_s: float) -> None:
+        signal.signal(signal.SIGALRM, signal.getsignal(signal.SIGTERM))  # an alarm comes to the microsecond
+        signal.setitimer(signal.ITIMER_REAL, after_s)
+
+    for n in range(1, 200):
+        keep_running(partial(job, 1e-6 * n), 1.0)
+        assert capsys.readouterr().err == "coilcal: stopped\n"
+    assert not caplog.records
 
 
 def test_help_tells_the_exit_codes() -> None:
