@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from estimator import plots
 from estimator.bodies import winding_of
 from estimator.diagnosis.covariates import predicted_T, sensor_in_coils
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.step import Step
 from estimator.diagnosis_record import Diagnosis
 from estimator.plots.style import SHOWN_IN
 from estimator.report import Picture
@@ -69,15 +70,14 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    taken = [step for step in diagnosis.search.steps if step.taken is not None]
-    if len(taken) < LEAST_STEPS:
+    stages = [steps for steps in diagnosis.search.stages if steps[0].taken is not None]
+    if len(stages) < LEAST_STEPS:
         return
-    rivals = [next(r for r in step.rivals if r.cause == step.taken) for step in taken]
-    fits = [diagnosis.search.base, *(step.winner for step in taken)]
+    fits = [diagnosis.search.base, *(steps[0].winner for steps in stages)]
     figure = plots.ladder(
-        [diagnosis.label(one.cause) for one in rivals if one.cause is not None],
+        [diagnosis.label_of_stage(steps) for steps in stages],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
-        [one.log_bayes_factor for one in rivals],
+        [_gain_of_stage(steps, before) for steps, before in zip(stages, fits, strict=False)],
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)
@@ -86,6 +86,13 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
         "Causes in the order in which they were taken, and what was left of the residual after each.",
         figure,
     )
+
+
+def _gain_of_stage(steps: Sequence[Step], before: Fit) -> float:
+    """Log evidence of what was taken, against nothing."""
+    if len(steps) > 1:
+        return steps[0].winner.log_evidence - before.log_evidence
+    return next(rival.log_bayes_factor for rival in steps[0].rivals if rival.cause == steps[0].taken)
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -129,7 +136,8 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, step in enumerate(diagnosis.search.steps[:MOST_STEPS], start=1):
+    for number, steps in enumerate(diagnosis.search.stages[:MOST_STEPS], start=1):
+        step = steps[0]
         evidence = {
             rival.name if rival.cause is None else diagnosis.label(rival.cause): rival.log_bayes_factor
             for rival in step.rivals
@@ -137,7 +145,11 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
         taken = None if step.taken is None else diagnosis.label(step.taken)
         figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
         assert isinstance(figure, Figure)
-        words = f"{taken} was taken." if taken else "Nothing earned its place any more."
+        words = (
+            f"{diagnosis.label_of_stage(steps)} was taken." if taken else "Nothing earned its place any more."
+        )
+        if len(steps) > 1:
+            words += f" Shown is {taken}, beside the others of them."
         yield Picture(
             f"Who explains it, step {number}",
             f"Log evidence of each cause, of a flexible curve that no cause explains, and of nothing. {words}",

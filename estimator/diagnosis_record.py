@@ -17,6 +17,7 @@ from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.record import Fault
 from estimator.diagnosis.resolution import Visible
 from estimator.diagnosis.search import Search
+from estimator.diagnosis.step import Step
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
@@ -84,6 +85,13 @@ class Diagnosis:
     def label(self, cause: Cause) -> str:
         """Name of a cause; with its place where the rig has several."""
         return label_of(cause, self.rig)
+
+    def label_of_stage(self, steps: Sequence[Step]) -> str:
+        """What steps of the search took that took it together."""
+        first = steps[0].taken
+        if first is None:
+            return "nothing more"
+        return self.label(first) if len(steps) == 1 else f"{first.name} at {len(steps)} places"
 
     def record(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""

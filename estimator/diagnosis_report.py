@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from estimator.diagnosis.gain import Judged
@@ -159,8 +160,8 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _appendix(diagnosis: Diagnosis) -> list[Table]:
-    steps = enumerate(diagnosis.search.steps[:MOST_STEPS], start=1)
-    return [*(_rivals_table(diagnosis, step, number) for number, step in steps), _visible_table(diagnosis)]
+    stages = enumerate(diagnosis.search.stages[:MOST_STEPS], start=1)
+    return [*(_rivals_table(diagnosis, steps, number) for number, steps in stages), _visible_table(diagnosis)]
 
 
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, dict[str, Any], float, str]]:
@@ -243,7 +244,9 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     )
 
 
-def _rivals_table(diagnosis: Diagnosis, step: Step, number: int) -> Table:
+def _rivals_table(diagnosis: Diagnosis, steps: Sequence[Step], number: int) -> Table:
+    """Who else was in the race for the first of the causes that were taken together."""
+    step = steps[0]
     causes = [rival for rival in step.rivals if rival.cause is not None]
     share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
     rows = [
@@ -258,9 +261,8 @@ def _rivals_table(diagnosis: Diagnosis, step: Step, number: int) -> Table:
         for i, rival in enumerate(step.rivals)
         if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
     ]
-    taken = "nothing more" if step.taken is None else diagnosis.label(step.taken)
     return Table(
-        f"Who was considered, step {number}: {taken} taken",
+        f"Who was considered, step {number}: {diagnosis.label_of_stage(steps)} taken",
         ["hypothesis", "meaning", "log evidence", "among causes", "unseen blocks", "outcome"],
         rows,
         "Unseen blocks: gain in log density where each block of places is predicted from the others; ± is its standard error.",

@@ -52,7 +52,7 @@ WHOLE = (
     *(HERE / f"estimator/{name}" for name in ("batching", "cli", "recalibration")),
     *(
         HERE / f"estimator/diagnosis/test_{name}.py"
-        for name in ("cross_validation", "evidence", "search", "verdict")
+        for name in ("cross_validation", "evidence", "kinds", "search", "verdict")
     ),
     *(HERE / f"estimator/inference/test_{name}.py" for name in ("ensemble", "lattice", "point_estimate")),
     *(

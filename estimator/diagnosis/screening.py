@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 
 import torch
 from torch import Tensor
@@ -32,20 +33,24 @@ def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, f
 
 def linear_evidence(fit: Fit, candidate: Candidate) -> float:
     """Log Bayes factor of a candidate against nothing: half for all its quantities, half for some of them."""
-    values = [_of_subset(fit, candidate, subset) for subset in candidate.subsets]
+    values = _by_subset(fit, candidate, candidate.subsets)
     if len(values) == 1:
         return values[0]
     parts = log_mean_exp(torch.tensor(values[:-1], dtype=torch.float64))
     return float(torch.logaddexp(torch.tensor(parts), torch.tensor(values[-1]))) - math.log(2.0)
 
 
-def _of_subset(fit: Fit, candidate: Candidate, subset: tuple[int, ...]) -> float:
+def _by_subset(fit: Fit, candidate: Candidate, subsets: Sequence[tuple[int, ...]]) -> list[float]:
+    """Log Bayes factor against nothing of some of a candidate's columns, for several choices of them, small ones first."""
     gram = fit.projector.gram(candidate.columns, candidate.columns)
     score, started = _score(fit, candidate)
-    pick = list(subset)
-    return float(
-        log_bayes_factor(gram[pick][:, pick], score[pick], candidate.prior_sd[pick], fit.free_noise, started)
-    )
+    noise = fit.free_noise
+    values: list[float] = []
+    for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
+        pick = torch.tensor(list(of_one_size))
+        some = gram[pick[:, :, None], pick[:, None, :]]
+        values += log_bayes_factor(some, score[pick], candidate.prior_sd[pick], noise, started).tolist()
+    return values
 
 
 def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
@@ -73,5 +78,5 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     ):
         # Laplace misses the width of shapes, and a linear model does not know their bounds.
         return min(max(gain, screened), gain + SHAPES_WIDTH), full
-    linear = _of_subset(fit, start, start.subsets[-1])
+    (linear,) = _by_subset(fit, start, start.subsets[-1:])
     return screened + gain - linear, full

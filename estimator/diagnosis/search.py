@@ -1,7 +1,7 @@
 """Naming causes: take the best where it earns its place, and begin again.
 
-Causes taken earlier are asked again in the presence of the others. Where no single cause earns its place, two are asked together, for
-one may hide the other.
+A kind of cause that explains more at several places than any cause does at one is taken at all of those at once. Causes taken earlier
+are asked again in the presence of the others. Where no single cause earns its place, two are asked together, for one may hide the other.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
 from estimator.diagnosis.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.cross_validation import held_out
 from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
 from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis.kinds import of_one_kind, step_of
 from estimator.diagnosis.pairs import pairs
 from estimator.diagnosis.step import (
     LEAST_LOG_ODDS,
@@ -29,7 +32,7 @@ from estimator.effects.attach import with_effect
 from estimator.rig import Cause
 from estimator.split import blocks_of_places
 
-MOST_CAUSES = 30
+MOST_CAUSES = 60
 SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
 MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
 
@@ -52,6 +55,12 @@ class Search:
     dropped: tuple[Cause, ...]
     pool: tuple[Candidate, ...]
     whole: Discrepancy
+
+    @property
+    def stages(self) -> list[list[Step]]:
+        """The steps, those that took causes at several places together as one."""
+        same = groupby(self.steps, key=lambda step: None if step.taken is None else id(step.winner))
+        return [list(steps) for _, steps in same]
 
     @property
     def log_odds(self) -> float:
@@ -107,6 +116,10 @@ class _Trail:
         """Take causes until none earns its place."""
         self.steps = [step for step in self.steps if step.taken in self.own(fit)]
         while True:
+            if (several := self._with_kind(fit)) is not None:
+                fit, gone = _without_idle(several, self.base)
+                self.dropped += gone
+                continue
             step = self.step(fit)
             if step.taken is None and (both := self._with_pair(fit, step)) is not None:
                 fit = both
@@ -156,10 +169,26 @@ class _Trail:
                 return self.forward(rival.fit)
         return fit
 
+    def _with_kind(self, fit: Fit) -> Fit | None:
+        """One kind of cause at several places more; None where a cause at one place does better."""
+        wider = of_one_kind(fit, self._pool(fit))
+        if wider is None or held_out(fit, wider, self.block).is_loss:
+            return None
+        if len(self.own(wider)) > self.most_causes:
+            return None
+        more = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
+        gain = wider.log_evidence - fit.log_evidence
+        self.tell(
+            f"{', '.join(cause.label for cause in more)} earn their places ({gain:+.1f} in log evidence)"
+        )
+        pool, smooth = self._pool(wider), self._smooth(wider)
+        self.steps += [step_of(wider, cause, pool, smooth) for cause in more]
+        return wider
+
     def _with_pair(self, fit: Fit, stop: Step) -> Fit | None:
         """Two causes more that earn their place together, and beside each other; None where no pair does."""
         taken = (*fit.rig.effects, *self.dropped)
-        pool = [c.weighed(fit.weight_over(self.base)) for c in self.pool if c.cause not in taken]
+        pool = [c for c in self._pool(fit) if c.cause not in taken]
         n = len({c.cause for c in pool})
         ranked = pairs(fit, pool)
         if not ranked or len(self.own(fit)) + 2 > self.most_causes:
@@ -191,8 +220,11 @@ class _Trail:
 
     def step(self, fit: Fit) -> Step:
         """All hypotheses at a fit."""
+        return take_step(fit, self._pool(fit), self._smooth(fit), self.block)
+
+    def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.base)
-        return take_step(fit, [c.weighed(weight) for c in self.pool], self._smooth(fit), self.block)
+        return [candidate.weighed(weight) for candidate in self.pool]
 
     def _smooth(self, fit: Fit) -> list[Family]:
         return [family.weighed(fit.weight_over(self.base)) for family in self.smooth]

@@ -99,11 +99,11 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
-    least = LEAST_LOG_ODDS - LOG_PRIOR_CAUSE + math.log(max(len(ranked), 1)) + LOG_PRIOR_NOTHING
+    least = least_log_evidence(len(ranked))
     beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
     noisy = noise_causes(fit, beside - LEADERS_WITHIN if beside > least else 0.0)
     rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noisy]
-    rivals = _with_probabilities([_judged(fit, rival, block) for rival in rivals], len(ranked))
+    rivals = with_probabilities([_judged(fit, rival, block) for rival in rivals], len(ranked))
     causes = [rival for rival in rivals if rival.cause is not None]
     if not causes:
         return Step(tuple(rivals), None, (), left)
@@ -112,7 +112,12 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     if first and first.name != next(rival.name for rival in causes):
         causes = [rival for rival in causes if not _is_noise(rival) or rival == first]
     taken = None if first is None else first.cause
-    return Step(tuple(rivals), taken, _credible(causes, taken), left)
+    return Step(tuple(rivals), taken, credible_set(causes, taken), left)
+
+
+def least_log_evidence(n_causes: int) -> float:
+    """What a cause needs against nothing to be taken, where so many are asked."""
+    return LEAST_LOG_ODDS + LOG_PRIOR_NOTHING - LOG_PRIOR_CAUSE + math.log(max(n_causes, 1))
 
 
 def leaves_structure(left: Discrepancy) -> bool:
@@ -150,8 +155,8 @@ def _is_noise(rival: Rival) -> bool:
     return rival.cause is not None and isinstance(EFFECTS[rival.cause.name], NoiseEffect)
 
 
-def _with_probabilities(rivals: list[Rival], n_causes: int) -> list[Rival]:
-    """Most probable first."""
+def with_probabilities(rivals: Sequence[Rival], n_causes: int) -> list[Rival]:
+    """Rivals with their probabilities among each other, most probable first."""
     log_prior = {"nothing": LOG_PRIOR_NOTHING, "unexplained": LOG_PRIOR_UNEXPLAINED}
     each = LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
     logs = torch.tensor(
@@ -168,7 +173,7 @@ def shares_of(causes: Sequence[Rival]) -> list[float]:
     return list(torch.softmax(logs, 0).tolist())
 
 
-def _credible(causes: list[Rival], taken: Cause | None) -> tuple[Rival, ...]:
+def credible_set(causes: Sequence[Rival], taken: Cause | None) -> tuple[Rival, ...]:
     """The smallest set that holds 95 % of the probability of all causes, and the one that was taken in any case."""
     reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
     n = int((reached < CREDIBLE).sum()) + 1

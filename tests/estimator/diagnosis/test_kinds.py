@@ -1,0 +1,113 @@
+"""A kind of cause that several sensors have is taken at all of them at once; those that have it not are left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from estimator.config import rig_from_text
+from estimator.diagnosis.candidates import candidates, causes_of
+from estimator.diagnosis.discrepancy import families
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.kinds import of_one_kind, step_of
+from estimator.diagnosis.screening import in_full, screening
+from estimator.diagnosis.search import search
+from estimator.rig import Cause, Rig
+from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, with_wrong
+
+OFFSETS_T = {
+    "one": 80e-6,
+    "two": -60e-6,
+    "three": 0.0,
+    "four": 70e-6,
+}  # of four sensors, each at places of its own
+OFFSET = {name: Cause("sensor_offset", name) for name in OFFSETS_T}
+WITH_IT = {OFFSET[name] for name, size_T in OFFSETS_T.items() if size_T}
+
+
+@pytest.fixture(scope="module")
+def rig(rig_text: str, small_truth) -> Rig:
+    sensors = "".join(
+        f"  {name}: {{noise_uT: 5, world_from_sensor: {{y_mm: {5 * i}}}}}\n"
+        for i, name in enumerate(OFFSETS_T)
+    )
+    return rig_from_text(rig_text[: rig_text.index("  hall:")] + sensors).with_values(small_truth)
+
+
+@pytest.fixture(scope="module")
+def readings(rig: Rig, small_session):
+    known = small_session.observations
+    known = replace(known, sensor=torch.arange(len(known)) % len(OFFSETS_T)).calibration
+    generator = torch.Generator().manual_seed(3)
+    noise_T = 5e-6 * torch.randn(len(known), 3, dtype=torch.float64, generator=generator)
+    wrong = known.with_field(predicted_T(rig, known) + noise_T)
+    for name, size_T in OFFSETS_T.items():
+        wrong = with_wrong(rig, wrong, OFFSET[name], {"x_T": size_T, "y_T": -size_T})
+    return wrong
+
+
+@pytest.fixture(scope="module")
+def base(rig: Rig, readings) -> Fit:
+    return fit_of(rig, readings)
+
+
+@pytest.fixture(scope="module")
+def pool(rig: Rig, base: Fit):
+    asked = [cause for cause in causes_of(rig, base) if cause.name in ("sensor_offset", "axis_gain")]
+    return candidates(base, asked)
+
+
+@pytest.fixture(scope="module")
+def wider(base: Fit, pool) -> Fit:
+    found = of_one_kind(base, pool)
+    assert found is not None
+    return found
+
+
+def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_left_out(wider):
+    assert set(wider.rig.effects) == WITH_IT
+    for cause in WITH_IT:
+        assert float(wider.values[f"{cause.label}.x_T"]) == pytest.approx(OFFSETS_T[cause.place], abs=8e-6)
+
+
+def test_a_cause_that_is_left_at_one_place_only_is_asked_alone(rig, readings, pool):
+    assert of_one_kind(fit_of(rig, readings, OFFSET["one"], OFFSET["two"]), pool) is None
+
+
+def test_where_one_cause_does_as_well_it_is_left_to_be_asked_alone(rig, small_session):
+    """A room's field is the offset of every sensor; the simpler of the two is asked first."""
+    known = small_session.observations
+    known = replace(known, sensor=torch.arange(len(known)) % len(OFFSETS_T)).calibration
+    room = Cause("background_field", "room")
+    known = with_wrong(rig, known.with_field(predicted_T(rig, known)), room, {"x_T": 80e-6, "z_T": 60e-6})
+    plain = fit_of(rig, known)
+    asked = [cause for cause in causes_of(rig, plain) if cause.name in ("sensor_offset", "background_field")]
+    assert of_one_kind(plain, candidates(plain, asked)) is None
+
+
+def test_one_of_several_is_compared_with_all_others_as_if_it_alone_were_asked_last(
+    rig, readings, base, pool, wider
+):
+    without = fit_of(rig, readings, OFFSET["one"], OFFSET["four"])
+    alone = [c for c in pool if c.cause == OFFSET["two"]]
+    value, _, start = screening(without, alone)[OFFSET["two"]]
+    in_truth, _ = in_full(without, value, start)
+    step = step_of(wider, OFFSET["two"], pool, families(base))
+    assert step.taken == OFFSET["two"]
+    assert step.winner is wider
+    leader = step.rivals[0]
+    assert leader.cause == OFFSET["two"]
+    assert leader.log_bayes_factor == pytest.approx(in_truth, rel=0.05)
+    assert {rival.cause for rival in step.rivals} >= {OFFSET["three"], None}
+
+
+def test_a_search_takes_them_in_one_go(base, monkeypatch):
+    monkeypatch.setattr("estimator.diagnosis.search.MOST_REVISITED", 0)  # each is not asked again
+    told: list[str] = []
+    found = search(base, told.append)
+    assert set(found.final.rig.effects) == WITH_IT
+    assert [step.taken for step in found.steps[:-1]] == list(found.final.rig.effects)
+    assert [len(steps) for steps in found.stages] == [len(WITH_IT), 1]
+    assert any("earn their places" in words for words in told)
