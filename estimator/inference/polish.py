@@ -13,6 +13,7 @@ from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
+NEARLY_UNDAMPED = 1e-2
 APPROACH = 0.9  # of the way to a bound in one step, for bounds are curved in these coordinates
 LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and what the data leave open would have no width
 
@@ -26,7 +27,7 @@ class Polished:
         log_posterior: Log posterior density there.
         precision: Negative Hessian of the log posterior, Gauss-Newton for the data, exact for a prior that is not flat.
         information: The data's share of it (Fisher information).
-        is_converged: The predicted gain of a further step is below the tolerance.
+        is_converged: The predicted gain of a further step inside the prior is below the tolerance.
     """
 
     vector: Float[Tensor, "start coordinate"]
@@ -87,10 +88,13 @@ def polish(
     gradient, information = _slope(posterior, vector)
     precision = information + prior_precision(posterior.coordinates, vector)
     done = torch.zeros(len(vector), dtype=torch.bool)
+    at_bound = torch.zeros_like(
+        done
+    )  # the density still rises there, but no step that stays inside gains by it
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
         newton = solve(precision, gradient)
-        done = done | ((gradient * newton).sum(-1) < tolerance) | (damping > LARGEST_DAMPING)
+        done = done | ((gradient * newton).sum(-1) < tolerance) | at_bound | (damping > LARGEST_DAMPING)
         active = (~done).nonzero().flatten()
         if not len(active):
             break
@@ -99,7 +103,8 @@ def polish(
         trial = vector[active].clone()
         trial[:, :n] += step
         trial_value = posterior.at(active)(trial)
-        for i in torch.isinf(trial_value).nonzero().flatten().tolist():
+        is_bounded = torch.isinf(trial_value)
+        for i in is_bounded.nonzero().flatten().tolist():
             step[i] = _along_bounds(posterior, vector[active[i]], damped[i], step[i])
             trial[i, :n] = vector[active[i], :n] + step[i]
             trial_value[i] = posterior.at(active[i])(trial[i])
@@ -118,8 +123,9 @@ def polish(
             value[moved] = trial_value[better]
             gradient[moved], information[moved] = _slope(posterior.at(moved), vector[moved])
             precision[moved] = information[moved] + prior_precision(posterior.coordinates, vector[moved])
+        at_bound[active] = is_bounded & better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
     newton = solve(precision, gradient)
-    is_converged = (gradient * newton).sum(-1) < max(tolerance, 1e-6)
+    is_converged = at_bound | ((gradient * newton).sum(-1) < max(tolerance, 1e-6))
     return Polished(vector, value, precision, information, is_converged, iteration)
 
 

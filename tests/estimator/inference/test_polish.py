@@ -170,6 +170,8 @@ def test_maximum_on_a_bound_is_approached_from_inside(problem):
     radius_m = posterior.coordinates.values(fit.vector[0])["coil1.radius_m"].item()
     assert torch.isfinite(fit.log_posterior).all()
     assert 0.0505 <= radius_m < 0.0506
+    assert fit.is_converged.all()
+    assert fit.n_iterations < 25
 
 
 @pytest.mark.parametrize("prior", ["normal: {mean: 0, sd: 60}", "uniform: {lower: -180, upper: 180}"])
