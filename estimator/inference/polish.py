@@ -14,7 +14,8 @@ from estimator.inference.likelihood import LogPosterior
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 NEARLY_UNDAMPED = 1e-2
-APPROACH = 0.9  # of the way to a bound in one step, for bounds are curved in these coordinates
+APPROACH = 0.9  # of the way to a bound in one step
+MOST_CORRECTIONS = 5
 LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and what the data leave open would have no width
 
 
@@ -205,19 +206,26 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
 
     lower, upper = coordinates.bounds()
     here, slope = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
-    is_held, bound = torch.zeros(coordinates.n, dtype=torch.bool), here.clone()
+    is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), here.clone()
     best = step
-    for _ in range(coordinates.n):
-        there = here + slope @ best
-        over = ((there < lower) | (there > upper)) & ~is_held
-        if not over.any():
-            break
-        is_held |= over
-        bound = torch.where(over, torch.where(there < lower, lower, upper), bound)
-        normal = slope[is_held]
-        across = torch.stack([solve(damped, row) for row in normal], dim=-1)
-        miss = normal @ step - APPROACH * (bound - here)[is_held]
-        best = step - across @ torch.linalg.lstsq(normal @ across, miss[:, None]).solution[:, 0]
+    to_first_order = (lambda move: here + slope @ move, coordinates.n)
+    really = (
+        lambda move: free_values(vector[:n] + move),
+        MOST_CORRECTIONS,
+    )  # bounds are curved in these coordinates
+    for values_after, rounds in (to_first_order, really):
+        for _ in range(rounds):
+            there = values_after(best)
+            over = (there < lower) | (there > upper)
+            if not over.any():
+                break
+            ahead = here + APPROACH * (torch.where(there < lower, lower, upper) - here)
+            target = torch.where(over & ~is_held, ahead, target)
+            is_held |= over
+            normal = slope[is_held]
+            across = torch.stack([solve(damped, row) for row in normal], dim=-1)
+            miss = (there - target)[is_held]
+            best = best - across @ torch.linalg.lstsq(normal @ across, miss[:, None]).solution[:, 0]
     return best
 
 
