@@ -10,6 +10,7 @@ from torch import Tensor
 
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.polish import Polished, polish
+from estimator.parameters import Prior
 
 
 def gradient(posterior: LogPosterior, vector: Tensor) -> Tensor:
@@ -172,6 +173,52 @@ def test_maximum_on_a_bound_is_approached_from_inside(problem):
     assert 0.0505 <= radius_m < 0.0506
     assert fit.is_converged.all()
     assert fit.n_iterations < 25
+
+
+def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(problem):
+    """Radius and pitches share coordinates, and readings of a larger, longer and thicker coil pull all of them to their bounds."""
+    made = problem(
+        """{coil1: {radius_mm: {prior: {normal: {mean: 51, sd: 1, lower: 49, upper: 51.5}}}, wire_radius_mm: 0.5,
+  axial_pitch_mm: {prior: {normal: {mean: 1.2, sd: 0.05, lower: 1.1, upper: 1.25}}},
+  radial_pitch_mm: {prior: {normal: {mean: 1.2, sd: 0.05, lower: 1.1, upper: 1.25}}}, axial_loops: 12, radial_loops: 20,
+  world_from_coil: {z_mm: {prior: {normal: {mean: -40, sd: 1, lower: -41, upper: -39}}}}}}""",
+        "{hall: {noise_uT: {prior: {log_normal: {median: 1, relative_sd: 1}}}, carried_by: stage}}",
+        {
+            "coil1.radius_m": 0.055,
+            "coil1.radial_pitch_m": 0.0014,
+            "coil1.axial_pitch_m": 0.0011,
+            "coil1.world_from_coil.z_m": -0.042,
+        },
+    )
+    posterior, coordinates = made.real, made.real.coordinates
+    fit = polish(posterior, coordinates.start()[None])
+
+    def minus_log_posterior(shares: np.ndarray) -> float:
+        values = lower + torch.from_numpy(shares) * (upper - lower)
+        return -float(posterior(coordinates.vector(dict(zip(coordinates.names, values, strict=True)))))
+
+    lower, upper = coordinates.bounds()
+    is_noise = torch.tensor([name == "hall.noise_T" for name in coordinates.names])
+    lower, upper = torch.where(is_noise, 1e-5, lower), torch.where(is_noise, 1e-2, upper)
+    inside = [(1e-6, 1.0 - 1e-6)] * coordinates.n
+    other = scipy.optimize.minimize(
+        minus_log_posterior, np.full(coordinates.n, 0.5), method="L-BFGS-B", bounds=inside
+    )
+    other = scipy.optimize.minimize(
+        minus_log_posterior, other.x, method="Nelder-Mead", bounds=inside, options={"maxiter": 4000}
+    )
+    assert fit.is_converged.all()
+    assert fit.n_iterations < 60
+    assert float(fit.log_posterior[0]) > -other.fun - 0.05
+    values = coordinates.values(fit.vector[0])
+    held = [
+        name for name, p in made.rig.parameters.items() if p.prior and _at_end(float(values[name]), p.prior)
+    ]
+    assert len(held) > 1
+
+
+def _at_end(value: float, prior: Prior) -> bool:
+    return min(value - prior.lower, prior.upper - value) < 1e-3 * prior.sd
 
 
 @pytest.mark.parametrize("prior", ["normal: {mean: 0, sd: 60}", "uniform: {lower: -180, upper: 180}"])
