@@ -83,27 +83,40 @@ def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
     return wider
 
 
-def step_of(fit: Fit, cause: Cause, pool: Sequence[Candidate], smooth: Sequence[Family]) -> Step:
-    """How a cause of a fit compares, in the linear model, with every other hypothesis in its place.
+def steps_of(
+    fit: Fit, causes: Sequence[Cause], pool: Sequence[Candidate], smooth: Sequence[Family]
+) -> list[Step]:
+    """How each of some causes of a fit compares, in the linear model, with every other hypothesis in its place.
+
+    Much may be left beside them that others explain as well: of a rival counts what it loses where the cause is there.
 
     Args:
-        fit: With the cause.
-        cause: One that was taken together with others.
+        fit: With the causes.
+        causes: Those that were taken together.
         pool, smooth: Columns of every cause and families of flexible curves at the fit.
     """
-    without, growth = _without(fit, cause)
-    lighter = torch.full_like(fit.residual, 1.0 / growth)
-    asked = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause not in fit.rig.effects]
-    screened = screening(without, asked)
-    left = discrepancy(without, [family.weighed(lighter) for family in smooth])
-    rivals = [Rival(None, "nothing", 0.0), Rival(None, "unexplained", left.log_bayes_factor)]
-    rivals += [
-        Rival(other, other.label, value, fit=fit if other == cause else None)
-        for other, (value, _, _) in screened.items()
-    ]
-    rivals = with_probabilities(rivals, len(screened))
-    causes = [rival for rival in rivals if rival.cause is not None]
-    return Step(tuple(rivals), cause, credible_set(causes, cause), left)
+    absent = [c for c in pool if c.cause not in fit.rig.effects]
+    beside = {cause: max(value, 0.0) for cause, (value, _, _) in screening(fit, absent).items()}
+    left = max(discrepancy(fit, list(smooth)).log_bayes_factor, 0.0)
+    steps = []
+    for cause in causes:
+        without, growth = _without(fit, cause)
+        lighter = torch.full_like(fit.residual, 1.0 / growth)
+        asked = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
+        screened = screening(without, asked)
+        curve = discrepancy(without, [family.weighed(lighter) for family in smooth])
+        rivals = [
+            Rival(None, "nothing", 0.0),
+            Rival(None, "unexplained", curve.log_bayes_factor - left),
+            *(
+                Rival(other, other.label, value - beside.get(other, 0.0), fit=fit if other == cause else None)
+                for other, (value, _, _) in screened.items()
+            ),
+        ]
+        ranked = with_probabilities(rivals, len(screened))
+        named = [rival for rival in ranked if rival.cause is not None]
+        steps.append(Step(tuple(ranked), cause, credible_set(named, cause), curve))
+    return steps
 
 
 def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:

@@ -17,7 +17,7 @@ from estimator.diagnosis.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.cross_validation import held_out
 from estimator.diagnosis.discrepancy import Discrepancy, Family, discrepancy, families
 from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
-from estimator.diagnosis.kinds import of_one_kind, step_of
+from estimator.diagnosis.kinds import of_one_kind, steps_of
 from estimator.diagnosis.pairs import pairs
 from estimator.diagnosis.step import (
     LEAST_LOG_ODDS,
@@ -181,8 +181,7 @@ class _Trail:
         self.tell(
             f"{', '.join(cause.label for cause in more)} earn their places ({gain:+.1f} in log evidence)"
         )
-        pool, smooth = self._pool(wider), self._smooth(wider)
-        self.steps += [step_of(wider, cause, pool, smooth) for cause in more]
+        self.steps += steps_of(wider, more, self._pool(wider), self._smooth(wider))
         return wider
 
     def _with_pair(self, fit: Fit, stop: Step) -> Fit | None:

@@ -11,7 +11,7 @@ from estimator.config import rig_from_text
 from estimator.diagnosis.candidates import candidates, causes_of
 from estimator.diagnosis.discrepancy import families
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.kinds import of_one_kind, step_of
+from estimator.diagnosis.kinds import of_one_kind, steps_of
 from estimator.diagnosis.screening import in_full, screening
 from estimator.diagnosis.search import search
 from estimator.rig import Cause, Rig
@@ -94,13 +94,31 @@ def test_one_of_several_is_compared_with_all_others_as_if_it_alone_were_asked_la
     alone = [c for c in pool if c.cause == OFFSET["two"]]
     value, _, start = screening(without, alone)[OFFSET["two"]]
     in_truth, _ = in_full(without, value, start)
-    step = step_of(wider, OFFSET["two"], pool, families(base))
+    (step,) = steps_of(wider, [OFFSET["two"]], pool, families(base))
     assert step.taken == OFFSET["two"]
     assert step.winner is wider
     leader = step.rivals[0]
     assert leader.cause == OFFSET["two"]
     assert leader.log_bayes_factor == pytest.approx(in_truth, rel=0.05)
     assert {rival.cause for rival in step.rivals} >= {OFFSET["three"], None}
+
+
+def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
+    """A wrong gain that nobody has taken yet is as strong without the offset as with it; a drift of the sensor is not."""
+    gain, drift = Cause("axis_gain", "three"), Cause("offset_drift", "two")
+    rig = rig.with_fixed(
+        ["coil1.radius_m", "coil1.axial_loops"]
+    )  # by which one sensor's error reaches another, as by z
+    readings = with_wrong(rig, readings, gain, {"x": 0.1, "z": 0.1})
+    with_all = fit_of(rig, readings, *WITH_IT)
+    pool = candidates(with_all, [gain, drift])
+    pool += candidates(fit_of(rig, readings), [OFFSET["two"]])
+    (step,) = steps_of(with_all, [OFFSET["two"]], pool, families(with_all))
+    value = {rival.cause: rival.log_bayes_factor for rival in step.rivals}
+    beside = screening(with_all, [c for c in pool if c.cause == gain])[gain][0]
+    assert value[gain] < 0.5 * beside
+    assert value[drift] > 20.0
+    assert value[OFFSET["two"]] > value[drift]
 
 
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
