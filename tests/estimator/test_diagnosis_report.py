@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+from copy import copy
 from dataclasses import replace
 
 import pytest
@@ -101,7 +102,8 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
     first, *rest = diagnosis.search.steps
-    again = replace(diagnosis.search, steps=(first, first, *rest))
+    rivals = [replace(rival, fit=None if rival.fit is None else copy(rival.fit)) for rival in first.rivals]
+    again = replace(diagnosis.search, steps=(first, replace(first, rivals=tuple(rivals)), *rest))
     (ladder,) = [
         p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
     ]
