@@ -182,6 +182,12 @@ class Fit:
             log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
         return log_prior - float(own.log_prob(null))
 
+    def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
+        """The fit in another linear model about it, as far as evidence of more columns goes: that takes these two."""
+        copy = Fit(self.posterior, self.polished)
+        copy.__dict__.update(projector=projector, residual=residual)
+        return copy
+
     @property
     def free_noise(self) -> FreeNoise | None:
         """How the noise of the sensors may follow; None where it is known."""

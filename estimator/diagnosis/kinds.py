@@ -135,6 +135,4 @@ def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     growth = 1.0 if fit.free_noise is None else max(float(residual.norm() / fit.residual.norm()), 1.0)
     jacobian = fit.jacobian[:, rest] / growth
     prior = (fit.polished.precision - fit.polished.information)[0][rest][:, rest]
-    copy = Fit(fit.posterior, fit.polished)
-    copy.__dict__.update(projector=Projector.of(jacobian, prior), residual=residual / growth)
-    return copy, growth
+    return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), growth

@@ -159,9 +159,7 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
         torch.eye(columns.shape[1], dtype=torch.float64),
     )
     projector = Projector.of(jacobian, prior)
-    copy = Fit(fit.posterior, fit.polished)
-    copy.__dict__.update(projector=projector, residual=projector.rest(fit.residual))
-    return copy
+    return fit.to_first_order(projector, projector.rest(fit.residual))
 
 
 def _shares(credible: tuple[Rival, ...]) -> dict[Cause, float]:

@@ -89,9 +89,8 @@ def polish(
     gradient, information = _slope(posterior, vector)
     precision = information + prior_precision(posterior.coordinates, vector)
     done = torch.zeros(len(vector), dtype=torch.bool)
-    at_bound = torch.zeros_like(
-        done
-    )  # the density still rises there, but no step that stays inside gains by it
+    # There the density still rises, but no step that stays inside gains by it.
+    at_bound = torch.zeros_like(done)
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
         newton = solve(precision, gradient)
@@ -208,11 +207,9 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
     here, slope = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
     is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), here.clone()
     best = step
+    # Bounds are curved in these coordinates: what the first order leaves outside is corrected by the values themselves.
     to_first_order = (lambda move: here + slope @ move, coordinates.n)
-    really = (
-        lambda move: free_values(vector[:n] + move),
-        MOST_CORRECTIONS,
-    )  # bounds are curved in these coordinates
+    really = (lambda move: free_values(vector[:n] + move), MOST_CORRECTIONS)
     for values_after, rounds in (to_first_order, really):
         for _ in range(rounds):
             there = values_after(best)
