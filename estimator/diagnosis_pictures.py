@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -12,7 +13,6 @@ from estimator import plots
 from estimator.bodies import winding_of
 from estimator.diagnosis.covariates import predicted_T, sensor_in_coils
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.step import Step
 from estimator.diagnosis_record import Diagnosis
 from estimator.plots.style import SHOWN_IN
 from estimator.report import Picture
@@ -77,7 +77,7 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
     figure = plots.ladder(
         [diagnosis.label_of_stage(steps) for steps in stages],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
-        [_gain_of_stage(steps, before) for steps, before in zip(stages, fits, strict=False)],
+        [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)
@@ -86,13 +86,6 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
         "Causes in the order in which they were taken, and what was left of the residual after each.",
         figure,
     )
-
-
-def _gain_of_stage(steps: Sequence[Step], before: Fit) -> float:
-    """Log evidence of what was taken, against nothing."""
-    if len(steps) > 1:
-        return steps[0].winner.log_evidence - before.log_evidence
-    return next(rival.log_bayes_factor for rival in steps[0].rivals if rival.cause == steps[0].taken)
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:

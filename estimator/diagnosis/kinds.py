@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from operator import itemgetter
 
 import torch
 
@@ -27,8 +28,8 @@ FEWEST_PLACES = 2
 def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """A fit with a cause at two places or more, where that explains more than any cause at one; None where none does.
 
-    The kind is that with the highest evidence, in the linear model, for all its places together. After the fit each place has to earn
-    its cause beside the others, by as much as if it had been asked alone; the others are left out, and stay in the race.
+    The kind is that with the highest evidence, in the linear model, for its places together, those left out that only cost. After the
+    fit each place has to earn its cause beside the others, by as much as if it had been asked alone; the others stay in the race.
 
     Args:
         fit: With the causes that were taken so far.
@@ -46,7 +47,7 @@ def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
         for name, n in count.items()
         if n >= FEWEST_PLACES
     ]
-    value, kind = max(((_together(fit, starts), starts) for starts in kinds), key=lambda pair: pair[0])
+    value, kind = max((together(fit, starts) for starts in kinds), key=itemgetter(0))
     if value <= least:
         return None
     wider = _kept(fit, kind, least_log_evidence(len(screened)))
@@ -55,14 +56,30 @@ def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     return wider if n_more >= FEWEST_PLACES and is_more else None
 
 
-def _together(fit: Fit, starts: Sequence[Candidate]) -> float:
-    """Log evidence of several causes at once in the linear model; where one starts away from its null that model does not hold."""
+def together(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
+    """Log evidence in the linear model of several causes at once, and of which: one after another goes that costs more than it explains.
+
+    Where one starts away from its null that model does not hold.
+    """
     if any(bool(start.shift.any()) for start in starts):
-        return -math.inf
+        return -math.inf, []
     columns = torch.cat([start.columns for start in starts], dim=1)
     prior_sd = torch.cat([start.prior_sd for start in starts])
-    gram = fit.projector.gram(columns, columns)
-    return float(log_bayes_factor(gram, columns.T @ fit.residual, prior_sd, fit.free_noise))
+    gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
+    owner = torch.repeat_interleave(torch.tensor([start.columns.shape[1] for start in starts]))
+
+    def evidence(members: frozenset[int]) -> float:
+        pick = torch.isin(owner, torch.tensor(sorted(members)))
+        return float(log_bayes_factor(gram[pick][:, pick], score[pick], prior_sd[pick], fit.free_noise))
+
+    members = frozenset(range(len(starts)))
+    best = evidence(members)
+    while len(members) > 1:
+        value, fewer = max(((evidence(members - {i}), members - {i}) for i in members), key=itemgetter(0))
+        if value <= best:
+            break
+        best, members = value, fewer
+    return best, [starts[i] for i in sorted(members)]
 
 
 def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 MOST_SHRINK, N_SHRINKS = -5.0, 101  # logarithms of the noise that are looked at, over the fitted one
+TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,9 @@ def log_bayes_factor(
     if noise is None:
         known: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
         return known
-    # No column explains more than there is: rounding in directions that the fit follows would be blown up where the noise is small.
-    share = (square / size.clamp(min=1e-12)).sum(-1, keepdim=True) / noise.n
-    square = torch.minimum(square, size * noise.n) / share.clamp(min=1.0)
+    # All directions explain no more together than there is. Rounding blows up those that the fit follows: they come last.
+    reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=noise.n)
+    square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))
     # Over the logarithm of the noise; columns weigh more where it is smaller, and their freedom costs more.
     shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
     grown = torch.exp(-2.0 * shrink)

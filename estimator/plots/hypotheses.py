@@ -82,7 +82,7 @@ def ladder(
     Args:
         names: Of the causes, in the order in which they were taken.
         rms_T: Residual of a component before any cause, then after each; one more than names.
-        evidence: Log evidence of each cause when it was taken.
+        evidence: What the log evidence of the fit gained by each cause.
         ax: Place; a new figure by default.
         title: Rig.
     """

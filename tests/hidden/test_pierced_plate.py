@@ -9,20 +9,10 @@ import pytest
 
 from estimator import diagnose, load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
-from tests.hidden.bore_map import NOISE_T, places_m, write_map
-from tests.hidden.coil import Winding, blocks_of, circular_field
+from tests.hidden.bore_map import NOISE_T, SOLENOID, SOLENOID_TEXT, places_m, write_map
+from tests.hidden.coil import blocks_of, circular_field
 from tests.hidden.pierced_sheet import pierced_T
 
-COIL = Winding(radius_m=0.1, wire_radius_m=1e-3, axial_loops=20, radial_loops=6)
-COILS = """
-coils:
-  solenoid:
-    radius_mm: {prior: {normal: {mean: 100, sd: 0.5}}}
-    wire_radius_mm: {prior: {normal: {mean: 1, sd: 0.005}}}
-    axial_loops: 20
-    radial_loops: 6
-    current_gain: {prior: {normal: {mean: 1, sd: 0.005}}}
-"""
 READINGS, CURRENT_A = 160, 5.0
 
 
@@ -46,5 +36,5 @@ def write(folder: Path, height_m: float, opening_m: float, rng: np.random.Genera
     """Readings on both sides of the plate, all within its opening's width."""
     at_m = places_m(READINGS, 0.06, 0.4, 0.7 * opening_m, rng)
     current_A = CURRENT_A * rng.choice([-1.0, 0.5, 1.0], READINGS)
-    field_T = current_A[:, None] * pierced_T(circular_field(blocks_of(COIL)), height_m, opening_m, at_m)
-    write_map(folder, COILS, {"solenoid": current_A}, at_m, field_T, rng)
+    field_T = current_A[:, None] * pierced_T(circular_field(blocks_of(SOLENOID)), height_m, opening_m, at_m)
+    write_map(folder, SOLENOID_TEXT, {"solenoid": current_A}, at_m, field_T, rng)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import pytest
 import torch
@@ -11,7 +12,8 @@ from estimator.config import rig_from_text
 from estimator.diagnosis.candidates import candidates, causes_of
 from estimator.diagnosis.discrepancy import families
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.kinds import of_one_kind, steps_of
+from estimator.diagnosis.kinds import of_one_kind, steps_of, together
+from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.screening import in_full, screening
 from estimator.diagnosis.search import search
 from estimator.rig import Cause, Rig
@@ -70,6 +72,22 @@ def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_le
     assert set(wider.rig.effects) == WITH_IT
     for cause in WITH_IT:
         assert float(wider.values[f"{cause.label}.x_T"]) == pytest.approx(OFFSETS_T[cause.place], abs=8e-6)
+
+
+def test_evidence_of_a_kind_is_that_of_its_best_places(base, pool):
+    """Against every choice of them."""
+    offsets = [c for c in pool if c.cause.name == "sensor_offset"]
+    values = {}
+    for places in (chosen for n in range(1, 5) for chosen in combinations(range(4), n)):
+        columns = torch.cat([offsets[i].columns for i in places], dim=1)
+        prior_sd = torch.cat([offsets[i].prior_sd for i in places])
+        gram = base.projector.gram(columns, columns)
+        values[places] = float(log_bayes_factor(gram, columns.T @ base.residual, prior_sd, base.free_noise))
+    best = max(values, key=values.__getitem__)
+    assert {offsets[i].cause for i in best} == WITH_IT
+    value, kept = together(base, offsets)
+    assert {start.cause for start in kept} == WITH_IT
+    assert value == pytest.approx(values[best])
 
 
 def test_a_cause_that_is_left_at_one_place_only_is_asked_alone(rig, readings, pool):

@@ -98,5 +98,24 @@ def test_noise_follows_as_far_as_its_prior_allows(amplitude):
     assert found.item() == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("follows", [1e-13, 1e-12, 1e-11])
+def test_rounding_of_a_column_that_the_fit_follows_takes_nothing_from_real_ones(follows):
+    """Columns turned among each other, so that the rounding is in all of them; the noise can shrink by a factor of a hundred."""
+    random = torch.Generator().manual_seed(6)
+    n = 200
+    columns = torch.randn(n, 3, generator=random, dtype=torch.float64)
+    residual = columns @ torch.tensor([30.0, 20.0, 10.0]).double() + torch.randn(n, generator=random).double()
+    residual *= (n / residual.square().sum()).sqrt()
+    gram = torch.block_diag(columns.T @ columns, torch.tensor([[follows]]).double())
+    score = torch.cat((columns.T @ residual, torch.tensor([1e-5]).double()))
+    turn = torch.linalg.qr(torch.randn(4, 4, generator=random, dtype=torch.float64)).Q
+    noise = FreeNoise(float(n), 5.0)
+    sd = torch.ones(4).double()
+    clean = log_bayes_factor(gram[:3, :3], score[:3], sd[:3], noise)
+    found = log_bayes_factor(turn.T @ gram @ turn, turn.T @ score, sd, noise)
+    assert clean > 300.0
+    assert found.item() == pytest.approx(clean.item(), abs=1.0)
+
+
 def test_mean_of_exponentials_survives_large_numbers():
     assert log_mean_exp(torch.tensor([1000.0, -1000.0]).double()) == pytest.approx(1000.0 - math.log(2.0))
