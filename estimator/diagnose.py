@@ -10,9 +10,8 @@ from estimator.calibrate import calibrate
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.design import Proposal, actions, proposals
-from estimator.diagnosis.discrepancy import Discrepancy
 from estimator.diagnosis.extension import extended_text
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.record import Fault, without_faults
 from estimator.diagnosis.resolution import indistinguishable, smallest_visible
@@ -29,6 +28,7 @@ from estimator.diagnosis.verdict import (
     stand_ins,
     verdict_of,
 )
+from estimator.diagnosis.widening import widening
 from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
 from estimator.errors import InvalidInput
 from estimator.preflight import check_readings
@@ -124,7 +124,7 @@ def diagnose(
         judged,
         extended_text(rig, after),
         seed,
-        _widening(extended, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else {},
+        widening(extended, after, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else {},
     )
     folder = None if out is None else Path(out)
     has_current = bool((seen.current_A != 0.0).any())
@@ -156,13 +156,6 @@ def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
     rules = final.posterior.chain.rules
     as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence
-
-
-def _widening(fit: Fit, left: Discrepancy) -> dict[str, float]:
-    """How much less sure each parameter is if the strongest discrepancy that is left may be in the readings as well."""
-    beside = fit.covariance_beside(left.columns)
-    names = [parameter.name for parameter in fit.rig.free]
-    return {name: max(fit.value_sd(name, beside) / fit.value_sd(name), 1.0) for name in names}
 
 
 def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:

@@ -125,6 +125,7 @@ class Diagnosis:
                 "looks_like": left.family,
                 "rms_sigma": left.rms_sigma,
             },
+            "widening": dict(self.widening),
             "steps": self._steps(),
             "dropped": [self.label(cause) for cause in self.search.dropped],
             "seed": self.seed,

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from estimator import diagnose, load_rig
 from estimator.diagnose import MORE_STARTS
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis_record import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.study import KINDS, credible_sets, draw_case, label, true_quantities
@@ -107,6 +108,7 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
                 "before": float(diagnosis.plain.values[name]),
                 "after": float(diagnosis.fit.values[name]),
                 "sd_before": diagnosis.plain.value_sd(name),
+                "sd_after": diagnosis.fit.value_sd(name) * diagnosis.widening.get(name, 1.0),
                 "unflawed": None if unflawed is None else float(unflawed.values[name]),
             }
             for name, value in truth["values"].items()
@@ -153,6 +155,7 @@ def show(rows: list[Row]) -> None:
     if by_kind["pair"]:
         both = sum(found_all(row) for row in by_kind["pair"])
         print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
+        show_coverage(by_kind["pair"])
     if by_kind["outside"]:
         show_outside(by_kind["outside"])
     if rows:
@@ -186,6 +189,7 @@ def show_single(kind: str, rows: list[Row]) -> None:
         )
     if kind == "single":
         show_sizes(rows)
+        show_coverage(rows)
 
 
 def is_explained(cause: dict[str, Any]) -> bool:
@@ -243,6 +247,13 @@ def show_coils(coils: list[list[tuple[float, float, float]]]) -> None:
         )
 
 
+def show_coverage(rows: list[Row]) -> None:
+    """How many of the coil's true numbers lie in the 90 % intervals of the extended rig."""
+    numbers = [one for row in rows for one in row["coil"].values() if "sd_after" in one]
+    inside = sum(abs(one["after"] - one["truth"]) < HALF_WIDTH_90 * one["sd_after"] for one in numbers)
+    print(f"  the coil's true numbers inside their 90 % intervals: {share(inside, len(numbers))}")
+
+
 def show_outside(rows: list[Row]) -> None:
     unexplained = sum(row["verdict"] == "unexplained" for row in rows)
     wrong = sum(bool(row["causes"]) and row["verdict"] != "unexplained" for row in rows)
@@ -250,6 +261,7 @@ def show_outside(rows: list[Row]) -> None:
         f"outside the library: {len(rows)} sessions, unexplained in {share(unexplained, len(rows))}, a wrong name in "
         f"{share(wrong, len(rows))}"
     )
+    show_coverage(rows)
 
 
 def found_all(row: Row) -> bool:

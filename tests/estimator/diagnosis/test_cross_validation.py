@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.diagnosis.cross_validation import HeldOut, held_out, log_predictive
+from estimator.diagnosis.cross_validation import HeldOut, held_out, jackknife_covariance, log_predictive
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import judged
 from estimator.rig import Cause, Rig
@@ -55,6 +55,40 @@ def test_density_is_that_of_a_linear_fit_of_the_other_blocks(fit, block):
         normal = torch.distributions.MultivariateNormal(slope @ step, spread)
         expected = normal.log_prob(residual) + torch.log(fit.whitening_per_T[mine]).sum()
         assert float(quick[i]) == pytest.approx(float(expected), abs=1e-6)
+
+
+def test_scatter_is_that_of_linear_fits_without_one_block_after_another(fit, block):
+    own_block = torch.from_numpy(np.repeat(block, 3))
+    moves = []
+    for number in np.unique(block):
+        mine = own_block == number
+        slope = fit.jacobian[mine]
+        moves.append(
+            torch.linalg.solve(fit.polished.precision[0] - slope.T @ slope, slope.T @ fit.residual[mine])
+        )
+    moved = torch.stack(moves)
+    expected = (1.0 - 1.0 / len(moved)) * moved.T @ moved
+    found = jackknife_covariance(fit, block)
+    sd = torch.sqrt(torch.diagonal(expected))
+    torch.testing.assert_close(found / sd / sd[:, None], expected / sd / sd[:, None], rtol=1e-6, atol=1e-6)
+
+
+def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(fit, block):
+    """Over many draws of the noise, in the linear model about the fit."""
+    generator = torch.Generator().manual_seed(4)
+    ratios = []
+    for _ in range(60):
+        noise = torch.randn(len(fit.residual), generator=generator, dtype=torch.float64)
+        noisy = fit.to_first_order(fit.projector, fit.projector.rest(noise))
+        own = torch.diagonal(jackknife_covariance(noisy, block))
+        ratios.append(torch.sqrt(own / torch.diagonal(fit.covariance)))
+    determined = torch.diagonal(fit.projector.gram(fit.jacobian, fit.jacobian)) < 0.05 * torch.diagonal(
+        fit.polished.information[0]
+    )
+    mean = torch.stack(ratios).mean(0)[determined]
+    assert len(mean) >= 3
+    assert (mean > 0.85).all()
+    assert (mean < 1.3).all()
 
 
 def test_cause_in_the_readings_gains_on_unseen_blocks_and_one_that_is_not_does_not(
