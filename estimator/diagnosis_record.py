@@ -125,6 +125,7 @@ class Diagnosis:
                 "looks_like": left.family,
                 "rms_sigma": left.rms_sigma,
             },
+            "rig": self.of_rig(),
             "widening": dict(self.widening),
             "steps": self._steps(),
             "dropped": [self.label(cause) for cause in self.search.dropped],
@@ -142,35 +143,31 @@ class Diagnosis:
         write_text(folder / EXTENDED_RIG, self.extended_rig_text)
 
     def parameters(self, cause: Cause) -> dict[str, dict[str, Any]]:
-        """Median, width and interval of each quantity of a cause that the session can see: sampled, or by Laplace."""
+        """Median, width and interval of each quantity of a cause that the session can see."""
         prefix = f"{cause.label}."
         unseen = EFFECTS[cause.name].unseen(self.fit.posterior.chain.scene, cause.place)
-        sampled = {} if self.posterior is None else self.posterior.record["parameters"]
-        result = {}
-        for name, parameter in self.fit.rig.parameters.items():
-            key = name.removeprefix(prefix)
-            if not name.startswith(prefix) or key in unseen:
-                continue
-            if name in sampled:
-                own = sampled[name]
-                result[key] = self._widened(name, own["median"], own["sd"], own["ci90"], own["unit"])
-            else:
-                value = float(self.fit.values[name])
-                sd = self.fit.value_sd(name) if parameter.is_free else 0.0
-                ends = [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd]
-                own = self._widened(name, value, sd, ends, parameter.unit)
-                if (prior := parameter.prior) is not None:
-                    own["ci90"] = [min(max(end, prior.lower), prior.upper) for end in own["ci90"]]
-                result[key] = own
-        return result
+        keys = [name.removeprefix(prefix) for name in self.fit.rig.parameters if name.startswith(prefix)]
+        return {key: self._interval(prefix + key) for key in keys if key not in unseen}
 
-    def _widened(
-        self, name: str, median: float, sd: float, ends: Sequence[float], unit: str
-    ) -> dict[str, Any]:
-        """An interval with room for what remains unexplained."""
-        factor = self.widening.get(name, 1.0)
+    def of_rig(self) -> dict[str, dict[str, Any]]:
+        """Median, width and interval of each free number that the rig had before."""
+        return {p.name: self._interval(p.name) for p in self.rig.free if p.name in self.fit.rig.parameters}
+
+    def _interval(self, name: str) -> dict[str, Any]:
+        """Of a number of the extended rig, sampled or by Laplace, with room for what remains unexplained."""
+        parameter, factor = self.fit.rig.parameters[name], self.widening.get(name, 1.0)
+        sampled = {} if self.posterior is None else self.posterior.record["parameters"]
+        if name in sampled:
+            own = sampled[name]
+            median, sd, ends = own["median"], own["sd"], own["ci90"]
+        else:
+            median = float(self.fit.values[name])
+            sd = self.fit.value_sd(name) if parameter.is_free else 0.0
+            ends = [median - HALF_WIDTH_90 * sd, median + HALF_WIDTH_90 * sd]
         ci90 = [median + factor * (end - median) for end in ends]
-        return {"median": median, "sd": factor * sd, "ci90": ci90, "unit": unit}
+        if (prior := parameter.prior) is not None:
+            ci90 = [min(max(end, prior.lower), prior.upper) for end in ci90]
+        return {"median": median, "sd": factor * sd, "ci90": ci90, "unit": parameter.unit}
 
     def _cause(self, one: NamedCause) -> dict[str, Any]:
         return {

@@ -226,12 +226,12 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
         show = display[name]
         old, new = (float(fit.values[name]) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
-        sd = [fit.value_sd(name) * show.factor for fit in (diagnosis.plain, diagnosis.fit)]
+        old_sd, new_sd = (fit.value_sd(name) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
         rows.append(
             [
                 show.words,
-                with_sd(old, sd[0]),
-                with_sd(new, sd[1]),
+                with_sd(old, old_sd),
+                with_sd(new, new_sd * diagnosis.widening.get(name, 1.0)),
                 show.unit or "1",
                 f"{gain.moved_sd[name]:+.1f}".replace("-", "−"),
             ]

@@ -22,6 +22,7 @@ from tests.estimator.diagnosis.small_fits import with_wrong
 
 OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4
+RADIUS = "coil1.radius_m"
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,21 @@ def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagno
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
     heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.chain.rules))
     assert set(heated.parameters(HEATING)) == {"loss_per_A2", "tau_h"}
+
+
+def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
+    cause = diagnosis.causes[0].cause
+    key = next(iter(diagnosis.parameters(cause)))
+    wide = replace(diagnosis, widening={RADIUS: 3.0, f"{cause.label}.{key}": 2.0})
+    for known, wider, factor in (
+        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS], 3.0),
+        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key], 2.0),
+    ):
+        assert wider["median"] == known["median"]
+        assert wider["sd"] == pytest.approx(factor * known["sd"])
+        low, high = (end - known["median"] for end in wider["ci90"])
+        assert high == pytest.approx(1.645 * factor * known["sd"], rel=1e-3)
+        assert low == pytest.approx(-high)
 
 
 def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:

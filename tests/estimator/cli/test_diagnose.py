@@ -83,6 +83,8 @@ def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]
         "gain",
         "elpd_difference",
         "elpd_se",
+        "rig",
+        "widening",
     } <= set(record)
     assert record["verdict"] in VERDICTS
     assert record["seed"] == 3
