@@ -21,6 +21,7 @@ from estimator.diagnosis.step import Step
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
+from estimator.metrics import HALF_WIDTH_90
 from estimator.rig import Cause, Rig
 
 DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
@@ -29,7 +30,6 @@ DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
     "report.html",
     "calibration",
 )
-HALF_WIDTH_90 = 1.644854
 
 
 def label_of(cause: Cause, rig: Rig) -> str:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+HALF_WIDTH_90 = 1.644854  # of the interval that holds 90 % of a normal distribution, in standard deviations
+
 
 @dataclass(frozen=True)
 class Errors:

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from estimator import diagnose, load_rig
 from estimator.diagnose import MORE_STARTS
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis_record import HALF_WIDTH_90
+from estimator.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.study import KINDS, credible_sets, draw_case, label, true_quantities

@@ -22,7 +22,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
 from estimator.inference.stacked import stacked_fits
-from estimator.metrics import errors
+from estimator.metrics import HALF_WIDTH_90, errors
 from estimator.preflight import check_readings
 from estimator.records import Observations
 from estimator.rig import Rig
@@ -30,7 +30,6 @@ from estimator.store.session import load_session, replace_folder
 
 RESULT, POSTERIOR, UNFINISHED = "result.json", "calibration", ".unfinished"
 MORE_STARTS = 3
-HALF_WIDTH_90 = 1.644854
 
 
 def describe(

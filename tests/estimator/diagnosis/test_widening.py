@@ -10,12 +10,11 @@ from estimator.diagnosis.cross_validation import jackknife_covariance
 from estimator.diagnosis.discrepancy import Discrepancy, discrepancy, families
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.widening import widening
+from estimator.metrics import HALF_WIDTH_90
 from estimator.rig import Rig
 from estimator.split import blocks_of_places
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
-
-HALF_WIDTH_90 = 1.645
 
 
 @pytest.fixture(scope="module")
