@@ -23,7 +23,15 @@ LAYER_NODES = 8  # along the missing part of a layer
 MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
 
 
-class AxialPitch(WindingEffect):
+class PitchEffect(WindingEffect):
+    """A pitch other than the rig file says."""
+
+    def concerns(self, scene: Scene, place: str) -> bool:
+        """Where the rig file leaves the pitch open itself, its prior says what can be built, and no cause may go beyond."""
+        return not scene.rig.parameters[f"{place}.{self.name}_m"].is_free
+
+
+class AxialPitch(PitchEffect):
     """The wire lies wider (or closer) along the axis than its diameter."""
 
     name: ClassVar[str] = "axial_pitch"
@@ -40,7 +48,7 @@ class AxialPitch(WindingEffect):
         return winding.with_pitches(factor, torch.ones_like(factor))
 
 
-class RadialPitch(WindingEffect):
+class RadialPitch(PitchEffect):
     """Layers lie closer (or wider) than the wire is thick."""
 
     name: ClassVar[str] = "radial_pitch"

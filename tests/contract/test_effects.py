@@ -16,7 +16,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
 from estimator.effects.record import RECORD
-from estimator.effects.scene import Extent
+from estimator.effects.scene import Extent, Scene
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
@@ -139,6 +139,16 @@ def test_declaration_is_complete(name):
     for quantity in effect.quantities(Extent()):
         suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
         assert quantity.unit == "1" or quantity.key.endswith(suffix), quantity
+
+
+@pytest.mark.parametrize("pitch", ["axial_pitch", "radial_pitch"])
+def test_pitch_that_the_rig_file_leaves_open_within_bounds_is_no_cause_beside(observations, pitch):
+    """As the MICE windings do: a cause of 5 % would leave the three widths within which they can be built."""
+    of_its_own = f"wire_radius_mm: 0.5\n    {pitch}_mm: {{prior: {{normal: {{mean: 1, sd: 0.01}}}}}}"
+    open_pitch = rig_from_text(RIG.replace("wire_radius_mm: 0.5", of_its_own, 1))
+    scene = Scene(open_pitch, observations)
+    assert not EFFECTS[pitch].concerns(scene, "coil1")
+    assert EFFECTS[pitch].concerns(scene, "coil2")
 
 
 def test_names_are_those_that_other_scripts_rely_on():
