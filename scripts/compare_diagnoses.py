@@ -2,19 +2,23 @@
 
     python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05
 
-It prints a table in Markdown.
+It prints a table in Markdown, and of every two of them how many numbers that both give differ by no more than their intervals say.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+from itertools import combinations
 from pathlib import Path
+from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from estimator.diagnosis_record import DIAGNOSIS
+from estimator.metrics import HALF_WIDTH_90
 from estimator.plots.style import with_sd
 
 CLEAR_SD = 5.0  # from zero, in every diagnosis
@@ -42,6 +46,14 @@ def main() -> None:
             with_sd(factor * value, factor * sd) for value, sd in (one[cause, name, unit] for one in found)
         ]
         print(f"| `{cause}` | {name.removesuffix(f'_{unit}')} | {words} | " + " | ".join(values) + " |")
+    print()
+    for (one, first), (other, second) in combinations(zip(folders, found, strict=True), 2):
+        off = [in_sd(first[key], second[key]) for key in first if key in second and first[key][1] > 0.0]
+        inside = sum(sd < HALF_WIDTH_90 for sd in off)
+        print(
+            f"{one.name}, {other.name}: {inside} of {len(off)} numbers that both give differ by no more than the 90 % interval of their "
+            f"difference; the median is {median(off):.2f} standard deviations, where 0.67 is due"
+        )
 
 
 def quantities(folder: Path) -> dict[tuple[str, str, str], Sized]:
@@ -52,6 +64,11 @@ def quantities(folder: Path) -> dict[tuple[str, str, str], Sized]:
         for cause in record["causes"]
         for name, p in cause["parameters"].items()
     }
+
+
+def in_sd(one: Sized, other: Sized) -> float:
+    """Difference of two values in its standard deviations."""
+    return abs(one[0] - other[0]) / math.hypot(one[1], other[1])
 
 
 def is_clear(sized: Sized | None) -> bool:
