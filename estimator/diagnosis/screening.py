@@ -14,6 +14,7 @@ from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.use import Use
 from estimator.rig import Cause
 
 SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
@@ -65,17 +66,20 @@ def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
 
 
 def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
-    """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over."""
+    """Evidence of a cause with everything fitted; what the screening said of parts of it is carried over.
+
+    Where the fit has left what the cause is, there is none for it.
+    """
     observations = fit.observations
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
     full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules, tolerance=ROUGH)
     gain = full.log_evidence - fit.log_evidence
     if not math.isfinite(gain):
         return screened, full
-    if any(
-        q.is_shape and not q.is_fixed
-        for q in EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
-    ):
+    effect, scene = EFFECTS[start.cause.name], fit.posterior.chain.scene
+    if not effect.is_itself(Use(effect, start.cause.place).theta(full.values), scene):
+        return 0.0, full
+    if any(q.is_shape and not q.is_fixed for q in effect.quantities(scene.extent)):
         # Laplace misses the width of shapes, and a linear model does not know their bounds.
         return min(max(gain, screened), gain + SHAPES_WIDTH), full
     (linear,) = _by_subset(fit, start, start.subsets[-1:])

@@ -134,6 +134,10 @@ class Effect(ABC):
                 return quantity.key, f"must lie between {low:g} and {high:g}"
         return None
 
+    def is_itself(self, theta: Theta, scene: Scene) -> bool:
+        """Whether what was fitted still is this cause, and not another one's limit."""
+        return True
+
     def is_mistake(self, values: Mapping[str, float]) -> bool:
         """Whether values that were fitted still are the mistake of the record that the cause stands for."""
         return True

@@ -113,6 +113,11 @@ class PiercedPlate(RoomEffect):
             )
         return tuple(starts)
 
+    def is_itself(self, theta: Theta, scene: Scene) -> bool:
+        """While sensors are on both of its sides: from far away its step is a field of the room."""
+        depth_m = ((scene.sensor_places_m - _middle_m(theta)) * _across(theta)).sum(-1)
+        return bool(depth_m.min() < 0.0 < depth_m.max())
+
     def steady_T(
         self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
     ) -> Float[Tensor, "*#batch place 3"]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import magpylib
 import numpy as np
 import pytest
+import torch
 
 from estimator.config import rig_from_text
-from estimator.effects.iron import IronBody
+from estimator.effects.iron import IronBody, PiercedPlate
 from estimator.effects.scene import Scene
 from estimator.units import MU0_T_M_PER_A
 from tests.hidden.pierced_sheet import pierced_T
@@ -175,6 +176,29 @@ def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_probl
     half_T = np.array([0.0, 0.0, -0.5 * step_T])  # larger behind, which is where the normal points
     exact = pierced_T(lambda at_m: np.broadcast_to(half_T, at_m.shape), 0.08, OPENING_M, AROUND_M) - half_T
     assert_same_field(found, exact, 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "is_between"), [(0.08, True), (0.117, True), (0.3, False), (-3.0, False)]
+)
+def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(height_m, is_between):
+    """As a search took one for it, in an axis scan of a coil with a background of 77 uT."""
+    scene = Scene(rig_from_text(RIG), readings(AROUND_M))
+    theta = {key: torch.tensor(value) for key, value in (PIERCED | {"z_m": height_m}).items()}
+    assert PiercedPlate().is_itself(theta, scene) is is_between
+    if not is_between:
+        field = added_T(
+            readings(AROUND_M, (0.0, 0.0)),
+            {
+                "pierced_plate[room]": {
+                    **PIERCED,
+                    "z_m": 100.0 * height_m,
+                    "strength": 0.0,
+                    "step_T": 3e-4,
+                }
+            },
+        )
+        assert_same_field(field, np.broadcast_to([0.0, 0.0, -np.sign(height_m) * 1.5e-4], field.shape), 1e-6)
 
 
 def test_a_tiny_opening_leaves_the_plate():
