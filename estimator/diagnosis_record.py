@@ -125,7 +125,7 @@ class Diagnosis:
                 "looks_like": left.family,
                 "rms_sigma": left.rms_sigma,
             },
-            "rig": self.of_rig(),
+            "rig_parameters": self.of_rig(),
             "widening": dict(self.widening),
             "steps": self._steps(),
             "dropped": [self.label(cause) for cause in self.search.dropped],

@@ -19,9 +19,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 
 LEAST_SHARE = 1e-12  # of a block's own scatter that its parameters leave over: none where it alone determines one of them
-LEAST_JUDGED = (
-    1e-3  # such a share, for the other blocks to say where the parameters would go without this one
-)
+LEAST_JUDGED = 1e-3  # such a share, for the other blocks to say where the parameters would go without it
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.diagnosis.linear import MOST_SHRINK, FreeNoise, Projector
 from estimator.effects import EFFECTS
+from estimator.effects.use import Use
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.likelihood import LogPosterior
@@ -181,6 +182,11 @@ class Fit:
             assert prior is not None
             log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
         return log_prior - float(own.log_prob(null))
+
+    def still_has(self, cause: Cause) -> bool:
+        """Whether one of the rig's causes still is itself at the values that were fitted."""
+        effect = EFFECTS[cause.name]
+        return effect.is_itself(Use(effect, cause.place).theta(self.values), self.posterior.chain.scene)
 
     def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
         """The fit in another linear model about it, as far as evidence of more columns goes: that takes these two."""

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 MOST_SHRINK, N_SHRINKS = -5.0, 101  # logarithms of the noise that are looked at, over the fitted one
-TINY = 1e-12
+TINY = 1e-12  # square of a column, in units of the noise and its prior, below which nothing is said of it
 
 
 @dataclass(frozen=True)

@@ -107,16 +107,11 @@ def _faults(base: Fit) -> list[Fit]:
     rules = base.posterior.chain.rules
     least = fit_rig(base.rig, few, base.values, rules).log_evidence - MOST_LOST_ON_FEW
     trials = [fit_rig(rig, few, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
-    better = [trial for trial in trials if _is_mistake(trial) and trial.log_evidence > least]
+    better = [
+        trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
+    ]
     fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in better]
-    return [fit for fit in fits if _is_mistake(fit)]
-
-
-def _is_mistake(fit: Fit) -> bool:
-    """Whether the last effect of a fit still is a mistake of the record, not a small correction of something else."""
-    prefix = f"{fit.rig.effects[-1].label}."
-    own = {name[len(prefix) :]: float(v) for name, v in fit.values.items() if name.startswith(prefix)}
-    return EFFECTS[fit.rig.effects[-1].name].is_mistake(own)
+    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
 
 
 def _coarse(rig: Rig, base: Fit, observations: Observations) -> float:

@@ -14,7 +14,6 @@ from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.use import Use
 from estimator.rig import Cause
 
 SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
@@ -76,10 +75,10 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     gain = full.log_evidence - fit.log_evidence
     if not math.isfinite(gain):
         return screened, full
-    effect, scene = EFFECTS[start.cause.name], fit.posterior.chain.scene
-    if not effect.is_itself(Use(effect, start.cause.place).theta(full.values), scene):
+    if not full.still_has(start.cause):
         return 0.0, full
-    if any(q.is_shape and not q.is_fixed for q in effect.quantities(scene.extent)):
+    quantities = EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
+    if any(q.is_shape and not q.is_fixed for q in quantities):
         # Laplace misses the width of shapes, and a linear model does not know their bounds.
         return min(max(gain, screened), gain + SHAPES_WIDTH), full
     (linear,) = _by_subset(fit, start, start.subsets[-1:])

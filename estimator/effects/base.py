@@ -135,11 +135,7 @@ class Effect(ABC):
         return None
 
     def is_itself(self, theta: Theta, scene: Scene) -> bool:
-        """Whether what was fitted still is this cause, and not another one's limit."""
-        return True
-
-    def is_mistake(self, values: Mapping[str, float]) -> bool:
-        """Whether values that were fitted still are the mistake of the record that the cause stands for."""
+        """Whether what was fitted still is what the cause says, and not a small correction or the limit of something else."""
         return True
 
 

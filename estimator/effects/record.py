@@ -188,9 +188,9 @@ class DisplacementFrameError(MotionEffect):
         turn = rotation_from_vector(torch.stack([theta[f"{a}_rad"] for a in ("rx", "ry", "rz")], dim=-1))
         return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
 
-    def is_mistake(self, values: Mapping[str, float]) -> bool:
+    def is_itself(self, theta: Theta, scene: Scene) -> bool:
         """Axes that are turned a little are not mistaken for others; something else is wrong."""
-        return math.hypot(*values.values()) > SMALLEST_TURN_RAD
+        return math.hypot(*(float(turn_rad) for turn_rad in theta.values())) > SMALLEST_TURN_RAD
 
 
 def _signed_permutations() -> list[dict[str, float]]:

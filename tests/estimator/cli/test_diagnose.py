@@ -83,7 +83,7 @@ def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]
         "gain",
         "elpd_difference",
         "elpd_se",
-        "rig",
+        "rig_parameters",
         "widening",
     } <= set(record)
     assert record["verdict"] in VERDICTS
