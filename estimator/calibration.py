@@ -40,7 +40,7 @@ class Calibration:
         observations: The readings it was made from, validation included.
         best: Every number of the rig at the posterior's maximum, with the most probable whole loop counts.
         draws: Posterior draws of every free parameter, walker by step.
-        log_prob: Log posterior density of the draws, up to a constant.
+        log_prob: Log posterior density of the draws, up to a constant; as they were sampled, where they were widened since.
         record: The content of `summary.json`.
     """
 

@@ -84,6 +84,11 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
     found = []
     if not record["is_converged"]:
         found.append(f"Sampling did not converge: {_sampling(record)}. The intervals are provisional.")
+    if wider := record.get("widening"):
+        found.append(
+            "Something in the readings remains unexplained, as the diagnosis shows: standard deviations are up to "
+            f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
+        )
     for direction in record["undetermined"]:
         found.append(
             f"The data do not determine {direction['words']}: their own standard deviation is "

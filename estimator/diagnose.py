@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from estimator.calibrate import calibrate
 from estimator.chain import Chain
 from estimator.config import rig_from_text
 from estimator.diagnosis.design import Proposal, actions, proposals
@@ -28,9 +27,10 @@ from estimator.diagnosis.verdict import (
     stand_ins,
     verdict_of,
 )
-from estimator.diagnosis.widening import widening
+from estimator.diagnosis.widening import Widening
 from estimator.diagnosis_record import POSTERIOR, Diagnosis, label_of
 from estimator.errors import InvalidInput
+from estimator.extended_posterior import extended_posterior
 from estimator.preflight import check_readings
 from estimator.records import Observations
 from estimator.rig import Rig
@@ -62,8 +62,8 @@ def diagnose(
         validation: Another session of the same rig to judge the gain by.
         out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
         seed: Of the split, the thinning, the starts and the sampling.
-        has_posterior: Sample the extended rig where a cause was found and a coil carried current, with all readings but those for
-            validation.
+        has_posterior: Sample the extended rig where a cause was found or something remains unexplained, and a coil carried current, with
+            all readings but those for validation. What remains unexplained widens it.
         most_causes: Where the search ends though another would earn its place; each further one takes longer.
         on_stage: Told what is going on.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
@@ -124,15 +124,19 @@ def diagnose(
         judged,
         extended_text(rig, after),
         seed,
-        widening(extended, after, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else {},
+        Widening.of(extended, after, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else None,
     )
     folder = None if out is None else Path(out)
-    has_current = bool((seen.current_A != 0.0).any())
-    if has_posterior and result.fit.rig.effects and has_current:
+    is_changed = bool(result.fit.rig.effects) or verdict is Verdict.UNEXPLAINED
+    if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
         tell("posterior of the extended rig")
-        sampled_rig = rig_from_text(result.extended_rig_text)
-        kept = None if folder is None else folder / POSTERIOR
-        sampled = calibrate(session, sampled_rig, out=kept, overwrite=True, seed=seed)
+        sampled = extended_posterior(
+            session,
+            rig_from_text(result.extended_rig_text),
+            result.widening,
+            out=None if folder is None else folder / POSTERIOR,
+            seed=seed,
+        )
         result = replace(result, posterior=sampled)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -171,7 +175,7 @@ def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list
     """What would tell the members of each credible set apart, as far as their fits show a difference: the best few for each."""
     best: list[Proposal] = []
     for one in named:
-        step = next(step for step in found.steps if step.taken == one.cause)
+        step = found.step_of(one.cause)
         rivals = {
             label_of(r.cause, rig): r.fit for r in step.credible if r.fit is not None and r.cause is not None
         }

@@ -70,12 +70,12 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    stages = [steps for steps in diagnosis.search.stages if steps[0].taken is not None]
+    stages = diagnosis.search.stages
     if len(stages) < LEAST_STEPS:
         return
-    fits = [diagnosis.search.base, *(steps[0].winner for steps in stages)]
+    fits = [diagnosis.search.base, *(stage.fit for stage in stages)]
     figure = plots.ladder(
-        [diagnosis.label_of_stage(steps) for steps in stages],
+        [diagnosis.label_of_stage(stage) for stage in stages],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
         title=diagnosis.rig.name,
@@ -129,8 +129,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, steps in enumerate(diagnosis.search.stages[:MOST_STEPS], start=1):
-        step = steps[0]
+    for number, (title, step) in enumerate(diagnosis.races[:MOST_STEPS], start=1):
         evidence = {
             rival.name if rival.cause is None else diagnosis.label(rival.cause): rival.log_bayes_factor
             for rival in step.rivals
@@ -138,10 +137,8 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
         taken = None if step.taken is None else diagnosis.label(step.taken)
         figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
         assert isinstance(figure, Figure)
-        words = (
-            f"{diagnosis.label_of_stage(steps)} was taken." if taken else "Nothing earned its place any more."
-        )
-        if len(steps) > 1:
+        words = f"{title} was taken." if taken else "Nothing earned its place any more."
+        if taken and title != taken:
             words += f" Shown is {taken}, beside the others of them."
         yield Picture(
             f"Who explains it, step {number}",

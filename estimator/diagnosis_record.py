@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.record import Fault
 from estimator.diagnosis.resolution import Visible
-from estimator.diagnosis.search import Search
+from estimator.diagnosis.search import Search, Stage
 from estimator.diagnosis.step import Step
 from estimator.diagnosis.symptoms import Symptoms
 from estimator.diagnosis.verdict import NamedCause, Verdict
+from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.metrics import HALF_WIDTH_90
 from estimator.rig import Cause, Rig
@@ -57,8 +58,8 @@ class Diagnosis:
         fit: The same, fitted to many readings.
         before, after: What their residuals show.
         gain: On readings that were not used for fitting; None where there are none.
-        widening: Factor by which the intervals of each parameter grow for what remains unexplained; empty where nothing does.
-        posterior: The extended rig, sampled; None where that was not asked for or nothing was found.
+        widening: By what the intervals of the extended rig grow for what remains unexplained; None where nothing does.
+        posterior: The extended rig, sampled and widened; None where that was not asked for or nothing was found.
     """
 
     rig: Rig
@@ -79,19 +80,28 @@ class Diagnosis:
     gain: Gain | None
     extended_rig_text: str
     seed: int
-    widening: Mapping[str, float]
+    widening: Widening | None
     posterior: Calibration | None = None
 
     def label(self, cause: Cause) -> str:
         """Name of a cause; with its place where the rig has several."""
         return label_of(cause, self.rig)
 
-    def label_of_stage(self, steps: Sequence[Step]) -> str:
-        """What steps of the search took that took it together."""
-        first = steps[0].taken
-        if first is None:
-            return "nothing more"
-        return self.label(first) if len(steps) == 1 else f"{first.name} at {len(steps)} places"
+    def label_of_stage(self, stage: Stage) -> str:
+        """What the search took in one go."""
+        number = Counter(cause.name for cause in stage.causes)
+        alone = {cause.name: self.label(cause) for cause in stage.causes}
+        return " + ".join(alone[name] if n == 1 else f"{name} at {n} places" for name, n in number.items())
+
+    @property
+    def races(self) -> list[tuple[str, Step]]:
+        """What was taken in one go, and how the first of each kind of it compares with all other hypotheses; the last took nothing."""
+        first = [
+            (self.label_of_stage(stage), self.search.step_of(cause))
+            for stage in self.search.stages
+            for cause in {cause.name: cause for cause in reversed(stage.causes)}.values()
+        ]
+        return [*first, ("nothing more", self.search.steps[-1])]
 
     def record(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
@@ -126,7 +136,7 @@ class Diagnosis:
                 "rms_sigma": left.rms_sigma,
             },
             "rig_parameters": self.of_rig(),
-            "widening": dict(self.widening),
+            "widening": {} if self.widening is None else self.widening.factors,
             "steps": self._steps(),
             "dropped": [self.label(cause) for cause in self.search.dropped],
             "seed": self.seed,
@@ -153,21 +163,25 @@ class Diagnosis:
         """Median, width and interval of each free number that the rig had before."""
         return {p.name: self._interval(p.name) for p in self.rig.free if p.name in self.fit.rig.parameters}
 
+    def value_sd(self, name: str) -> float:
+        """Standard deviation of a free number of the extended rig by Laplace, with room for what remains unexplained."""
+        factor = 1.0 if self.widening is None else self.widening.factors[name]
+        return factor * self.fit.value_sd(name)
+
     def _interval(self, name: str) -> dict[str, Any]:
         """Of a number of the extended rig, sampled or by Laplace, with room for what remains unexplained."""
-        parameter, factor = self.fit.rig.parameters[name], self.widening.get(name, 1.0)
+        parameter = self.fit.rig.parameters[name]
         sampled = {} if self.posterior is None else self.posterior.record["parameters"]
         if name in sampled:
             own = sampled[name]
             median, sd, ends = own["median"], own["sd"], own["ci90"]
         else:
             median = float(self.fit.values[name])
-            sd = self.fit.value_sd(name) if parameter.is_free else 0.0
+            sd = self.value_sd(name) if parameter.is_free else 0.0
             ends = [median - HALF_WIDTH_90 * sd, median + HALF_WIDTH_90 * sd]
-        ci90 = [median + factor * (end - median) for end in ends]
         if (prior := parameter.prior) is not None:
-            ci90 = [min(max(end, prior.lower), prior.upper) for end in ci90]
-        return {"median": median, "sd": factor * sd, "ci90": ci90, "unit": parameter.unit}
+            ends = [min(max(end, prior.lower), prior.upper) for end in ends]
+        return {"median": median, "sd": sd, "ci90": ends, "unit": parameter.unit}
 
     def _cause(self, one: NamedCause) -> dict[str, Any]:
         return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from estimator.diagnosis.gain import Judged
@@ -160,8 +159,11 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _appendix(diagnosis: Diagnosis) -> list[Table]:
-    stages = enumerate(diagnosis.search.stages[:MOST_STEPS], start=1)
-    return [*(_rivals_table(diagnosis, steps, number) for number, steps in stages), _visible_table(diagnosis)]
+    races = enumerate(diagnosis.races[:MOST_STEPS], start=1)
+    return [
+        *(_rivals_table(diagnosis, step, number, title) for number, (title, step) in races),
+        _visible_table(diagnosis),
+    ]
 
 
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, dict[str, Any], float, str]]:
@@ -226,12 +228,11 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
         show = display[name]
         old, new = (float(fit.values[name]) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
-        old_sd, new_sd = (fit.value_sd(name) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
         rows.append(
             [
                 show.words,
-                with_sd(old, old_sd),
-                with_sd(new, new_sd * diagnosis.widening.get(name, 1.0)),
+                with_sd(old, diagnosis.plain.value_sd(name) * show.factor),
+                with_sd(new, diagnosis.value_sd(name) * show.factor),
                 show.unit or "1",
                 f"{gain.moved_sd[name]:+.1f}".replace("-", "−"),
             ]
@@ -244,9 +245,8 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     )
 
 
-def _rivals_table(diagnosis: Diagnosis, steps: Sequence[Step], number: int) -> Table:
-    """Who else was in the race for the first of the causes that were taken together."""
-    step = steps[0]
+def _rivals_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
+    """Who else was in the race."""
     causes = [rival for rival in step.rivals if rival.cause is not None]
     share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
     rows = [
@@ -262,7 +262,7 @@ def _rivals_table(diagnosis: Diagnosis, steps: Sequence[Step], number: int) -> T
         if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
     ]
     return Table(
-        f"Who was considered, step {number}: {diagnosis.label_of_stage(steps)} taken",
+        f"Who was considered, step {number}: {title} taken",
         ["hypothesis", "meaning", "log evidence", "among causes", "unseen blocks", "outcome"],
         rows,
         "Unseen blocks: gain in log density where each block of places is predicted from the others; ± is its standard error.",

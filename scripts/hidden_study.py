@@ -108,7 +108,7 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
                 "before": float(diagnosis.plain.values[name]),
                 "after": float(diagnosis.fit.values[name]),
                 "sd_before": diagnosis.plain.value_sd(name),
-                "sd_after": diagnosis.fit.value_sd(name) * diagnosis.widening.get(name, 1.0),
+                "sd_after": diagnosis.value_sd(name),
                 "unflawed": None if unflawed is None else float(unflawed.values[name]),
             }
             for name, value in truth["values"].items()

@@ -41,7 +41,7 @@ from estimator.store.session import load_session
     "has_posterior",
     default=True,
     show_default=True,
-    help=f"Sample the extended rig with emcee where a cause was found, into {POSTERIOR} below the folder.",
+    help=f"Sample the extended rig with emcee into {POSTERIOR} below the folder, where a cause was found or something is left unexplained.",
 )
 @seed_option
 @overwrite_option

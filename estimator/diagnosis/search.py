@@ -1,7 +1,8 @@
 """Naming causes: take the best where it earns its place, and begin again.
 
 A kind of cause that explains more at several places than any cause does at one is taken at all of those at once. Causes taken earlier
-are asked again in the presence of the others. Where no single cause earns its place, two are asked together, for one may hide the other.
+are asked again in the presence of the others, of many those that another may do better than. Where no single cause earns its place, two
+are asked together, for one may hide the other.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 
@@ -34,7 +34,15 @@ from estimator.split import blocks_of_places
 
 MOST_CAUSES = 60
 SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
-MOST_REVISITED = 4  # with more causes than that, each is only asked whether it is still needed
+MOST_REVISITED = 4  # with more causes than that, only those are asked again that another may do better than
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Causes that were taken in one go, and the fit with them."""
+
+    causes: tuple[Cause, ...]
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,8 @@ class Search:
 
     Attributes:
         base, final: Fits before and after.
-        steps: In order; the last one took nothing.
+        steps: How each cause compares with every other hypothesis, in order; the last one took nothing.
+        stages: Of those that were kept, in order.
         dropped: Causes that were taken and later no longer earned their place.
         pool: Columns of every cause at the base.
         whole: The discrepancy at the base.
@@ -52,15 +61,14 @@ class Search:
     base: Fit
     final: Fit
     steps: tuple[Step, ...]
+    stages: tuple[Stage, ...]
     dropped: tuple[Cause, ...]
     pool: tuple[Candidate, ...]
     whole: Discrepancy
 
-    @property
-    def stages(self) -> list[list[Step]]:
-        """The steps, those that took causes at several places together as one."""
-        same = groupby(self.steps, key=lambda step: None if step.taken is None else id(step.winner))
-        return [list(steps) for _, steps in same]
+    def step_of(self, cause: Cause) -> Step:
+        """How a cause that was taken compares with every other hypothesis."""
+        return next(step for step in self.steps if step.taken == cause)
 
     @property
     def log_odds(self) -> float:
@@ -82,13 +90,13 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSE
     trail = _Trail(base, pool, families(base), tell, most_causes)
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
-    if 1 < len(trail.own(fit)) <= MOST_REVISITED:
-        fit = trail.forward(trail.revisited(fit))
+    if again := trail.doubtful(fit):
+        fit = trail.forward(trail.revisited(fit, again))
     if len(trail.own(fit)) == 1 and leaves_structure(trail.steps[-1].left):
         fit = trail.with_alternative(fit)
     if trail.own(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.chain.rules)
-    return Search(base, fit, tuple(trail.steps), tuple(trail.dropped), tuple(pool), whole)
+    return Search(base, fit, tuple(trail.steps), trail.kept(fit), tuple(trail.dropped), tuple(pool), whole)
 
 
 class _Trail:
@@ -106,6 +114,7 @@ class _Trail:
         self.block = blocks_of_places(base.observations, np.random.default_rng(0))
         self.tell, self.most_causes = tell, most_causes
         self.steps: list[Step] = []
+        self.stages: list[Stage] = []
         self.dropped: list[Cause] = []
 
     def own(self, fit: Fit) -> list[Cause]:
@@ -135,26 +144,47 @@ class _Trail:
             self.tell(
                 f"{step.taken.label} earns its place ({step.winner.log_evidence - fit.log_evidence:+.1f} in log evidence)"
             )
+            self.stages.append(Stage((step.taken,), step.winner))
             fit, gone = _without_idle(step.winner, self.base)
             self.dropped += gone
             if step.taken in gone:
                 return fit
 
-    def revisited(self, fit: Fit) -> Fit:
-        """Each cause again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
-        for cause in self.own(fit):
+    def kept(self, fit: Fit) -> tuple[Stage, ...]:
+        """The stages, without causes that the fit has not got any more."""
+        own = self.own(fit)
+        kept = [replace(stage, causes=tuple(c for c in stage.causes if c in own)) for stage in self.stages]
+        return tuple(stage for stage in kept if stage.causes)
+
+    def doubtful(self, fit: Fit) -> list[Cause]:
+        """What to ask again: of few causes each; of many those that were taken together and have a likelier rival beside all the others."""
+        own = self.own(fit)
+        if len(own) <= MOST_REVISITED:
+            return own if len(own) > 1 else []
+        together = [c for stage in self.kept(fit) if len(stage.causes) > 1 for c in stage.causes]
+        self.tell(f"{len(together)} that were taken together again, beside all others")
+        steps = steps_of(fit, together, self._pool(fit), self._smooth(fit))
+        for cause, step in zip(together, steps, strict=True):
+            self.steps[self._at(cause)] = step
+        return [c for c, step in zip(together, steps, strict=True) if step.credible[0].cause != c]
+
+    def revisited(self, fit: Fit, causes: list[Cause]) -> Fit:
+        """Causes again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
+        for cause in causes:
             without = fit_rig(
                 fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
             )
             self.tell(f"{cause.label} again, beside the others")
             step = self.step(without)
-            at = next(i for i, old in enumerate(self.steps) if old.taken == cause)
             if step.taken is None:
                 self.dropped.append(cause)
                 fit = without
-            else:
-                self.steps[at] = step
-                fit = fit if step.taken == cause else step.winner
+                continue
+            self.steps[self._at(cause)] = step
+            if step.taken != cause:
+                self.tell(f"{step.taken.label} does better in its place")
+                self.stages.append(Stage((step.taken,), step.winner))
+                fit = step.winner
         return fit
 
     def with_alternative(self, fit: Fit) -> Fit:
@@ -165,7 +195,9 @@ class _Trail:
                 continue
             if not leaves_structure(discrepancy(rival.fit, self._smooth(rival.fit))):
                 self.tell(f"{rival.name} in its place leaves less")
+                assert rival.cause is not None
                 self.steps = [replace(step, taken=rival.cause)]
+                self.stages = [Stage((rival.cause,), rival.fit)]
                 return self.forward(rival.fit)
         return fit
 
@@ -182,6 +214,7 @@ class _Trail:
             f"{', '.join(cause.label for cause in more)} earn their places ({gain:+.1f} in log evidence)"
         )
         self.steps += steps_of(wider, more, self._pool(wider), self._smooth(wider))
+        self.stages.append(Stage(tuple(more), wider))
         return wider
 
     def _with_pair(self, fit: Fit, stop: Step) -> Fit | None:
@@ -215,11 +248,15 @@ class _Trail:
             steps.append(step)
             both = both if step.taken == cause else step.winner
         self.steps += steps
+        self.stages.append(Stage(tuple(step.taken for step in steps if step.taken), both))
         return both
 
     def step(self, fit: Fit) -> Step:
         """All hypotheses at a fit."""
         return take_step(fit, self._pool(fit), self._smooth(fit), self.block)
+
+    def _at(self, cause: Cause) -> int:
+        return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
     def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.base)

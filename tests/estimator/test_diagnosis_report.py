@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import html
 import re
-from copy import copy
 from dataclasses import replace
 
 import pytest
 
 from estimator.diagnose import diagnose
 from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.search import Stage
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
+from estimator.diagnosis.widening import Widening
 from estimator.diagnosis_pictures import pictures
 from estimator.diagnosis_record import Diagnosis
 from estimator.diagnosis_report import diagnosis_report
@@ -66,15 +67,15 @@ def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagno
 def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
     cause = diagnosis.causes[0].cause
     key = next(iter(diagnosis.parameters(cause)))
-    wide = replace(diagnosis, widening={RADIUS: 3.0, f"{cause.label}.{key}": 2.0})
-    for known, wider, factor in (
-        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS], 3.0),
-        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key], 2.0),
+    wide = replace(diagnosis, widening=Widening(diagnosis.fit, 9.0 * diagnosis.fit.covariance))
+    for known, wider in (
+        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS]),
+        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key]),
     ):
         assert wider["median"] == known["median"]
-        assert wider["sd"] == pytest.approx(factor * known["sd"])
+        assert wider["sd"] == pytest.approx(3.0 * known["sd"])
         low, high = (end - known["median"] for end in wider["ci90"])
-        assert high == pytest.approx(1.645 * factor * known["sd"], rel=1e-3)
+        assert high == pytest.approx(1.645 * 3.0 * known["sd"], rel=1e-3)
         assert low == pytest.approx(-high)
 
 
@@ -117,11 +118,16 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
-    first, *rest = diagnosis.search.steps
-    rivals = [replace(rival, fit=None if rival.fit is None else copy(rival.fit)) for rival in first.rivals]
-    again = replace(diagnosis.search, steps=(first, replace(first, rivals=tuple(rivals)), *rest))
+    first, *rest = diagnosis.search.stages
+    again = replace(diagnosis.search, stages=(first, first, *rest))
     (ladder,) = [
         p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
     ]
     labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
-    assert labels[1] == labels[2] == f"+ {diagnosis.label(first.taken)}"
+    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_stage(first)}"
+
+
+def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
+    causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
+    stage = Stage(tuple(causes), diagnosis.fit)
+    assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"

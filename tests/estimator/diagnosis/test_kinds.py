@@ -15,7 +15,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.kinds import of_one_kind, steps_of, together
 from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.screening import in_full, screening
-from estimator.diagnosis.search import search
+from estimator.diagnosis.search import Stage, _Trail, search
 from estimator.rig import Cause, Rig
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, with_wrong
 
@@ -145,5 +145,33 @@ def test_a_search_takes_them_in_one_go(base, monkeypatch):
     found = search(base, told.append)
     assert set(found.final.rig.effects) == WITH_IT
     assert [step.taken for step in found.steps[:-1]] == list(found.final.rig.effects)
-    assert [len(steps) for steps in found.stages] == [len(WITH_IT), 1]
+    assert [set(stage.causes) for stage in found.stages] == [WITH_IT]
+    assert found.stages[0].fit.log_evidence > base.log_evidence + 100.0
     assert any("earn their places" in words for words in told)
+
+
+def test_of_those_taken_together_one_that_another_does_better_than_is_exchanged(
+    rig, monkeypatch, small_session
+):
+    """A sensor that stands elsewhere has passed for one whose three elements do, as they do in the others."""
+    monkeypatch.setattr("estimator.diagnosis.search.MOST_REVISITED", 0)
+    apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]
+    misplaced = Cause("sensor_misplaced", "three")
+    known = small_session.observations
+    known = replace(known, sensor=torch.arange(len(known)) % 3)
+    generator = torch.Generator().manual_seed(4)
+    noise_T = 5e-6 * torch.randn(len(known), 3, dtype=torch.float64, generator=generator)
+    readings = with_wrong(rig, known.with_field(predicted_T(rig, known) + noise_T), misplaced, {"z_m": 2e-3})
+    for cause in apart[:2]:
+        readings = with_wrong(rig, readings, cause, {"x_at_z_m": 2e-3, "z_at_z_m": -2e-3, "y_at_x_m": 2e-3})
+    base = fit_of(rig, readings)
+    asked = [c for c in causes_of(rig, base) if c.name in ("element_displacement", "sensor_misplaced")]
+    trail = _Trail(base, candidates(base, asked), families(base), lambda words: None, 10)
+    fit = fit_of(rig, readings, *apart)
+    trail.stages.append(Stage(tuple(apart), fit))
+    trail.steps += steps_of(fit, apart, trail.pool, trail.smooth)
+    assert trail.doubtful(fit) == apart[2:]
+    better = trail.revisited(fit, apart[2:])
+    assert set(better.rig.effects) == {*apart[:2], misplaced}
+    assert [step.taken for step in trail.steps] == [*apart[:2], misplaced]
+    assert [stage.causes for stage in trail.kept(better)] == [tuple(apart[:2]), (misplaced,)]

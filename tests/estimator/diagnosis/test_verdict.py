@@ -55,7 +55,7 @@ def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -
 
 
 def found(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
-    return Search(base, final, steps, (), tuple(candidates(base, [OFFSET, GAIN])), left(whole))
+    return Search(base, final, steps, (), (), tuple(candidates(base, [OFFSET, GAIN])), left(whole))
 
 
 def named(cause: Cause, *others: Cause) -> NamedCause:

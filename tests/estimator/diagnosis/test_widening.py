@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.config import rig_from_text
+from estimator.coordinates import Coordinates
 from estimator.diagnosis.cross_validation import jackknife_covariance
 from estimator.diagnosis.discrepancy import Discrepancy, discrepancy, families
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.widening import widening
+from estimator.diagnosis.widening import Widening, envelope
 from estimator.metrics import HALF_WIDTH_90
 from estimator.rig import Rig
 from estimator.split import blocks_of_places
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
+
+RADIUS = "coil1.radius_m"
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +52,67 @@ def test_more_readings_make_nothing_surer_of_what_a_curve_leaves_open(small_rig,
     columns = 5.0 * families(searched)[0].columns
     left = Discrepancy(30.0, "a curve", {}, 5.0, columns)
     beside = searched.covariance_beside(columns)
-    for name, factor in widening(searched, many, left).items():
-        assert factor * many.value_sd(name) >= searched.value_sd(name, beside) * (1.0 - 1e-12)
+    for name, factor in Widening.of(searched, many, left).factors.items():
+        assert factor * many.value_sd(name) >= 0.99 * searched.value_sd(name, beside)
         assert factor > 1.0
 
 
 def test_nothing_is_made_surer(fit):
-    left = discrepancy(fit, families(fit))
-    factors = widening(fit, fit, left)
+    factors = Widening.of(fit, fit, discrepancy(fit, families(fit))).factors
     assert set(factors) == {parameter.name for parameter in fit.rig.free}
     assert all(1.0 <= factor < 2.0 for factor in factors.values())
+
+
+def test_envelope_is_in_no_direction_surer_than_either():
+    """However different in size the numbers are, and if one of the two knows nothing of some of them."""
+    generator = torch.Generator().manual_seed(2)
+    size = torch.tensor([1e-6, 1.0, 1e3, 1e-3], dtype=torch.float64)
+    direction = torch.randn(500, 4, generator=generator, dtype=torch.float64) / size
+    for rank in (2, 4, 9):
+        one, other = (
+            size[:, None] * draws.T @ draws * size
+            for draws in (torch.randn(n, 4, generator=generator, dtype=torch.float64) for n in (9, rank))
+        )
+        variances = [((direction @ c) * direction).sum(1) for c in (one, other, envelope(one, other))]
+        assert (variances[2] >= torch.maximum(variances[0], variances[1]) * (1.0 - 1e-9)).all()
+        assert torch.allclose(envelope(one, 0.5 * one), one, rtol=1e-9)
+
+
+def test_draws_are_spread_about_the_mean_of_their_counts_which_keep_their_probabilities(
+    fit, small_calibration
+):
+    """Readings of three times the noise leave every number three times as open, in every direction, where the counts are known."""
+    coordinates = Coordinates(small_calibration.rig, integer_counts=True)
+    n = coordinates.n_continuous
+    assert 1 < n < coordinates.n
+    known = small_calibration.draws
+    draws = Widening(fit, 9.0 * fit.covariance).spread(coordinates, known)
+    for name in coordinates.names[n:]:
+        assert (draws[name] == known[name]).all()
+    before, after = (
+        coordinates.vector({name: torch.from_numpy(one.ravel()) for name, one in some.items()})
+        for some in (known, draws)
+    )
+    for counts in torch.unique(before[:, n:], dim=0):
+        same = (before[:, n:] == counts).all(dim=1)
+        assert torch.allclose(before[same].mean(0), after[same].mean(0))
+        if same.sum() > 300:
+            own, wider = (one[same, :n].T.cov() for one in (before, after))
+            assert torch.linalg.eigvals(torch.linalg.solve(own, wider)).real == pytest.approx(9.0, rel=0.25)
+
+
+def test_draws_that_are_wide_enough_stay_where_they_are(fit, small_calibration):
+    coordinates = Coordinates(small_calibration.rig, integer_counts=True)
+    draws = Widening(fit, 1e-4 * fit.covariance).spread(coordinates, small_calibration.draws)
+    for name, values in small_calibration.draws.items():
+        assert draws[name] == pytest.approx(values, rel=1e-9)
+
+
+def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, small_calibration):
+    most_mm = 1e3 * float(small_calibration.draws[RADIUS].max())
+    rig = rig_from_text(rig_text.replace("mean: 51, sd: 1}", f"mean: 51, sd: 1, upper: {most_mm}}}"))
+    fit = fit_of(rig, small_session.observations)
+    for size in (1.0, 100.0):
+        draws = Widening(fit, size * fit.covariance).spread(Coordinates(rig, True), small_calibration.draws)
+        assert draws[RADIUS].max() == pytest.approx(1e-3 * most_mm, rel=1e-3 if size == 1.0 else 1e-12)
+        assert draws[RADIUS].max() <= 1e-3 * most_mm
