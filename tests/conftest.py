@@ -52,12 +52,20 @@ WHOLE = (
     *(HERE / f"estimator/{name}" for name in ("batching", "cli", "recalibration")),
     *(
         HERE / f"estimator/diagnosis/test_{name}.py"
-        for name in ("cross_validation", "evidence", "kinds", "search", "verdict")
+        for name in ("cross_validation", "evidence", "kinds", "search", "verdict", "widening")
     ),
     *(HERE / f"estimator/inference/test_{name}.py" for name in ("ensemble", "lattice", "point_estimate")),
     *(
         HERE / f"estimator/test_{name}.py"
-        for name in ("calibrate", "design", "diagnosis_report", "recalibrate", "refresh", "superposition")
+        for name in (
+            "calibrate",
+            "design",
+            "diagnosis_report",
+            "extended_posterior",
+            "recalibrate",
+            "refresh",
+            "superposition",
+        )
     ),
 )
 

@@ -174,7 +174,14 @@ def shares_of(causes: Sequence[Rival]) -> list[float]:
 
 
 def credible_set(causes: Sequence[Rival], taken: Cause | None) -> tuple[Rival, ...]:
-    """The smallest set that holds 95 % of the probability of all causes, and the one that was taken in any case."""
+    """The smallest set that holds 95 % of the probability of all causes, and the one that was taken in any case.
+
+    What explains no more than nothing does is left out: many such together may hold some per cent.
+    """
     reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
     n = int((reached < CREDIBLE).sum()) + 1
-    return tuple(rival for i, rival in enumerate(causes) if i < n or rival.cause == taken)
+    return tuple(
+        rival
+        for i, rival in enumerate(causes)
+        if rival.cause == taken or (i < n and rival.log_bayes_factor > 0.0)
+    )

@@ -14,7 +14,7 @@ from estimator.diagnosis.candidates import candidates
 from estimator.diagnosis.discrepancy import Discrepancy, families
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.search import Search
-from estimator.diagnosis.step import Rival, Step
+from estimator.diagnosis.step import Rival, Step, credible_set
 from estimator.diagnosis.verdict import (
     Alternative,
     NamedCause,
@@ -100,6 +100,16 @@ def test_several_causes_that_a_flexible_curve_beats_together_are_an_imitation(ba
 def test_a_little_evidence_for_structure_changes_nothing(base, both):
     search = found(base, both, step(None, {}, structure=1.0), whole=1.0)
     assert verdict_of(search, [named(OFFSET), named(GAIN)]) is Verdict.NAMED
+
+
+def test_what_explains_no_more_than_nothing_is_no_alternative_however_many_such_there_are():
+    """A hundred idle causes hold 11 % of the probability beside one of log evidence 6.7."""
+    weak = Rival(GAIN, GAIN.label, 3.0)
+    idle = [Rival(Cause("current_gain", f"coil{i}"), f"{i}", 0.0) for i in range(100)]
+    taken = Rival(OFFSET, OFFSET.label, 6.7)
+    assert credible_set([taken, weak, *idle], OFFSET) == (taken, weak)
+    assert credible_set([taken, *idle], None) == (taken,)
+    assert idle[99] in credible_set([taken, *idle], idle[99].cause)
 
 
 def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(base, both):
