@@ -11,6 +11,7 @@ from estimator.diagnosis.signatures import Signatures, leading, signatures, word
 
 SIGNIFICANT = 0.05
 MOST_LISTED = 12
+CLEARLY_MORE = 1.2  # than noise would leave, for a reader
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,7 @@ class Symptoms:
         size = self.lack_of_fit
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would leave {size.noise_T * 1e6:.3g} µT ({source})"
-        verdict = (
-            "more than noise may leave" if size.p_value < SIGNIFICANT else "no more than noise may leave"
-        )
-        found = [f"The residual is {against}: {verdict} (p = {_p(size.p_value)})."]
+        found = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
         striking = [one for one in self.structure if one.p_value < SIGNIFICANT]
         if striking:
             names = "; ".join(f"{one.covariate.name} (p = {_p(one.p_value)})" for one in striking[:4])
@@ -80,6 +78,20 @@ class Symptoms:
             if answers:
                 found.append("It " + ", or ".join(words(answer) for answer in answers) + ".")
         return found
+
+
+def _against_noise(size: LackOfFit) -> str:
+    """The residual beside the noise, in words.
+
+    Examples:
+        >>> _against_noise(LackOfFit(357e-6, 100e-6, "specification", 0.1))
+        'more, but what is known of the noise does not rule that out'
+    """
+    if size.p_value < SIGNIFICANT:
+        return "more than noise may leave"
+    if size.rms_T > CLEARLY_MORE * size.noise_T:
+        return "more, but what is known of the noise does not rule that out"
+    return "no more than noise may leave"
 
 
 def _p(value: float) -> str:
