@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -265,8 +266,12 @@ def show_outside(rows: list[Row]) -> None:
 
 
 def found_all(row: Row) -> bool:
-    found = {name for names in credible_sets(row) for name in names}
-    return all(cause["label"] in found for cause in row["truth"])
+    """Whether every true cause stands in a set of its own."""
+    sets, true = credible_sets(row), [cause["label"] for cause in row["truth"]]
+    return any(
+        all(name in names for name, names in zip(true, chosen, strict=True))
+        for chosen in permutations(sets, len(true))
+    )
 
 
 def truth_of(row: Row) -> str:
