@@ -96,7 +96,8 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSE
         fit = trail.with_alternative(fit)
     if trail.own(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.chain.rules)
-    return Search(base, fit, tuple(trail.steps), trail.kept(fit), tuple(trail.dropped), tuple(pool), whole)
+    dropped = tuple(cause for cause in dict.fromkeys(trail.dropped) if cause not in fit.rig.effects)
+    return Search(base, fit, tuple(trail.steps), trail.kept(fit), dropped, tuple(pool), whole)
 
 
 class _Trail:
@@ -157,7 +158,10 @@ class _Trail:
         return tuple(stage for stage in kept if stage.causes)
 
     def doubtful(self, fit: Fit) -> list[Cause]:
-        """What to ask again: of few causes each; of many those that were taken together and have a likelier rival beside all the others."""
+        """What to ask again: of few causes each, of many those with a likelier rival.
+
+        Some that were taken together have one only until all others are there, so these are compared anew.
+        """
         own = self.own(fit)
         if len(own) <= MOST_REVISITED:
             return own if len(own) > 1 else []
@@ -166,7 +170,7 @@ class _Trail:
         steps = steps_of(fit, together, self._pool(fit), self._smooth(fit))
         for cause, step in zip(together, steps, strict=True):
             self.steps[self._at(cause)] = step
-        return [c for c, step in zip(together, steps, strict=True) if step.credible[0].cause != c]
+        return [cause for cause in own if self.steps[self._at(cause)].credible[0].cause != cause]
 
     def revisited(self, fit: Fit, causes: list[Cause]) -> Fit:
         """Causes again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
@@ -178,6 +182,7 @@ class _Trail:
             step = self.step(without)
             if step.taken is None:
                 self.dropped.append(cause)
+                del self.steps[self._at(cause)]
                 fit = without
                 continue
             self.steps[self._at(cause)] = step

@@ -175,3 +175,17 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_exchanged(
     assert set(better.rig.effects) == {*apart[:2], misplaced}
     assert [step.taken for step in trail.steps] == [*apart[:2], misplaced]
     assert [stage.causes for stage in trail.kept(better)] == [tuple(apart[:2]), (misplaced,)]
+
+
+def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
+    """With its comparison: where it is taken again later, that is not the old one."""
+    trail = _Trail(base, pool, families(base), lambda words: None, 10)
+    taken = list(OFFSET.values())
+    fit = fit_of(rig, readings, *taken)
+    trail.stages.append(Stage(tuple(taken), fit))
+    trail.steps += steps_of(fit, taken, pool, trail.smooth)
+    fewer = trail.revisited(fit, [OFFSET["three"]])
+    assert set(fewer.rig.effects) == WITH_IT
+    assert {step.taken for step in trail.steps} == WITH_IT
+    assert trail.dropped == [OFFSET["three"]]
+    assert set(trail.kept(fewer)[0].causes) == WITH_IT
