@@ -127,8 +127,7 @@ class _Trail:
         self.steps = [step for step in self.steps if step.taken in self.own(fit)]
         while True:
             if (several := self._with_kind(fit)) is not None:
-                fit, gone = _without_idle(several, self.base)
-                self.dropped += gone
+                fit = self._without_idle(several)
                 continue
             step = self.step(fit)
             if step.taken is None and (both := self._with_pair(fit, step)) is not None:
@@ -146,9 +145,9 @@ class _Trail:
                 f"{step.taken.label} earns its place ({step.winner.log_evidence - fit.log_evidence:+.1f} in log evidence)"
             )
             self.stages.append(Stage((step.taken,), step.winner))
-            fit, gone = _without_idle(step.winner, self.base)
-            self.dropped += gone
-            if step.taken in gone:
+            fit = self._without_idle(step.winner)
+            if step.taken not in fit.rig.effects:
+                self.steps.append(replace(step, taken=None))
                 return fit
 
     def kept(self, fit: Fit) -> tuple[Stage, ...]:
@@ -181,8 +180,7 @@ class _Trail:
             self.tell(f"{cause.label} again, beside the others")
             step = self.step(without)
             if step.taken is None:
-                self.dropped.append(cause)
-                del self.steps[self._at(cause)]
+                self._drop([cause])
                 fit = without
                 continue
             self.steps[self._at(cause)] = step
@@ -260,6 +258,16 @@ class _Trail:
         """All hypotheses at a fit."""
         return take_step(fit, self._pool(fit), self._smooth(fit), self.block)
 
+    def _without_idle(self, fit: Fit) -> Fit:
+        """The fit without causes that it does better without."""
+        fit, gone = _pruned(fit, self.base)
+        self._drop(gone)
+        return fit
+
+    def _drop(self, causes: list[Cause]) -> None:
+        self.dropped += causes
+        self.steps = [step for step in self.steps if step.taken not in causes]
+
     def _at(self, cause: Cause) -> int:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
@@ -271,7 +279,7 @@ class _Trail:
         return [family.weighed(fit.weight_over(self.base)) for family in self.smooth]
 
 
-def _without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
+def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
     """Drop causes, the least needed first, while the evidence is higher without; those far from their null are not refitted without."""
     gone: list[Cause] = []
     while True:
