@@ -157,10 +157,7 @@ class _Trail:
         return tuple(stage for stage in kept if stage.causes)
 
     def doubtful(self, fit: Fit) -> list[Cause]:
-        """What to ask again: of few causes each, of many those with a likelier rival.
-
-        Some that were taken together have one only until all others are there, so these are compared anew.
-        """
+        """What to ask again: of few causes each, of many those that were taken together and have a likelier rival beside all the others."""
         own = self.own(fit)
         if len(own) <= MOST_REVISITED:
             return own if len(own) > 1 else []
@@ -169,7 +166,7 @@ class _Trail:
         steps = steps_of(fit, together, self._pool(fit), self._smooth(fit))
         for cause, step in zip(together, steps, strict=True):
             self.steps[self._at(cause)] = step
-        return [cause for cause in own if self.steps[self._at(cause)].credible[0].cause != cause]
+        return [cause for cause, step in zip(together, steps, strict=True) if step.credible[0].cause != cause]
 
     def revisited(self, fit: Fit, causes: list[Cause]) -> Fit:
         """Causes again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
