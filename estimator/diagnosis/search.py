@@ -1,8 +1,7 @@
 """Naming causes: take the best where it earns its place, and begin again.
 
 A kind of cause that explains more at several places than any cause does at one is taken at all of those at once. Causes taken earlier
-are asked again in the presence of the others, of many those that another may do better than. Where no single cause earns its place, two
-are asked together, for one may hide the other.
+are asked again in the presence of the others. Where no single cause earns its place, two are asked together, for one may hide the other.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from estimator.split import blocks_of_places
 
 MOST_CAUSES = 60
 SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
-MOST_REVISITED = 4  # with more causes than that, only those are asked again that another may do better than
+MOST_REVISITED = 4  # with more causes than that, none is exchanged
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,10 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSE
     trail = _Trail(base, pool, families(base), tell, most_causes)
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
-    if again := trail.doubtful(fit):
-        fit = trail.forward(trail.revisited(fit, again))
+    if 1 < len(trail.own(fit)) <= MOST_REVISITED:
+        fit = trail.forward(trail.revisited(fit))
+    else:
+        trail.compare_again(fit)
     if len(trail.own(fit)) == 1 and leaves_structure(trail.steps[-1].left):
         fit = trail.with_alternative(fit)
     if trail.own(fit):
@@ -156,21 +157,19 @@ class _Trail:
         kept = [replace(stage, causes=tuple(c for c in stage.causes if c in own)) for stage in self.stages]
         return tuple(stage for stage in kept if stage.causes)
 
-    def doubtful(self, fit: Fit) -> list[Cause]:
-        """What to ask again: of few causes each, of many those that were taken together and have a likelier rival beside all the others."""
-        own = self.own(fit)
-        if len(own) <= MOST_REVISITED:
-            return own if len(own) > 1 else []
+    def compare_again(self, fit: Fit) -> None:
+        """What was taken at several places at once with every other hypothesis, now that all others are there; nothing is exchanged."""
         together = [c for stage in self.kept(fit) if len(stage.causes) > 1 for c in stage.causes]
-        self.tell(f"{len(together)} that were taken together again, beside all others")
+        if not together:
+            return
+        self.tell(f"{len(together)} that were taken together are compared again, beside all others")
         steps = steps_of(fit, together, self._pool(fit), self._smooth(fit))
         for cause, step in zip(together, steps, strict=True):
             self.steps[self._at(cause)] = step
-        return [cause for cause, step in zip(together, steps, strict=True) if step.credible[0].cause != cause]
 
-    def revisited(self, fit: Fit, causes: list[Cause]) -> Fit:
-        """Causes again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
-        for cause in causes:
+    def revisited(self, fit: Fit) -> Fit:
+        """Each cause again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
+        for cause in self.own(fit):
             without = fit_rig(
                 fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
             )

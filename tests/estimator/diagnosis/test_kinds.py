@@ -150,11 +150,8 @@ def test_a_search_takes_them_in_one_go(base, monkeypatch):
     assert any("earn their places" in words for words in told)
 
 
-def test_of_those_taken_together_one_that_another_does_better_than_is_exchanged(
-    rig, monkeypatch, small_session
-):
+def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_the_end(rig, small_session):
     """A sensor that stands elsewhere has passed for one whose three elements do, as they do in the others."""
-    monkeypatch.setattr("estimator.diagnosis.search.MOST_REVISITED", 0)
     apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]
     misplaced = Cause("sensor_misplaced", "three")
     known = small_session.observations
@@ -169,12 +166,12 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_exchanged(
     trail = _Trail(base, candidates(base, asked), families(base), lambda words: None, 10)
     fit = fit_of(rig, readings, *apart)
     trail.stages.append(Stage(tuple(apart), fit))
-    trail.steps += steps_of(fit, apart, trail.pool, trail.smooth)
-    assert trail.doubtful(fit) == apart[2:]
-    better = trail.revisited(fit, apart[2:])
-    assert set(better.rig.effects) == {*apart[:2], misplaced}
-    assert [step.taken for step in trail.steps] == [*apart[:2], misplaced]
-    assert [stage.causes for stage in trail.kept(better)] == [tuple(apart[:2]), (misplaced,)]
+    early = [c for c in trail.pool if c.cause != misplaced]
+    trail.steps += steps_of(fit, apart, early, trail.smooth)
+    assert [step.credible[0].cause for step in trail.steps] == apart
+    trail.compare_again(fit)
+    assert [step.taken for step in trail.steps] == apart
+    assert [step.credible[0].cause for step in trail.steps] == [*apart[:2], misplaced]
 
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
@@ -184,7 +181,7 @@ def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(b
     fit = fit_of(rig, readings, *taken)
     trail.stages.append(Stage(tuple(taken), fit))
     trail.steps += steps_of(fit, taken, pool, trail.smooth)
-    fewer = trail.revisited(fit, [OFFSET["three"]])
+    fewer = trail.revisited(fit)
     assert set(fewer.rig.effects) == WITH_IT
     assert {step.taken for step in trail.steps} == WITH_IT
     assert trail.dropped == [OFFSET["three"]]
