@@ -15,7 +15,6 @@ import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
-from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
@@ -153,7 +152,7 @@ class Rows:
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
-        return cls(predicted_T, jacfwd(posterior.for_slopes.predicted)(fit.vector), sigma_T)
+        return cls(predicted_T, posterior.slope(fit.vector), sigma_T)
 
 
 def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:

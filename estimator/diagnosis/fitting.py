@@ -114,7 +114,7 @@ class Fit:
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
         """Whitened derivative of the predictions in the coordinates."""
-        slope: Tensor = jacfwd(self.posterior.for_slopes.predicted)(self.vector)
+        slope: Tensor = self.posterior.slope(self.vector)
         return slope * self.whitening_per_T[:, None]
 
     @cached_property

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit
@@ -95,7 +94,7 @@ def judged(fit: Fit, unseen: Observations) -> Judged:
         predicted_T = chain.predict(fit.values).expand(len(unseen), 3)
         mean_T = posterior.measured_components(predicted_T)
         noise_T = posterior.component_sigma_T(fit.vector)
-        slope: Tensor = jacfwd(posterior.for_slopes.predicted)(fit.vector)
+        slope: Tensor = posterior.slope(fit.vector)
     spread2 = ((slope @ fit.covariance) * slope).sum(-1)
     off_T = posterior.measured_T - mean_T
     log_density, below = _mixture(posterior, fit, off_T, noise_T, spread2)

@@ -7,11 +7,12 @@ parameters let go to first order; the best few are fitted. A session whose noise
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
@@ -26,6 +27,7 @@ from estimator.rig import Cause, Rig
 MOST_FITS = 6
 MOST_FAULTS = 3
 MOST_READINGS = 100  # for the comparison of all starts
+MOST_TOGETHER = 16  # starts in one batch: more of them leave the processor's cache
 MOST_LOST_ON_FEW = 3.0  # log evidence on these, against no mistake, of one that is worth a fit to all
 LOG_PRIOR_FAULT = math.log(1e-3)
 EXPECTED_NOISE, EXPECTED_VALUE = (
@@ -95,14 +97,12 @@ def _faults(base: Fit) -> list[Fit]:
     some = torch.linspace(0, len(observations) - 1, min(MOST_READINGS, len(observations))).round().long()
     few = observations.rows(some.unique())
     present = {cause.name for cause in base.rig.effects}
-    ranked = [
-        (_coarse(rig, base, few), rig)
-        for name in RECORD
-        if name not in present
-        for place in EFFECTS[name].places(base.rig)
-        for shapes in EFFECTS[name].starts(scene, place)
-        if (rig := with_effect(base.rig, Cause(name, place), observations, shapes))
-    ]
+    ranked = []
+    for name in RECORD:
+        for place in EFFECTS[name].places(base.rig) if name not in present else ():
+            starts = EFFECTS[name].starts(scene, place)
+            rigs = [with_effect(base.rig, Cause(name, place), observations, start) for start in starts]
+            ranked += list(zip(_coarse(rigs, base, few), rigs, strict=True))
     ranked.sort(key=lambda pair: -pair[0])
     rules = base.posterior.chain.rules
     least = fit_rig(base.rig, few, base.values, rules).log_evidence - MOST_LOST_ON_FEW
@@ -114,20 +114,59 @@ def _faults(base: Fit) -> list[Fit]:
     return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
 
 
-def _coarse(rig: Rig, base: Fit, observations: Observations) -> float:
-    """Log likelihood at the best common noise, after the parameters were let go to first order from the nominal rig within their priors."""
-    chain = replace(Chain.unruled(rig, observations), rules=base.posterior.chain.rules)
-    posterior = LogPosterior(Coordinates(rig), chain, observations)
-    vector = posterior.coordinates.start()
-    unit = float(posterior.component_sigma_T(vector).mean() / posterior.sigma_T(vector).mean())
+def _coarse(rigs: Sequence[Rig], base: Fit, observations: Observations) -> list[float]:
+    """Log likelihood of each start of a mistake, at the best common noise.
+
+    The parameters are let go to first order from the nominal rig, within their priors.
+
+    Args:
+        rigs: With the same mistake, set to different values.
+        base: Whose rules for the field are taken.
+        observations: The readings to follow.
+    """
+    chain = replace(Chain.unruled(rigs[0], observations), rules=base.posterior.chain.rules)
+    found = []
+    for first in range(0, len(rigs), MOST_TOGETHER):
+        some = _AtStarts(rigs[first : first + MOST_TOGETHER])
+        found += _followed(LogPosterior(some, chain, observations), some.start())
+    return found
+
+
+def _followed(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> list[float]:
+    """Log likelihood after one step to first order from each start."""
     with torch.no_grad():
-        residual = (posterior.measured_T - posterior.predicted(vector)) / unit
-        slope: Tensor = jacfwd(posterior.for_slopes.predicted)(vector) / unit * posterior.coordinates.scale
-    prior = torch.eye(len(vector), dtype=torch.float64)
-    noise_T = float(residual.square().mean().sqrt())
+        unit = posterior.component_sigma_T(vector).mean(-1) / posterior.sigma_T(vector).mean(-1)
+        residual = (posterior.measured_T - posterior.predicted(vector)) / unit[:, None]
+        slope = posterior.slope(vector) / unit[:, None, None] * posterior.coordinates.scale
+    prior = torch.eye(vector.shape[-1], dtype=torch.float64)
+    noise_T = residual.square().mean(-1).sqrt()
     step = torch.zeros_like(vector)
     for _ in range(2):  # the noise of the first step is that of the absurd readings
-        weighted = slope / noise_T
-        step = torch.linalg.solve(weighted.T @ weighted + prior, weighted.T @ residual / noise_T)
-        noise_T = max(float((residual - slope @ step).square().mean().sqrt()), 1e-9)
-    return -len(residual) * math.log(noise_T * unit) - 0.5 * float(step.square().sum())
+        weighted, target = slope / noise_T[:, None, None], residual / noise_T[:, None]
+        step = torch.linalg.solve(weighted.mT @ weighted + prior, (weighted.mT @ target[..., None])[..., 0])
+        left = residual - (slope @ step[..., None])[..., 0]
+        noise_T = left.square().mean(-1).sqrt().clamp(min=1e-9)
+    log_likelihood = -residual.shape[-1] * torch.log(noise_T * unit) - 0.5 * step.square().sum(-1)
+    return list(log_likelihood.tolist())
+
+
+class _AtStarts(Coordinates):
+    """Coordinates of a mistake whose numbers that are set, not fitted, differ from row to row."""
+
+    def __init__(self, rigs: Sequence[Rig]) -> None:
+        super().__init__(rigs[0])
+        nominal = [rig.nominal_values() for rig in rigs]
+        self._rows = {
+            name: torch.tensor([values[name] for values in nominal], dtype=torch.float64)
+            for name in nominal[0]
+            if name.startswith(f"{rigs[0].effects[-1].label}.")
+        }
+
+    def start(self) -> Float[Tensor, "start coordinate"]:
+        """Coordinates of every start."""
+        return self.vector(self._rows).expand(len(next(iter(self._rows.values()))), -1)
+
+    def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
+        """Every number of the rig."""
+        set_ = {name: value for name, value in self._rows.items() if name not in self.names}
+        return {**super().values(vector), **set_}

@@ -10,9 +10,10 @@ from functools import cached_property
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.func import jacfwd
 
 from estimator.chain import Chain
-from estimator.coordinates import Coordinates
+from estimator.coordinates import Coordinates, Values
 from estimator.effects.base import (
     Effect,
     ElementEffect,
@@ -69,27 +70,6 @@ class LogPosterior:
         """The density for some rows of a vector; the same one where all rows share the readings."""
         return self if self.measured_T.dim() == 1 else self.with_rows(self.measured_T[rows])
 
-    @cached_property
-    def moves_field(self) -> Bool[Tensor, " coordinate"]:
-        """Which coordinates change where a winding's field is taken, or the winding: the expensive ones to differentiate."""
-        geometry = (MotionEffect, MountEffect, ElementEffect, WindingEffect)
-        cheap = [
-            f"{use.label}." for use in uses_of(self.chain.rig, Effect) if not isinstance(use.effect, geometry)
-        ]
-        ends = (".noise_T", ".gain", ".current_gain")
-        names = self.coordinates.names
-        return torch.tensor([not (name.endswith(ends) or name.startswith(tuple(cheap))) for name in names])
-
-    @cached_property
-    def for_slopes(self) -> LogPosterior:
-        """The same density with predictions whose first derivatives are cheap in many coordinates, and whose second ones are missing."""
-        is_dear = bool(uses_of(self.chain.rig, WindingMagnetisation))
-        if int(self.moves_field.sum()) <= FEW_COORDINATES and not is_dear:
-            return self
-        other = copy(self)
-        other.chain = replace(self.chain, has_cheap_slope=True)
-        return other
-
     def measured_components(
         self, field_T: Float[Tensor, "*batch reading 3"]
     ) -> Float[Tensor, "*batch component"]:
@@ -98,9 +78,80 @@ class LogPosterior:
 
     def predicted(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
         """Predicted value of every measured component, in tesla."""
-        field = self.chain.predict(self.coordinates.values(vector))
+        return self._predicted_at(self.coordinates.values(vector), vector.shape[:-1])
+
+    def slope(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component continuous"]:
+        """Derivative of every prediction in every coordinate that is no whole number.
+
+        All of a batch take the same step: the derivative in it is that of each. Numbers that do not move the field, a gain or a noise, are
+        stepped apart from those that do, or their derivatives would be carried through the field.
+        """
+        n = self.coordinates.n_continuous
+        total = torch.zeros(*vector.shape[:-1], len(self._flat), n, dtype=vector.dtype)
+        for is_dear in (True, False):
+            columns = (self._moves_field[:n] == is_dear).nonzero().flatten()
+
+            def moved(step: Tensor, columns: Tensor = columns, is_dear: bool = is_dear) -> Tensor:
+                there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
+                values = {
+                    name: value if self._is_dear(name) == is_dear else value.detach()
+                    for name, value in self.coordinates.values(there).items()
+                }
+                return self._for_slopes._predicted_at(values, vector.shape[:-1])
+
+            if len(columns):
+                total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+        return total
+
+    def log_sigma_slope(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component continuous"]:
+        """Derivative of the logarithm of every component's noise in every coordinate that is no whole number."""
+        n = self.coordinates.n_continuous
+        total = torch.zeros(*vector.shape[:-1], len(self._flat), n, dtype=vector.dtype)
+        columns = (~self._moves_field[:n]).nonzero().flatten()
+
+        def moved(step: Tensor) -> Tensor:
+            there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
+            return torch.log(self.component_sigma_T(there))
+
+        if len(columns):
+            total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+        return total
+
+    def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
-        return self.measured_components(field).expand(*vector.shape[:-1], len(self._flat))
+        return self.measured_components(self.chain.predict(values)).expand(*batch, len(self._flat))
+
+    @cached_property
+    def _moves_field(self) -> Bool[Tensor, " coordinate"]:
+        """Which coordinates change where a winding's field is taken, or the winding: the expensive ones to differentiate."""
+        return torch.tensor([self._is_dear(name) for name in self.coordinates.names])
+
+    def _is_dear(self, name: str) -> bool:
+        """Whether a number changes where a winding's field is taken, or the winding; one that is tied counts as the one it follows."""
+        while (tie := self.chain.rig.parameters[name].tie) is not None:
+            name = tie.to
+        return not (name.endswith((".noise_T", ".gain", ".current_gain")) or name.startswith(self._cheap))
+
+    @cached_property
+    def _cheap(self) -> tuple[str, ...]:
+        """Prefixes of the numbers of effects that act on the field, the current or the reading."""
+        geometry = (MotionEffect, MountEffect, ElementEffect, WindingEffect)
+        uses = uses_of(self.chain.rig, Effect)
+        return tuple(f"{use.label}." for use in uses if not isinstance(use.effect, geometry))
+
+    @cached_property
+    def _for_slopes(self) -> LogPosterior:
+        """The same density with predictions whose first derivatives are cheap in many coordinates, and whose second ones are missing."""
+        is_dear = bool(uses_of(self.chain.rig, WindingMagnetisation))
+        if int(self._moves_field.sum()) <= FEW_COORDINATES and not is_dear:
+            return self
+        other = copy(self)
+        other.chain = replace(self.chain, has_cheap_slope=True)
+        return other
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.func import hessian, jacfwd, jacrev, vmap
+from torch.func import jacfwd
 
 from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
@@ -86,8 +86,7 @@ def polish(
     value = posterior(vector)
     damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
     growth = torch.full_like(damping, 2.0)
-    gradient, information = _slope(posterior, vector)
-    precision = information + prior_precision(posterior.coordinates, vector)
+    gradient, information, precision = _slope(posterior, vector)
     done = torch.zeros(len(vector), dtype=torch.bool)
     # There the density still rises, but no step that stays inside gains by it.
     at_bound = torch.zeros_like(done)
@@ -121,45 +120,22 @@ def polish(
         if len(moved):
             vector[moved] = trial[better]
             value[moved] = trial_value[better]
-            gradient[moved], information[moved] = _slope(posterior.at(moved), vector[moved])
-            precision[moved] = information[moved] + prior_precision(posterior.coordinates, vector[moved])
+            gradient[moved], information[moved], precision[moved] = _slope(posterior.at(moved), vector[moved])
         at_bound[active] = is_bounded & better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
     newton = solve(precision, gradient)
     is_converged = at_bound | ((gradient * newton).sum(-1) < max(tolerance, 1e-6))
     return Polished(vector, value, precision, information, is_converged, iteration)
 
 
-def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> tuple[Tensor, Tensor]:
-    """Gradient of the log posterior, and the data's share of its negative Hessian."""
-    n = posterior.coordinates.n_continuous
-
-    def join(continuous: Tensor, counts: Tensor) -> Tensor:
-        return torch.cat((continuous, counts), dim=-1)
-
-    # Two parts, because a derivative in the noise or in a gain must not be carried through the field.
-    slow = posterior.moves_field[:n].nonzero().flatten()
-    quick = (~posterior.moves_field[:n]).nonzero().flatten()
-    back = torch.argsort(torch.cat((slow, quick)))
-
-    def predicted_and_log_sigma(some: Tensor, others: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        whole = join(torch.cat((some, others))[back], counts)
-        return posterior.for_slopes.predicted(whole), torch.log(posterior.component_sigma_T(whole))
-
-    continuous, counts = vector[:, :n], vector[:, n:]
-    parts = [
-        vmap(jacfwd(predicted_and_log_sigma, argnums=argument))(
-            continuous[:, slow], continuous[:, quick], counts
-        )
-        for argument, columns in enumerate((slow, quick))
-        if len(columns)
-    ]
-    predicted_jacobian, log_sigma_jacobian = (
-        torch.cat(part, dim=-1)[..., back] for part in zip(*parts, strict=True)
-    )
+def _slope(
+    posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gradient of the log posterior, the data's share of its negative Hessian, and all of that."""
     sigma_T = posterior.component_sigma_T(vector)
     whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
     weight = posterior.weight(whitened, vector)
-    jacobian = predicted_jacobian / sigma_T[..., None]
+    jacobian = posterior.slope(vector) / sigma_T[..., None]
+    log_sigma_jacobian = posterior.log_sigma_slope(vector)
     chi2 = weight * whitened**2
     gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
     gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]
@@ -169,26 +145,28 @@ def _slope(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -
     mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
     curvature = torch.maximum(2.0 * mean_chi2, torch.tensor(0.5, dtype=vector.dtype))[..., None]
     information = information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
-
-    def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
-        return posterior.coordinates.log_prior(join(continuous, counts))
-
-    return gradient + vmap(jacrev(log_prior))(continuous, counts), information
+    prior_gradient, prior_precision = prior_slope(posterior.coordinates, vector)
+    return gradient + prior_gradient, information, information + prior_precision
 
 
-def prior_precision(coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]) -> Tensor:
-    """Negative Hessian of the log prior, with some curvature where it has none."""
+def prior_slope(
+    coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
+) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
+    """Gradient of the log prior, and its negative Hessian with some curvature where it has none."""
     n = coordinates.n_continuous
-
-    def log_prior(continuous: Tensor, counts: Tensor) -> Tensor:
-        return coordinates.log_prior(torch.cat((continuous, counts), dim=-1))
-
-    own = -vmap(hessian(log_prior))(vector[:, :n], vector[:, n:])
+    at = vector.detach().requires_grad_()
+    every = torch.eye(coordinates.n, dtype=vector.dtype)[:n, None, :].expand(-1, len(vector), -1)
+    with torch.enable_grad():
+        # The density of a start depends on no other start: the gradient of their sum is that of each. Flat priors depend on nothing.
+        total = coordinates.log_prior(at).sum() + 0.0 * at.square().sum()
+        (gradient,) = torch.autograd.grad(total, at, create_graph=True)
+        (rows,) = torch.autograd.grad(gradient, at, every, is_grads_batched=True)
+    own = -rows[..., :n].transpose(0, 1)
     scale = coordinates.scale[:n]
     unit = scale[:, None] * scale[None, :]
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (own + own.mT) * unit)
     precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
-    return precision
+    return gradient[:, :n].detach(), precision
 
 
 def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:

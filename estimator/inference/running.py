@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacrev
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import polish, prior_precision, solve
+from estimator.inference.polish import polish, prior_slope, solve
 from estimator.records import Observations
 from estimator.rig import Rig
 
@@ -113,9 +112,8 @@ class RunningFit:
             self.refit(observations, self._point)
 
     def _take_prior(self) -> None:
-        log_prior = self.coordinates.log_prior
-        self._prior_gradient = jacrev(log_prior)(self._point)
-        self._prior_precision = prior_precision(self.coordinates, self._point[None])[0]
+        gradient, precision = prior_slope(self.coordinates, self._point[None])
+        self._prior_gradient, self._prior_precision = gradient[0], precision[0]
         self.precision = self._information + self._prior_precision
 
 
