@@ -16,7 +16,7 @@ from torch import Tensor
 
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.record import RECORD
@@ -105,8 +105,10 @@ def _faults(base: Fit) -> list[Fit]:
             ranked += list(zip(_coarse(rigs, base, few), rigs, strict=True))
     ranked.sort(key=lambda pair: -pair[0])
     rules = base.posterior.chain.rules
-    least = fit_rig(base.rig, few, base.values, rules).log_evidence - MOST_LOST_ON_FEW
-    trials = [fit_rig(rig, few, rig.nominal_values(), rules) for _, rig in ranked[:MOST_FITS]]
+    least = fit_rig(base.rig, few, base.values, rules, tolerance=ROUGH).log_evidence - MOST_LOST_ON_FEW
+    trials = [
+        fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for _, rig in ranked[:MOST_FITS]
+    ]
     better = [
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]

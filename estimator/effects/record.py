@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from itertools import permutations, product
 from typing import ClassVar
 
@@ -170,18 +171,8 @@ class DisplacementFrameError(MotionEffect):
 
     def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
         """The other 23 rotations of a cube, and those half way between about each of its axes."""
-        turns = [
-            Rotation.from_euler("XYZ", [a, b, c], degrees=True)
-            for a in range(0, 360, 45)
-            for b in (-90, -45, 0, 45, 90)
-            for c in range(0, 360, 45)
-        ]
-        distinct: list[Rotation] = [Rotation.identity()]
-        for turn in turns:
-            if min((turn.inv() * other).magnitude() for other in distinct) > math.radians(44.0):
-                distinct.append(turn)
         keys = ("rx_rad", "ry_rad", "rz_rad")
-        return tuple(dict(zip(keys, turn.as_rotvec().tolist(), strict=True)) for turn in distinct[1:])
+        return tuple(dict(zip(keys, turn, strict=True)) for turn in _turns())
 
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
@@ -204,3 +195,19 @@ def _signed_permutations() -> list[dict[str, float]]:
         for signs in product((1, -1), repeat=3)
     ]
     return found
+
+
+@cache
+def _turns() -> tuple[tuple[float, ...], ...]:
+    """Rotation vectors of turns in steps of 45 degrees about each axis, no two of them alike, without the identity."""
+    turns = [
+        Rotation.from_euler("XYZ", [a, b, c], degrees=True)
+        for a in range(0, 360, 45)
+        for b in (-90, -45, 0, 45, 90)
+        for c in range(0, 360, 45)
+    ]
+    distinct: list[Rotation] = [Rotation.identity()]
+    for turn in turns:
+        if min((turn.inv() * other).magnitude() for other in distinct) > math.radians(44.0):
+            distinct.append(turn)
+    return tuple(tuple(turn.as_rotvec().tolist()) for turn in distinct[1:])

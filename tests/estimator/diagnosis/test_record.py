@@ -8,6 +8,8 @@ import pytest
 
 from estimator.diagnosis import record
 from estimator.diagnosis.record import without_faults
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.record import DisplacementFrameError
 from estimator.rig import Cause, Rig
 from estimator.store.session import Session
@@ -32,3 +34,17 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
     _, faults = without_faults(fit_of(small_rig, readings))
     assert [fault.cause.name for fault in faults] == []
+
+
+@pytest.mark.parametrize("name", record.RECORD)
+def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
+    small_rig: Rig, small_session: Session, name: str
+):
+    base = fit_of(small_rig, small_session.observations.calibration)
+    scene = base.posterior.chain.scene
+    (place,) = EFFECTS[name].places(small_rig)
+    starts = EFFECTS[name].starts(scene, place)[:20]
+    rigs = [with_effect(small_rig, Cause(name, place), base.observations, start) for start in starts]
+    one_by_one = [value for rig in rigs for value in record._coarse([rig], base, base.observations)]
+    assert record._coarse(rigs, base, base.observations) == pytest.approx(one_by_one, rel=1e-9)
+    assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from scipy import stats
+from torch.func import jacfwd
 
+from estimator.chain import Chain
+from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
+from estimator.parameters import Parameter, Tie
 
 TWO_SENSORS = """{near: {noise_uT: 0.3, carried_by: stage}, far: {carried_by: stage, flange_from_sensor: {y_mm: 15},
   noise_uT: {prior: {log_normal: {median: 0.8, relative_sd: 0.5}}}}}"""
@@ -106,3 +111,44 @@ def test_impossible_coordinates_have_no_density_instead_of_nan(posterior, column
     density = posterior(vectors)
     assert torch.isfinite(density[0])
     assert density[1].isneginf()
+
+
+@pytest.mark.parametrize("kind", ["real", "whole"])
+def test_slopes_are_what_differences_say(problem, kind):
+    """Of what moves the field and of what does not, of rows at once; whole numbers are not stepped."""
+    coil = COIL.replace(
+        "axial_loops: 3",
+        "current_gain: {prior: {normal: {mean: 1, sd: 0.05}}}, axial_loops: {prior: {normal: {mean: 3, sd: 1, lower: 1}}}",
+    )
+    posterior = getattr(problem(coil, TWO_SENSORS), kind)
+    coordinates = posterior.coordinates
+    vectors = coordinates.sample_prior(np.random.default_rng(3), 2)
+    slope, log_sigma_slope = posterior.slope(vectors), posterior.log_sigma_slope(vectors)
+    assert slope.shape[-1] == log_sigma_slope.shape[-1] == coordinates.n_continuous
+    assert coordinates.n_continuous == coordinates.n - (kind == "whole")
+    for column in range(coordinates.n_continuous):
+        step = torch.zeros_like(vectors)
+        step[:, column] = 1e-5 * coordinates.scale[column]
+        two = 2e-5 * coordinates.scale[column]
+        difference = (posterior.predicted(vectors + step) - posterior.predicted(vectors - step)) / two
+        largest = difference.abs().max().item()
+        torch.testing.assert_close(slope[..., column], difference, rtol=1e-6, atol=1e-7 * largest)
+        ends = [torch.log(posterior.component_sigma_T(v)) for v in (vectors + step, vectors - step)]
+        torch.testing.assert_close(
+            log_sigma_slope[..., column], (ends[0] - ends[1]) / two, rtol=1e-7, atol=1e-7
+        )
+    torch.testing.assert_close(posterior.slope(vectors[1]), slope[1], rtol=1e-12, atol=0.0)
+
+
+def test_what_follows_a_gain_is_differentiated_with_it(problem):
+    """A pose that is tied to a gain moves the field, though a gain alone does not."""
+    sensors = "{hall: {noise_uT: 1, gain: {prior: {normal: {mean: 1, sd: 0.1}}}, carried_by: stage}}"
+    rig = problem(COIL, sensors).rig
+    tied = Parameter("coil1.world_from_coil.x_m", "m", 0.0, tie=Tie("hall.gain", 0.01))
+    rig = replace(rig, parameters={**rig.parameters, tied.name: tied})
+    observations = problem(COIL, sensors).observations
+    posterior = LogPosterior(Coordinates(rig), Chain.build(rig, observations), observations)
+    vector = posterior.coordinates.start()
+    torch.testing.assert_close(
+        posterior.slope(vector), jacfwd(posterior.predicted)(vector), rtol=1e-9, atol=1e-12
+    )
