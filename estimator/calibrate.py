@@ -20,6 +20,7 @@ from estimator.calibration import POSTERIOR, SUMMARY, Calibration
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
 from estimator.errors import InvalidInput, reason
+from estimator.field.node_sum import SumMode
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
 from estimator.inference.laplace import OpenDirection, open_directions
 from estimator.inference.lattice import CountMixture, count_mixture
@@ -126,7 +127,7 @@ def calibrate(
         mixture = count_mixture(posterior, lattice, estimate.fit, rng)
         assert mixture is not None
     if chain.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
-        lattice = LogPosterior(lattice.coordinates, replace(chain, is_compiled=True), observations)
+        lattice = LogPosterior(lattice.coordinates, replace(chain, mode=SumMode.COMPILED), observations)
 
     tell(Stage("posterior sampling with emcee"))
     if backend is None:

@@ -36,6 +36,7 @@ from estimator.errors import InvalidInput
 from estimator.field.coil import coil_field_per_ampere
 from estimator.field.first_order import with_cheap_slope
 from estimator.field.magnetised import field_of_rings
+from estimator.field.node_sum import SumMode
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -68,8 +69,7 @@ class Chain:
         columns: Per effect that moves bodies, what else it depends on, by distinct pose.
         powered: Per coil the distinct poses where it ever carries current.
         rules: Per coil the quadrature rule.
-        is_compiled: Sum with compiled code, for long sampling; no derivatives then.
-        has_cheap_slope: First derivatives through few directions, for fits of many parameters; no second derivatives then.
+        mode: How loops are summed: compiled for long sampling, to first order for fits.
     """
 
     rig: Rig
@@ -80,8 +80,7 @@ class Chain:
     columns: dict[str, Float[Tensor, "place column"]]
     powered: dict[str, Int[Tensor, " rows"]]
     rules: dict[str, Rule]
-    is_compiled: bool = False
-    has_cheap_slope: bool = False
+    mode: SumMode = SumMode.EAGER
 
     @classmethod
     def build(cls, rig: Rig, observations: Observations, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
@@ -299,7 +298,7 @@ class Chain:
             return field_of_rings(points_m, rings, patterns[there]).flatten(-2)
 
         points_m = coil_from_sensor.translation_m
-        flat = with_cheap_slope(field, points_m, ()) if self.has_cheap_slope else field(points_m)
+        flat = with_cheap_slope(field, points_m, ()) if self._is_first_order else field(points_m)
         flat = flat.expand(*flat.shape[:-2], len(every), -1)[..., self.place, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
         return self._unrotated(coil_from_sensor, total)
@@ -314,18 +313,19 @@ class Chain:
         self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding
     ) -> Float[Tensor, "*batch point 3"]:
         """Field of one ampere in the coil frame, by the coil's rule."""
+        return coil_field_per_ampere(coil, points_coil_m, winding, self.rules[coil.name], self.mode)
 
-        def per_ampere(points_m: Tensor, of: Winding, rule: Rule, _: Theta) -> Tensor:
-            return coil_field_per_ampere(coil, points_m, of, rule, self.is_compiled)
-
-        return self._sloped(coil, per_ampere, points_coil_m, winding, {})
+    @property
+    def _is_first_order(self) -> bool:
+        """Whether second derivatives may be missing."""
+        return self.mode is SumMode.FIRST_ORDER
 
     def _sloped(
         self, coil: Coil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
-        """A field that a coil makes, with cheap derivatives where these are asked for."""
+        """What an effect adds to a coil's field, with cheap derivatives where these are asked for."""
         rule = self.rules[coil.name]
-        if not self.has_cheap_slope:
+        if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)
         is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
             self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS

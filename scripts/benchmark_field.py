@@ -14,6 +14,7 @@ import torch
 from scipy.special import ellipe, ellipk
 
 from estimator.field.loop import loop_field
+from estimator.field.node_sum import SumMode
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -115,12 +116,10 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
         f"rule to {DEFAULT_TOLERANCE:.0e}": choose_rule(winding, near),
     }
 
-    def coilcal(rule: Rule, is_compiled: bool) -> Field:
+    def coilcal(rule: Rule, mode: SumMode) -> Field:
         def field(points_m: np.ndarray) -> np.ndarray:
             with torch.no_grad():
-                return winding_field_per_ampere(
-                    torch.from_numpy(points_m), winding, rule, is_compiled
-                ).numpy()
+                return winding_field_per_ampere(torch.from_numpy(points_m), winding, rule, mode).numpy()
 
         return field
 
@@ -139,9 +138,8 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
     methods = {}
     for name, rule in rules.items():
         size = f"{rule.axial_nodes} x {rule.radial_nodes}"
-        for is_compiled in (False, True) if has_compiled else (False,):
-            kind = "compiled" if is_compiled else "eager"
-            methods[f"coilcal, {name}, {size}, {kind}"] = coilcal(rule, is_compiled)
+        for mode in (SumMode.EAGER, SumMode.COMPILED) if has_compiled else (SumMode.EAGER,):
+            methods[f"coilcal, {name}, {size}, {mode.name.lower()}"] = coilcal(rule, mode)
     return methods | {
         "SciPy ellipk, ellipe, eq 4": in_pieces(scipy_loops),
         "magpylib core": in_pieces(magpylib_loops),

@@ -22,6 +22,7 @@ from benchmark import peak_memory_GB
 from estimator import SamplerSettings, load_plan, load_rig, simulate
 from estimator.chain import Chain
 from estimator.coordinates import Coordinates
+from estimator.field.node_sum import SumMode
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.ensemble import BURN_IN_SHARE, reported, sample
 from estimator.inference.laplace import covariance
@@ -72,7 +73,7 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     kernel = "eager"
     if not options.no_compile:
         kernel = "compiled"
-        quick = replace(chain, is_compiled=True)
+        quick = replace(chain, mode=SumMode.COMPILED)
         lattice, continuous = (LogPosterior(p.coordinates, quick, readings) for p in (lattice, continuous))
         begin = time.perf_counter()
         with torch.no_grad():

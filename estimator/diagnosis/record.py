@@ -7,7 +7,7 @@ parameters let go to first order; the best few are fitted. A session whose noise
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -100,15 +100,14 @@ def _faults(base: Fit) -> list[Fit]:
     ranked = []
     for name in RECORD:
         for place in EFFECTS[name].places(base.rig) if name not in present else ():
-            starts = EFFECTS[name].starts(scene, place)
-            rigs = [with_effect(base.rig, Cause(name, place), observations, start) for start in starts]
-            ranked += list(zip(_coarse(rigs, base, few), rigs, strict=True))
-    ranked.sort(key=lambda pair: -pair[0])
+            cause, starts = Cause(name, place), EFFECTS[name].starts(scene, place)
+            values = _coarse(base, cause, starts, few)
+            ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
+    ranked.sort(key=lambda one: -one[0])
     rules = base.posterior.chain.rules
     least = fit_rig(base.rig, few, base.values, rules, tolerance=ROUGH).log_evidence - MOST_LOST_ON_FEW
-    trials = [
-        fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for _, rig in ranked[:MOST_FITS]
-    ]
+    rigs = [with_effect(base.rig, cause, observations, start) for _, cause, start in ranked[:MOST_FITS]]
+    trials = [fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for rig in rigs]
     better = [
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]
@@ -116,20 +115,18 @@ def _faults(base: Fit) -> list[Fit]:
     return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
 
 
-def _coarse(rigs: Sequence[Rig], base: Fit, observations: Observations) -> list[float]:
+def _coarse(
+    base: Fit, cause: Cause, starts: Sequence[Mapping[str, float]], observations: Observations
+) -> list[float]:
     """Log likelihood of each start of a mistake, at the best common noise.
 
     The parameters are let go to first order from the nominal rig, within their priors.
-
-    Args:
-        rigs: With the same mistake, set to different values.
-        base: Whose rules for the field are taken.
-        observations: The readings to follow.
     """
-    chain = replace(Chain.unruled(rigs[0], observations), rules=base.posterior.chain.rules)
+    rig = with_effect(base.rig, cause, base.observations, starts[0])
+    chain = replace(Chain.unruled(rig, observations), rules=base.posterior.chain.rules)
     found = []
-    for first in range(0, len(rigs), MOST_TOGETHER):
-        some = _AtStarts(rigs[first : first + MOST_TOGETHER])
+    for first in range(0, len(starts), MOST_TOGETHER):
+        some = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
         found += _followed(LogPosterior(some, chain, observations), some.start())
     return found
 
@@ -155,18 +152,17 @@ def _followed(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
 class _AtStarts(Coordinates):
     """Coordinates of a mistake whose numbers that are set, not fitted, differ from row to row."""
 
-    def __init__(self, rigs: Sequence[Rig]) -> None:
-        super().__init__(rigs[0])
-        nominal = [rig.nominal_values() for rig in rigs]
+    def __init__(self, rig: Rig, cause: Cause, starts: Sequence[Mapping[str, float]]) -> None:
+        super().__init__(rig)
         self._rows = {
-            name: torch.tensor([values[name] for values in nominal], dtype=torch.float64)
-            for name in nominal[0]
-            if name.startswith(f"{rigs[0].effects[-1].label}.")
+            f"{cause.label}.{key}": torch.tensor([start[key] for start in starts], dtype=torch.float64)
+            for key in starts[0]
         }
+        self._n_rows = len(starts)
 
     def start(self) -> Float[Tensor, "start coordinate"]:
         """Coordinates of every start."""
-        return self.vector(self._rows).expand(len(next(iter(self._rows.values()))), -1)
+        return self.vector(self._rows).expand(self._n_rows, -1)
 
     def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
         """Every number of the rig."""

@@ -200,14 +200,9 @@ def _signed_permutations() -> list[dict[str, float]]:
 @cache
 def _turns() -> tuple[tuple[float, ...], ...]:
     """Rotation vectors of turns in steps of 45 degrees about each axis, no two of them alike, without the identity."""
-    turns = [
-        Rotation.from_euler("XYZ", [a, b, c], degrees=True)
-        for a in range(0, 360, 45)
-        for b in (-90, -45, 0, 45, 90)
-        for c in range(0, 360, 45)
-    ]
-    distinct: list[Rotation] = [Rotation.identity()]
-    for turn in turns:
-        if min((turn.inv() * other).magnitude() for other in distinct) > math.radians(44.0):
-            distinct.append(turn)
-    return tuple(tuple(turn.as_rotvec().tolist()) for turn in distinct[1:])
+    steps = list(product(range(0, 360, 45), (-90, -45, 0, 45, 90), range(0, 360, 45)))
+    distinct = Rotation.identity(1)
+    for turn in Rotation.from_euler("XYZ", steps, degrees=True):
+        if (turn.inv() * distinct).magnitude().min() > math.radians(44.0):
+            distinct = Rotation.concatenate((distinct, turn))
+    return tuple(tuple(vector) for vector in distinct[1:].as_rotvec().tolist())

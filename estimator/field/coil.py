@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.field.literal import literal_field_per_ampere
+from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.rig import Coil, FieldSum
 
@@ -15,7 +16,7 @@ def coil_field_per_ampere(
     points_coil_m: Float[Tensor, "*#batch point 3"],
     winding: Winding,
     rule: Rule,
-    is_compiled: bool = False,
+    mode: SumMode = SumMode.EAGER,
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of one ampere in the coil frame, in T/A.
 
@@ -24,8 +25,8 @@ def coil_field_per_ampere(
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry.
         rule: Nodes that stand for the loops.
-        is_compiled: Sum with compiled code, which only the right sum has; no derivatives then.
+        mode: How loops are summed; the paper's as it is printed has but one way, with all derivatives.
     """
     if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
         return literal_field_per_ampere(points_coil_m, winding, rule)
-    return winding_field_per_ampere(points_coil_m, winding, rule, is_compiled)
+    return winding_field_per_ampere(points_coil_m, winding, rule, mode)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.field.loop import steps_for_ratio
-from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes
+from estimator.field.node_sum import Nodes, NodeSum, SumMode, compiled_sum, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
 
 ELEMENTS_PER_CHUNK = (
@@ -94,7 +94,10 @@ class Rule:
 
 
 def winding_field_per_ampere(
-    points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding, rule: Rule, is_compiled: bool = False
+    points_coil_m: Float[Tensor, "*#batch point 3"],
+    winding: Winding,
+    rule: Rule,
+    mode: SumMode = SumMode.EAGER,
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of one ampere in the winding at points of the coil frame, by a chosen rule, in T/A.
 
@@ -102,8 +105,8 @@ def winding_field_per_ampere(
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry; its batch broadcasts with the points' batch.
         rule: Nodes and AGM steps, from `choose_rule` or `exact_rule`.
-        is_compiled: Use the compiled sum (`node_sum`), which carries no derivatives.
-    Returns: Bx, By, Bz in the coil frame per ampere; differentiable in points and geometry.
+        mode: How loops are summed (`node_sum`).
+    Returns: Bx, By, Bz in the coil frame per ampere; differentiable in points and geometry as far as the mode says.
     References: Osinde et al., eq 9-13, with the sum taken in Cartesian components (erratum to eq 13).
     Examples:
         >>> one = torch.ones((), dtype=torch.float64)
@@ -112,11 +115,14 @@ def winding_field_per_ampere(
         >>> round(winding_field_per_ampere(centre, loop, exact_rule(loop, centre))[0, 2].item() * 1e6, 6)
         12.566371
     """
-    return field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps, is_compiled)
+    return field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps, mode)
 
 
 def field_of_loops(
-    points_coil_m: Float[Tensor, "*#batch point 3"], loops: Nodes, steps: int, is_compiled: bool = False
+    points_coil_m: Float[Tensor, "*#batch point 3"],
+    loops: Nodes,
+    steps: int,
+    mode: SumMode = SumMode.EAGER,
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of weighted loops about the axis of a coil, in T per ampere and weight.
 
@@ -124,16 +130,18 @@ def field_of_loops(
         points_coil_m: Points in the coil frame, off the loops.
         loops: Heights, radii and weights on a grid of two node axes, after the batch.
         steps: AGM steps of each loop.
-        is_compiled: Use the compiled sum.
+        mode: How they are summed.
     """
     batch = torch.broadcast_shapes(points_coil_m.shape[:-2], *(value.shape[:-2] for value in loops))
     n_points, n_nodes = points_coil_m.shape[-2], loops.weight.shape[-2:].numel()
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
     rows = Nodes(*(v.expand(*batch, *v.shape[-2:]).reshape(-1, *v.shape[-2:]) for v in loops))
-    if is_compiled:
+    node_sum: NodeSum = sum_over_nodes
+    chunk = ELEMENTS_PER_CHUNK
+    if mode is SumMode.COMPILED:
         rows, node_sum, chunk = rows.flat(), compiled_sum(), ELEMENTS_PER_COMPILED_CHUNK
-    else:
-        node_sum, chunk = sum_over_nodes, ELEMENTS_PER_CHUNK
+    elif mode is SumMode.FIRST_ORDER:
+        node_sum = sum_to_first_order
     n_row_parts = math.ceil(len(points) / max(1, chunk // (n_points * n_nodes)))
     n_point_parts = math.ceil(n_points / max(1, chunk // n_nodes))
     field = [

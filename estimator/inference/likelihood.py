@@ -20,14 +20,12 @@ from estimator.effects.base import (
     MotionEffect,
     MountEffect,
     WindingEffect,
-    WindingMagnetisation,
 )
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
+from estimator.field.node_sum import SumMode
 from estimator.records import Observations
-
-FEW_COORDINATES = 16  # that move the field: their derivatives are taken one by one in no more time
 
 
 class LogPosterior:
@@ -145,12 +143,9 @@ class LogPosterior:
 
     @cached_property
     def _for_slopes(self) -> LogPosterior:
-        """The same density with predictions whose first derivatives are cheap in many coordinates, and whose second ones are missing."""
-        is_dear = bool(uses_of(self.chain.rig, WindingMagnetisation))
-        if int(self._moves_field.sum()) <= FEW_COORDINATES and not is_dear:
-            return self
+        """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
-        other.chain = replace(self.chain, has_cheap_slope=True)
+        other.chain = replace(self.chain, mode=SumMode.FIRST_ORDER)
         return other
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:

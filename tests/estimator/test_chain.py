@@ -17,6 +17,7 @@ from estimator.config import rig_from_text
 from estimator.coordinates import Coordinates, Values
 from estimator.errors import InvalidInput
 from estimator.field import winding as winding_module
+from estimator.field.node_sum import SumMode
 from estimator.field.winding import Winding, winding_field
 from estimator.frames import Transform, vector_from_rotation
 from estimator.kinematics import base_from_flange
@@ -365,7 +366,7 @@ def test_compiled_chain_uses_the_compiled_sum(monkeypatch):
     chain = Chain.build(of, readings([[1.0, 1.0]]))
     eager = chain.predict(nominal(of))
     assert not asked
-    compiled = replace(chain, is_compiled=True).predict(nominal(of))
+    compiled = replace(chain, mode=SumMode.COMPILED).predict(nominal(of))
     assert asked
     torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=0.0)
 

@@ -9,7 +9,6 @@ import pytest
 from estimator.diagnosis import record
 from estimator.diagnosis.record import without_faults
 from estimator.effects import EFFECTS
-from estimator.effects.attach import with_effect
 from estimator.effects.record import DisplacementFrameError
 from estimator.rig import Cause, Rig
 from estimator.store.session import Session
@@ -44,7 +43,7 @@ def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     scene = base.posterior.chain.scene
     (place,) = EFFECTS[name].places(small_rig)
     starts = EFFECTS[name].starts(scene, place)[:20]
-    rigs = [with_effect(small_rig, Cause(name, place), base.observations, start) for start in starts]
-    one_by_one = [value for rig in rigs for value in record._coarse([rig], base, base.observations)]
-    assert record._coarse(rigs, base, base.observations) == pytest.approx(one_by_one, rel=1e-9)
+    cause, few = Cause(name, place), base.observations
+    one_by_one = [value for start in starts for value in record._coarse(base, cause, [start], few)]
+    assert record._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
     assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

@@ -15,6 +15,7 @@ from estimator.coordinates import Coordinates
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import SourceEffect, WindingMagnetisation
+from estimator.field.node_sum import SumMode
 from estimator.records import Observations
 from estimator.rig import Cause, Rig
 
@@ -87,7 +88,7 @@ def agree(rig: Rig, observations: Observations) -> None:
     """Value and derivatives of both chains, at a draw from the prior."""
     coordinates = Coordinates(rig)
     plain = Chain.build(rig, observations)
-    cheap = replace(plain, has_cheap_slope=True)
+    cheap = replace(plain, mode=SumMode.FIRST_ORDER)
     at = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
     values = [chain.predict(coordinates.values(at)) for chain in (plain, cheap)]
     torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)

@@ -12,7 +12,7 @@ from mpmath import mpf
 from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev
 
-from estimator.field.loop import MOST_STEPS, agm_steps, loop_field, loop_terms, steps_for_ratio
+from estimator.field.loop import MOST_STEPS, agm_steps, loop_field, loop_slope, loop_terms, steps_for_ratio
 from estimator.units import MU0_T_M_PER_A
 
 RADIUS_M = 0.05
@@ -35,6 +35,15 @@ def textbook(point_m: list[float], radius_m: float) -> list[mpf]:
         Bz = scale * (K + (a**2 - rho**2 - z**2) / alpha2 * E)
         B_rho = scale * z / rho * (-K + (a**2 + rho**2 + z**2) / alpha2 * E)
         return [B_rho * x / rho, B_rho * y / rho, Bz]
+
+
+def textbook_slope(point_m: list[float], radius_m: float) -> list[float]:
+    """dB/dz per ampere: a difference of which 20 digits are left."""
+    x, y, z = point_m
+    step = mpf("1e-20")
+    with mpmath.workdps(60):
+        up, down = (textbook([x, y, mpf(z) + shift], radius_m) for shift in (step, -step))
+        return [float((a - b) / (2 * step)) for a, b in zip(up, down, strict=True)]
 
 
 def relative_errors(points_m: Tensor, radius_m: float = RADIUS_M) -> np.ndarray:
@@ -154,6 +163,20 @@ def points_at_ratio(ratio: float) -> tuple[Tensor, Tensor, Tensor]:
     rho = RADIUS_M * (1.0 + 2.0 * ratio * torch.cos(angles))
     z = RADIUS_M * 2.0 * ratio * torch.sin(angles)
     return rho, torch.zeros_like(rho), z
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-2, 1.0, 1e2], ids="{:g} radii from the centre".format)
+def test_slope_along_the_axis_is_that_of_sixty_digits(scale: float):
+    points_m = torch.from_numpy(scale * RADIUS_M * directions(6, seed=7))
+    x, y, z = points_m.unbind(-1)
+    radius = torch.tensor(RADIUS_M, dtype=torch.float64)
+    slope = loop_slope(x, y, z, radius, MOST_STEPS)
+    torch.testing.assert_close(torch.stack(slope[:2]), torch.stack(loop_terms(x, y, z, radius, MOST_STEPS)))
+    for i, point in enumerate(points_m.tolist()):
+        radial, _, axial = textbook_slope(point, RADIUS_M)
+        size = float(mpmath.norm(textbook(point, RADIUS_M))) / max(RADIUS_M, RADIUS_M * scale)
+        assert point[0] * slope.h_z_T_per_A_m2[i].item() == pytest.approx(radial, abs=1e-13 * size)
+        assert slope.axial_z_T_per_A_m[i].item() == pytest.approx(axial, abs=1e-13 * size)
 
 
 @pytest.mark.parametrize("ratio", [0.4, 0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8])

@@ -8,10 +8,11 @@ import sys
 import pytest
 import torch
 from torch import Tensor
+from torch.func import jacfwd
 
 from estimator.field import node_sum
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes
+from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes, sum_to_first_order
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -73,3 +74,20 @@ def test_compiled_sum_equals_the_eager_one():
         [sys.executable, "-c", IN_A_FRESH_PROCESS], capture_output=True, text=True, check=False
     )
     assert done.stdout.strip() == "same", done.stderr
+
+
+@pytest.mark.parametrize("axis_m", [0.0, 1e-13, 1e-6, 0.02, 0.3], ids=lambda m: f"{m:g} m from the axis")
+def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(axis_m: float):
+    """In the points, and in height, radius and weight of every loop, on the axis and off it."""
+    points_m = random(2, 5, 3) - 0.5
+    points_m[..., :2] *= axis_m
+    nodes = Nodes(0.1 * random(2, 3, 1, seed=1), 0.1 + random(2, 1, 2, seed=2), random(2, 3, 2, seed=3) - 0.3)
+    given = (points_m, *nodes)
+    plain, quick = (
+        lambda *at, f=function: f(at[0], Nodes(*at[1:]), 8)
+        for function in (sum_over_nodes, sum_to_first_order)
+    )
+    torch.testing.assert_close(quick(*given), plain(*given), rtol=1e-13, atol=1e-22)
+    for i in range(4):
+        expected, slope = (jacfwd(f, argnums=i)(*given) for f in (plain, quick))
+        torch.testing.assert_close(slope, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().max()))

@@ -16,6 +16,7 @@ from torch.func import jacfwd, jacrev
 from estimator.errors import InvalidInput
 from estimator.field import winding as winding_module
 from estimator.field.loop import loop_field
+from estimator.field.node_sum import SumMode
 from estimator.field.winding import (
     NODE_LADDER,
     Rule,
@@ -290,7 +291,7 @@ def test_compiled_sum_is_asked_for_only_on_request(monkeypatch):
     rule = exact_rule(SMALL, points_m)
     eager = winding_field_per_ampere(points_m, SMALL, rule)
     assert not asked
-    compiled = winding_field_per_ampere(points_m, SMALL, rule, is_compiled=True)
+    compiled = winding_field_per_ampere(points_m, SMALL, rule, mode=SumMode.COMPILED)
     assert asked
     torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=1e-20)
 
