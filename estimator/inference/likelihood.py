@@ -86,47 +86,57 @@ class LogPosterior:
         All of a batch take the same step: the derivative in it is that of each. Numbers that do not move the field, a gain or a noise, are
         stepped apart from those that do, or their derivatives would be carried through the field.
         """
-        n = self.coordinates.n_continuous
-        total = torch.zeros(*vector.shape[:-1], len(self._flat), n, dtype=vector.dtype)
+        total = self._no_slope(vector)
         for is_dear in (True, False):
-            columns = (self._moves_field[:n] == is_dear).nonzero().flatten()
-
-            def moved(step: Tensor, columns: Tensor = columns, is_dear: bool = is_dear) -> Tensor:
-                there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
-                values = {
-                    name: value if self._is_dear(name) == is_dear else value.detach()
-                    for name, value in self.coordinates.values(there).items()
-                }
-                return self._for_slopes._predicted_at(values, vector.shape[:-1])
-
+            columns = self._columns(is_dear)
             if len(columns):
-                total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+                total[..., columns] = self._slope_along(vector, columns, is_dear)
         return total
 
     def log_sigma_slope(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
         """Derivative of the logarithm of every component's noise in every coordinate that is no whole number."""
-        n = self.coordinates.n_continuous
-        total = torch.zeros(*vector.shape[:-1], len(self._flat), n, dtype=vector.dtype)
-        columns = (~self._moves_field[:n]).nonzero().flatten()
+        total, columns = self._no_slope(vector), self._columns(is_dear=False)
 
         def moved(step: Tensor) -> Tensor:
-            there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
-            return torch.log(self.component_sigma_T(there))
+            return torch.log(
+                self.component_sigma_T(vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1)))
+            )
 
         if len(columns):
             total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
         return total
 
+    def _slope_along(self, vector: Tensor, columns: Tensor, is_dear: bool) -> Tensor:
+        """Derivative of the predictions in some coordinates, with all numbers of the other kind held still."""
+
+        def moved(step: Tensor) -> Tensor:
+            there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
+            values = {
+                name: value if self._is_dear(name) == is_dear else value.detach()
+                for name, value in self.coordinates.values(there).items()
+            }
+            return self._for_slopes._predicted_at(values, vector.shape[:-1])
+
+        slope: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+        return slope
+
+    def _no_slope(self, vector: Tensor) -> Tensor:
+        return torch.zeros(
+            *vector.shape[:-1], len(self._flat), self.coordinates.n_continuous, dtype=vector.dtype
+        )
+
+    def _columns(self, is_dear: bool) -> Int[Tensor, " column"]:
+        """Which coordinates move the field, or which do not; whole numbers are left out."""
+        names = self.coordinates.names[: self.coordinates.n_continuous]
+        return torch.tensor(
+            [i for i, name in enumerate(names) if self._is_dear(name) == is_dear], dtype=torch.int64
+        )
+
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
         return self.measured_components(self.chain.predict(values)).expand(*batch, len(self._flat))
-
-    @cached_property
-    def _moves_field(self) -> Bool[Tensor, " coordinate"]:
-        """Which coordinates change where a winding's field is taken, or the winding: the expensive ones to differentiate."""
-        return torch.tensor([self._is_dear(name) for name in self.coordinates.names])
 
     def _is_dear(self, name: str) -> bool:
         """Whether a number changes where a winding's field is taken, or the winding; one that is tied counts as the one it follows."""
