@@ -7,10 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its 1.x line at every import
-    import arviz
-
 FEWEST_STEPS = 8
 
 
@@ -56,6 +52,10 @@ def convergence(chain: np.ndarray) -> Convergence:
         >>> bool(result.smallest_ess > 2000 and result.largest_rhat < 1.01)
         True
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its 1.x line at every import
+        import arviz  # half a second that commands which sample nothing do not pay
+
     steps, walkers, n = chain.shape
     values = np.full((3, n), np.nan)
     if steps >= FEWEST_STEPS:

@@ -237,6 +237,7 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     assert abs(xy["median"] - HIDDEN_XY) < 3.5 * xy["sd"], xy
 
 
+@pytest.mark.slow
 def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
     run: Run, tmp_path: Path, rig_text: str
 ) -> None:
