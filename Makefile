@@ -25,8 +25,8 @@ imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
 unit: $(INSTALLED)
-	$(RUN) pytest -n 2 --dist worksteal -m "not slow and not whole"
-	$(RUN) pytest -n 2 --dist worksteal -m "not slow and whole" --jaxtyping-packages=  # fits and diagnoses: twice as fast without checks of every call
+	$(RUN) pytest -n 3 --dist worksteal -m "not slow and not whole"
+	$(RUN) pytest -n 3 --dist worksteal -m "not slow and whole" --jaxtyping-packages=  # fits and diagnoses: twice as fast without checks of every call
 
 # Studies behind the numbers in README and docs/results.md, minutes to an hour each; `make test` leaves them out.
 

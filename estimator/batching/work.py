@@ -7,7 +7,7 @@ import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +164,8 @@ def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
 
 def _vector_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
-        predicted_T = Chain.build(fit.rig, observations).predict(fit.values).expand(len(observations), 3)
+        chain = replace(Chain.unruled(fit.rig, observations), rules=fit.posterior.chain.rules)
+        predicted_T = chain.predict(fit.values).expand(len(observations), 3)
     return errors(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 
 

@@ -144,10 +144,15 @@ class Fit:
             name: Of the parameter.
             covariance: Of the coordinates; that of the fit by default.
         """
-        slope: Tensor = jacfwd(
-            lambda vector: self.posterior.coordinates.values(vector)[name] + 0.0 * vector.sum()
-        )(self.vector)
+        slope = self._value_slopes[name]
         return float(torch.sqrt(slope @ (self.covariance if covariance is None else covariance) @ slope))
+
+    @cached_property
+    def _value_slopes(self) -> dict[str, Float[Tensor, " coordinate"]]:
+        """Derivative of every number of the rig in the coordinates."""
+        values = self.posterior.coordinates.values
+        slopes: Tensor = jacfwd(lambda vector: torch.stack(list(values(vector).values())))(self.vector)
+        return dict(zip(self.values, slopes, strict=True))
 
     def log_evidence_for(
         self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
