@@ -34,60 +34,60 @@ slow: $(INSTALLED)        # statistics with bounds that can fail
 	$(RUN) pytest -n 2 -m slow
 
 paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; minutes
-	$(BIN)/python scripts/reproduce_paper.py --out out/paper
+	$(RUN) scripts.paper.reproduce --out out/paper
 
 two-arms: $(INSTALLED)    # coils calibrated one at a time, both on, judged by magpylib; a quarter of an hour
-	$(BIN)/python scripts/two_arms.py
+	$(RUN) scripts.studies.two_arms
 
 coverage: $(INSTALLED)    # simulation-based calibration, continues where it was interrupted
-	$(BIN)/python scripts/coverage_study.py --repeats 200 --first-seed 2000 --out out/coverage.jsonl
+	$(RUN) scripts.studies.coverage --repeats 200 --first-seed 2000 --out out/coverage.jsonl
 
 hidden: $(INSTALLED)      # effects hidden by independent code: found, named, missed; hours, continues where it was interrupted
-	$(BIN)/python scripts/hidden_study.py --cases 300 --out out/hidden.jsonl
+	$(RUN) scripts.studies.hidden --cases 300 --out out/hidden.jsonl
 
 real: $(INSTALLED)        # measured coils below COILCAL_DATA
-	$(BIN)/python scripts/real_data.py --out out/real
+	$(RUN) scripts.studies.real_data --out out/real
 
 diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
-	$(BIN)/python scripts/diagnose_real.py --out out/diagnosis
-	$(BIN)/python scripts/diagnose_real.py mice-run07 mice-run05 --carry 'out/diagnosis/mice-run03/pierced_plate[room]' --out out/diagnosis_with_plate
-	$(BIN)/python scripts/compare_diagnoses.py out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
+	$(RUN) scripts.studies.diagnose_real --out out/diagnosis
+	$(RUN) scripts.studies.diagnose_real mice-run07 mice-run05 --carry 'out/diagnosis/mice-run03/pierced_plate[room]' --out out/diagnosis_with_plate
+	$(RUN) scripts.studies.compare_diagnoses out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
 
 mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet do to its maps, everything fitted at once
-	$(BIN)/python scripts/mice_filaments.py
+	$(RUN) scripts.studies.mice_filaments
 
 storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
 	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py tests/estimator/cli/test_recalibrate_storm.py
 
 batch-kills: $(INSTALLED) # 200 sessions with workers and client killed, byte by byte those of the batch that was let alone; half an hour
-	$(BIN)/python scripts/batch_kill_study.py --out out/batch_kills
+	$(RUN) scripts.studies.batch_kills --out out/batch_kills
 
 recalibrate-years: $(INSTALLED)   # 40 years of weekly sessions, a cause from week 20 on; over an hour, continues where it was interrupted
-	$(BIN)/python scripts/recalibrate_years.py --first-seed 5000 --weeks 22 --out out/years
-	$(BIN)/python scripts/recalibrate_years.py --first-seed 6000 --weeks 22 --out out/years
+	$(RUN) scripts.studies.recalibrate_years --first-seed 5000 --weeks 22 --out out/years
+	$(RUN) scripts.studies.recalibrate_years --first-seed 6000 --weeks 22 --out out/years
 
 recalibrate-mice: $(INSTALLED)    # run06 and run07 of the measured solenoid, below COILCAL_DATA
-	$(BIN)/python scripts/recalibrate_mice.py --out out/recalibrate_mice
+	$(RUN) scripts.studies.recalibrate_mice --out out/recalibrate_mice
 
 streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of 500 Hz RTDE beside six busy processes, none lost
 	COILCAL_SENIS_S=600 $(RUN) pytest -m slow tests/drivers/hall/test_senis_stream.py
 	COILCAL_RTDE_S=60 $(RUN) pytest tests/drivers/robots/test_rtde_reader.py -k computer_is_busy
 
 bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
-	$(BIN)/python scripts/benchmark_live.py
+	$(RUN) scripts.benchmarks.live
 
 bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
-	$(BIN)/python scripts/benchmark_diagnose.py
+	$(RUN) scripts.benchmarks.diagnose
 
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
-	$(BIN)/python scripts/benchmark_batch.py
+	$(RUN) scripts.benchmarks.batch
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'
-	$(BIN)/python scripts/benchmark.py --repeats 3 --numpyro
+	$(RUN) scripts.benchmarks.run --repeats 3 --numpyro
 
 figures: $(INSTALLED)     # pictures in docs/figures, from demo/, out/real, out/diagnosis and out/paper
-	$(BIN)/python scripts/figures.py
+	$(RUN) scripts.studies.figures
 
 # Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the
 # environment; where the environment then sees a torch, that build is kept and no other is asked for.

@@ -11,25 +11,25 @@ Examples:
 
 from typing import TYPE_CHECKING, Any
 
-from estimator.calibrate import Stage, calibrate
-from estimator.calibration import Calibration
-from estimator.config import load_rig
-from estimator.design import Design, design
-from estimator.diagnose import diagnose
-from estimator.diagnosis_record import Diagnosis
+from estimator.calibration.calibrate import Stage, calibrate
+from estimator.calibration.result import Calibration
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.next_readings.design import Design, design
+from estimator.diagnosis.result import Diagnosis
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.plan import Plan, load_plan
-from estimator.recalibrate import recalibrate, roll_back
-from estimator.records import Observations
-from estimator.registry import Entry, Registry
-from estimator.rig import Rig
-from estimator.simulate import draw_truth, simulate
-from estimator.split import block_split
+from estimator.live.stream import Estimate, Stream
+from estimator.model.simulate import draw_truth, simulate
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan, load_plan
+from estimator.readings.split import block_split
+from estimator.recalibration.recalibrate import recalibrate, roll_back
+from estimator.recalibration.registry import Entry, Registry
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import load_rig
 from estimator.store.session import Session, load_session
-from estimator.stream import Estimate, Stream
-from estimator.superposition import Superposition, superposition
-from estimator.system import System, SystemField
+from estimator.system.superposition import Superposition, superposition
+from estimator.system.system import System, SystemField
 
 if TYPE_CHECKING:
     from estimator.batching import batch

@@ -9,8 +9,6 @@ import argparse
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 import arviz
 
 from estimator import SamplerSettings, Session, batch, load_plan, load_rig, simulate

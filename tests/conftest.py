@@ -43,28 +43,30 @@ REAL_TIME = (
         )
     ),
     HERE / "estimator/batching/test_engine.py",
-    HERE / "estimator/test_refresh.py",
+    HERE / "estimator/live/test_refresh.py",
 )
 
 # Whole fits, chains and diagnoses: a check of the shapes in every call makes them take two to three times as long.
 WHOLE = (
     HERE / "hidden",
-    *(HERE / f"estimator/{name}" for name in ("batching", "cli", "recalibration")),
+    *(HERE / f"estimator/{name}" for name in ("batching", "cli", "live", "recalibration")),
     *(
-        HERE / f"estimator/diagnosis/test_{name}.py"
-        for name in ("cross_validation", "evidence", "kinds", "search", "verdict", "widening")
-    ),
-    *(HERE / f"estimator/inference/test_{name}.py" for name in ("ensemble", "lattice", "point_estimate")),
-    *(
-        HERE / f"estimator/test_{name}.py"
+        HERE / f"estimator/{name}.py"
         for name in (
-            "calibrate",
-            "design",
-            "diagnosis_report",
-            "extended_posterior",
-            "recalibrate",
-            "refresh",
-            "superposition",
+            "calibration/test_calibrate",
+            "diagnosis/hypotheses/test_kinds",
+            "diagnosis/hypotheses/test_search",
+            "diagnosis/next_readings/test_design",
+            "diagnosis/structure/test_cross_validation",
+            "diagnosis/test_evidence",
+            "diagnosis/test_posterior",
+            "diagnosis/test_report",
+            "diagnosis/test_verdict",
+            "diagnosis/test_widening",
+            "inference/test_ensemble",
+            "inference/test_lattice",
+            "inference/test_point_estimate",
+            "system/test_superposition",
         )
     ),
 )

@@ -16,9 +16,9 @@ from estimator.batching.engine import cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
 from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, is_enough, sampled
-from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
+from estimator.rig_files.read import load_rig
 
 __all__ = ["BatchResult", "batch"]
 

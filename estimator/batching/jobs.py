@@ -9,17 +9,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from estimator.calibrate import versions
-from estimator.config import rig_from_text
+from estimator.batching.stacked import settings_hash
+from estimator.calibration.calibrate import versions
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
-from estimator.effects.scene import Scene
+from estimator.effects.circumstances import Scene
 from estimator.errors import CoilcalError, InvalidInput
-from estimator.hide import cause_of
 from estimator.inference.ensemble import SamplerSettings
-from estimator.inference.stacked import settings_hash
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.model.hide import cause_of
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
 
 PLAIN = "plain"

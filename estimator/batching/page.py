@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from estimator import plots
 from estimator.batching.result import BatchResult
-from estimator.calibrate import versions
-from estimator.plots.style import shown, with_sd
-from estimator.report import Picture, ReportPage, Table, render_report
+from estimator.calibration.calibrate import versions
+from estimator.reporting import plots
+from estimator.reporting.page import Picture, ReportPage, Table, render_report
+from estimator.reporting.plots.style import shown, with_sd
 
 MOST_PARAMETERS = 12
 SCATTER_TOO_WIDE = 2.0  # chi-square per degree of freedom of a parameter across sessions

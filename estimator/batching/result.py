@@ -14,8 +14,8 @@ import pandas as pd
 import xarray as xr
 
 from estimator.batching.work import POSTERIOR, RESULT
-from estimator.calibration import POSTERIOR as DRAWS
-from estimator.calibration import SUMMARY, Calibration, write_text
+from estimator.calibration.result import POSTERIOR as DRAWS
+from estimator.calibration.result import SUMMARY, Calibration, write_text
 from estimator.errors import InvalidInput
 
 

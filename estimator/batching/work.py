@@ -14,18 +14,18 @@ from typing import Any
 import torch
 
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig
-from estimator.calibrate import calibrate, versions
-from estimator.calibration import SUMMARY, write_text
-from estimator.chain import Chain
+from estimator.batching.stacked import stacked_fits
+from estimator.calibration.calibrate import calibrate, versions
+from estimator.calibration.result import SUMMARY, write_text
 from estimator.code_version import code_version
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
-from estimator.inference.stacked import stacked_fits
-from estimator.metrics import HALF_WIDTH_90, errors
-from estimator.preflight import check_readings
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.model.preflight import check_readings
+from estimator.readings.metrics import HALF_WIDTH_90, errors
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
 
 RESULT, POSTERIOR, UNFINISHED = "result.json", "calibration", ".unfinished"

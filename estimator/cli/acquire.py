@@ -18,16 +18,8 @@ from drivers.interlock import sigterm_as_exception
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
 from drivers.safety import CoilLoad
-from estimator.acquire import acquire, references_of
-from estimator.cli.acquire_progress import StopReporter
-from estimator.cli.instruments import Bench, devices_option
-from estimator.cli.options import json_option, overwrite_option, seed_option
-from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
-from estimator.cli.words import duration, place
-from estimator.errors import InvalidInput
-from estimator.frames import Transform
-from estimator.pace import (
+from estimator.acquisition.acquire import acquire, references_of
+from estimator.acquisition.pace import (
     ANSWER_S,
     FEWEST_READINGS,
     Pace,
@@ -36,8 +28,16 @@ from estimator.pace import (
     durations_s,
     stops_of,
 )
-from estimator.plan import Plan, load_plan
-from estimator.records import Observations
+from estimator.cli.acquire_progress import StopReporter
+from estimator.cli.instruments import Bench, devices_option
+from estimator.cli.options import json_option, overwrite_option, seed_option
+from estimator.cli.output import explain_errors, refuse_existing, show
+from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
+from estimator.cli.words import duration, place
+from estimator.errors import InvalidInput
+from estimator.frames import Transform
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan, load_plan
 from estimator.store.growing import new_header
 from estimator.store.journal import Journal, read_journal, unwritten
 from estimator.store.session import is_growing, remove_session, seal

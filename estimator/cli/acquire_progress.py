@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
-from estimator.acquire import Progress
+from estimator.acquisition.acquire import Progress
 from estimator.cli.words import duration
 
 LINE_EVERY_S = 5.0

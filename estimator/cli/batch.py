@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from estimator.calibration import write_text
+from estimator.calibration.result import write_text
 from estimator.cli.options import ess_option, json_option, seed_option
 from estimator.cli.output import EXIT_BAD_INPUT, explain_errors, show
 from estimator.errors import InvalidInput

@@ -8,13 +8,13 @@ from typing import Any
 
 import click
 
-from estimator.calibrate import calibrate
-from estimator.calibration import write_text
-from estimator.calibration_report import calibration_report
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.report import calibration_report
+from estimator.calibration.result import write_text
 from estimator.cli.options import ess_option, json_option, other_rig_option, overwrite_option, seed_option
 from estimator.cli.output import EXIT_NOT_CONVERGED, StageReporter, explain_errors, show
-from estimator.config import load_rig
 from estimator.inference.ensemble import SamplerSettings
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from estimator.calibration import write_text
+from estimator.calibration.result import write_text
 from estimator.cli.options import json_option, other_rig_option, overwrite_option
 from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.config import load_rig
-from estimator.design import Design, design
-from estimator.plots.style import shown
+from estimator.diagnosis.next_readings.design import Design, design
+from estimator.reporting.plots.style import shown
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 
 MOST_PRINTED = 8

@@ -14,7 +14,7 @@ from drivers.open import check_device
 from estimator.cli.instruments import Bench, devices_option, fault_of
 from estimator.cli.options import json_option
 from estimator.cli.output import EXIT_DEVICE, explain_errors, show
-from estimator.devices_section import KINDS, THERMOMETER
+from estimator.rig_files.devices import KINDS, THERMOMETER
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ from typing import Any
 
 import click
 
-from estimator.calibration import write_text
-from estimator.calibration_report import calibration_report
+from estimator.calibration.report import calibration_report
+from estimator.calibration.result import write_text
 from estimator.cli.options import json_option, other_rig_option, overwrite_option, seed_option
 from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.config import load_rig
-from estimator.diagnose import diagnose
-from estimator.diagnosis_record import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
-from estimator.diagnosis_report import diagnosis_report
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.report import diagnosis_report
+from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
 from estimator.errors import InvalidInput
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 
 

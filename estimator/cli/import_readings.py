@@ -9,9 +9,9 @@ import click
 
 from estimator.cli.options import json_option, overwrite_option, seed_option
 from estimator.cli.output import explain_errors, named_number, refuse_existing, show
-from estimator.config import load_rig
-from estimator.preflight import check_readings, check_units
-from estimator.split import block_split
+from estimator.model.preflight import check_readings, check_units
+from estimator.readings.split import block_split
+from estimator.rig_files.read import load_rig
 from estimator.store.importers import IMPORTERS
 from estimator.store.session import Session
 

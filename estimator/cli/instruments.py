@@ -13,10 +13,10 @@ import click
 from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.limits_section import thermometer_inputs
 from drivers.open import DeviceSet, open_devices
-from estimator.config import load_rig
-from estimator.devices_section import DeviceSettings, load_devices, place_of
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
+from estimator.rig_files.devices import DeviceSettings, load_devices, place_of
+from estimator.rig_files.read import load_rig
 
 NAMED = re.compile(r"devices\.(?P<name>[\w-]+)(\.(?P<key>\w+))?")
 

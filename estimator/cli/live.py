@@ -14,13 +14,13 @@ import click
 from estimator.cli.live_view import LiveState, LiveView, gaps_in
 from estimator.cli.options import json_option, seed_option
 from estimator.cli.output import explain_errors, show
-from estimator.plots.style import shown, with_sd
-from estimator.refresh import Background, Refreshed
+from estimator.live.refresh import Background, Refreshed
+from estimator.live.stream import Estimate, Stream
+from estimator.reporting.plots.style import shown, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import JOURNAL, Record
 from estimator.store.session import Session
-from estimator.stream import Estimate, Stream
 
 POLL_S = 0.01
 

@@ -18,11 +18,11 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.cli.words import place
-from estimator.diagnosis.watch import Alarm
-from estimator.plots.style import shown, to_digit_of, with_sd
-from estimator.refresh import Refreshed
-from estimator.rig import Mover
-from estimator.stream import Estimate
+from estimator.live.refresh import Refreshed
+from estimator.live.stream import Estimate
+from estimator.live.watch import Alarm
+from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.rig.rig import Mover
 
 LINE_EVERY_S = 5.0
 SILENT_S = 20.0  # without a stop, somebody should look

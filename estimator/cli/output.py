@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from drivers.errors import DriverError, Refused
-from estimator.calibrate import Stage
+from estimator.calibration.calibrate import Stage
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5

@@ -9,11 +9,11 @@ from drivers.errors import Refused
 from drivers.limits_section import RigLimits
 from drivers.protocols import FlangePose
 from drivers.safety import CoilLoad, check_current, check_motion
+from estimator.acquisition.pace import Pace
 from estimator.frames import Transform, vector_from_rotation
-from estimator.motion import flange_to_reach
-from estimator.pace import Pace
-from estimator.records import Observations
-from estimator.rig import MotionKind, Rig
+from estimator.geometry.motion import flange_to_reach
+from estimator.readings.observations import Observations
+from estimator.rig.rig import MotionKind, Rig
 from estimator.store.growing import load_so_far
 
 

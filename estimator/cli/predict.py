@@ -10,7 +10,7 @@ import click
 import numpy as np
 import torch
 
-from estimator.calibration import Calibration, write_text
+from estimator.calibration.result import Calibration, write_text
 from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import explain_errors, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason

@@ -11,16 +11,16 @@ from typing import Any
 
 import click
 
-from estimator.alerts import senders
 from estimator.cli.options import ess_option, json_option, seed_option
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, explain_errors, show
 from estimator.cli.schedule import interval_s, keep_running
-from estimator.config import load_rig
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.recalibrate import HISTORY, recalibrate, roll_back
+from estimator.recalibration.alerts import senders
 from estimator.recalibration.judgement import IS_CONVERGED
-from estimator.registry import Entry, Registry
+from estimator.recalibration.recalibrate import HISTORY, recalibrate, roll_back
+from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import load_rig
 
 EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
 PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)

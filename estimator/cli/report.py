@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from estimator.calibration import Calibration, write_text
-from estimator.calibration_report import calibration_report
+from estimator.calibration.report import calibration_report
+from estimator.calibration.result import Calibration, write_text
 from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.errors import InvalidInput, reason

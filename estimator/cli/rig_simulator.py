@@ -23,17 +23,17 @@ from drivers.protocols import FlangePose
 from drivers.settings import Settings
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.calibration import write_text
+from estimator.calibration.result import write_text
 from estimator.cli.options import hide_option, overwrite_option, seed_option, set_option, truth_option
 from estimator.cli.output import explain_errors, named_number, refuse_existing
 from estimator.cli.simulate import truth_of
-from estimator.config import load_rig
-from estimator.devices_section import DEVICES, JOINT_ARMS, DeviceSettings
 from estimator.frames import vector_from_rotation
-from estimator.hide import full_names
-from estimator.motion import base_from_motion
-from estimator.rig import MotionKind, Mover, Rig
-from estimator.simulated_field import Flange, SimulatedField, simulated_rig
+from estimator.geometry.motion import base_from_motion
+from estimator.model.hide import full_names
+from estimator.model.simulated_field import Flange, SimulatedField, simulated_rig
+from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig_files.devices import DEVICES, JOINT_ARMS, DeviceSettings
+from estimator.rig_files.read import load_rig
 
 CIRCUIT = CoilCircuit(resistance_ohm=2.0, inductance_H=0.01)
 POSTURE_RAD = tuple(math.radians(angle) for angle in (0, -90, -90, 0, 90, 0))

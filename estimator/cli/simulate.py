@@ -16,12 +16,12 @@ from estimator.cli.options import (
     truth_option,
 )
 from estimator.cli.output import explain_errors, named_number, refuse_existing, show
-from estimator.config import load_rig
 from estimator.errors import InvalidInput, reason
-from estimator.hide import full_names
-from estimator.plan import load_plan
-from estimator.rig import Rig
-from estimator.simulate import draw_truth, simulate
+from estimator.model.hide import full_names
+from estimator.model.simulate import draw_truth, simulate
+from estimator.readings.plan import load_plan
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from estimator.rig import MotionKind, Mover
+from estimator.rig.rig import MotionKind, Mover
 
 
 def duration(time_s: float) -> str:

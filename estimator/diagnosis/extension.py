@@ -7,8 +7,8 @@ import math
 import yaml
 
 from estimator.diagnosis.fitting import Fit
-from estimator.parameters import LogNormal, Normal, Parameter, Prior, Uniform
-from estimator.rig import Rig
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Uniform
+from estimator.rig.rig import Rig
 from estimator.yaml_section import Section
 
 NOTE = "# Found by coilcal diagnose; null is 0 unless said otherwise."

@@ -13,18 +13,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.func import jacfwd, jacrev
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
-from estimator.diagnosis.linear import MOST_SHRINK, FreeNoise, Projector
+from estimator.diagnosis.hypotheses.linear import MOST_SHRINK, FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
+from estimator.inference.levenberg_marquardt import Polished, polish, solve
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import Polished, polish, solve
-from estimator.parameters import LogNormal, Parameter
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.parameters import LogNormal, Parameter
+from estimator.rig.rig import Cause, Rig
 
 NEAR_BOUND = 1e-3  # of the prior's width
 ROUGH = 1e-2  # in log density: where a fit that is one of many stops; the last one goes on

@@ -10,13 +10,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit
 from estimator.effects.noise import Outliers
 from estimator.effects.use import uses_of
 from estimator.inference.likelihood import LogPosterior
-from estimator.metrics import Errors, errors
-from estimator.records import Observations
+from estimator.model.measurement_model import Chain
+from estimator.readings.metrics import Errors, errors
+from estimator.readings.observations import Observations
 
 
 @dataclass(frozen=True)

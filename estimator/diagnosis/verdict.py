@@ -9,13 +9,12 @@ from enum import StrEnum
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.design import rows_seen, separation
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.linear import Projector
-from estimator.diagnosis.screening import linear_evidence
-from estimator.diagnosis.search import Search
-from estimator.diagnosis.step import (
+from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.linear import Projector
+from estimator.diagnosis.hypotheses.screening import linear_evidence
+from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.step import (
     LEAST_LOG_ODDS,
     LOG_PRIOR_NOTHING,
     LOG_PRIOR_UNEXPLAINED,
@@ -23,7 +22,8 @@ from estimator.diagnosis.step import (
     leaves_structure,
     shares_of,
 )
-from estimator.rig import Cause
+from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
+from estimator.rig.rig import Cause
 
 # Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
 SAME_THING = {"iron_plate", "iron_body"}

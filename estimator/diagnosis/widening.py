@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import jacfwd
 
-from estimator.coordinates import Coordinates
-from estimator.diagnosis.cross_validation import jackknife_covariance
-from estimator.diagnosis.discrepancy import Discrepancy
 from estimator.diagnosis.fitting import Fit
-from estimator.split import blocks_of_places
+from estimator.diagnosis.structure.cross_validation import jackknife_covariance
+from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.readings.split import blocks_of_places
+from estimator.rig.coordinates import Coordinates
 
 LEAST_SHARE = 1e-12  # of a variance, for what follows from others but for rounding
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from estimator.effects import EFFECTS
-from estimator.effects.scene import Scene
-from estimator.parameters import Parameter
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.effects.circumstances import Scene
+from estimator.readings.observations import Observations
+from estimator.rig.parameters import Parameter
+from estimator.rig.rig import Cause, Rig
 
 
 def with_effect(

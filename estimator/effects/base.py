@@ -17,12 +17,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 from estimator.field.magnetised import Rings
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
-from estimator.parameters import LogNormal, Normal, Prior, Uniform
-from estimator.rig import Body, Coil, Mover, Rig
+from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
+from estimator.rig.rig import Body, Coil, Mover, Rig
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, normal, shape
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 from estimator.field.opening import RING, through_opening
-from estimator.parameters import Normal
+from estimator.rig.parameters import Normal
 
 GAPS = (0.3, 1.0)  # of the reach, between the places and a plane behind them
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a plate to stand between them

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from estimator.effects.base import Kind, NoiseEffect, Quantity
-from estimator.effects.scene import Extent, Scene
-from estimator.parameters import LogNormal, Uniform
+from estimator.effects.circumstances import Extent, Scene
+from estimator.rig.parameters import LogNormal, Uniform
 
 
 class Outliers(NoiseEffect):

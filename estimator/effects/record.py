@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from estimator.effects.base import CurrentEffect, Kind, MotionEffect, Quantity, ReadingEffect, Theta, shape
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 from estimator.frames import Transform, rotation_from_vector
-from estimator.parameters import Uniform
-from estimator.rig import MotionKind, Rig
+from estimator.rig.parameters import Uniform
+from estimator.rig.rig import MotionKind, Rig
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 SMALLEST_TURN_RAD = math.radians(15.0)

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Kind, MotionEffect, MountEffect, Quantity, Theta, normal, shape, triple
-from estimator.effects.scene import SECONDS_PER_HOUR, Extent, Scene
+from estimator.effects.circumstances import SECONDS_PER_HOUR, Extent, Scene
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig import MotionKind, Rig
+from estimator.rig.rig import MotionKind, Rig
 
 N_INSTANTS = 24  # at which a bump is looked for
 

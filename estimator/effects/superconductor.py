@@ -11,13 +11,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, WindingMagnetisation, triple
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 from estimator.field.magnetised import Rings, field_inside_per_ampere
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform
-from estimator.motion import pose_of
-from estimator.parameters import Normal
-from estimator.rig import POSE_KEYS, Coil, Rig
+from estimator.geometry.motion import pose_of
+from estimator.rig.parameters import Normal
+from estimator.rig.rig import POSE_KEYS, Coil, Rig
 
 LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
 AZIMUTHS = 4  # of a ring, over which the field of another coil is averaged

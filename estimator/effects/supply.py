@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import CurrentEffect, Kind, Quantity, Theta, normal
-from estimator.effects.scene import Extent, Scene
-from estimator.parameters import LogNormal
-from estimator.rig import Rig
+from estimator.effects.circumstances import Extent, Scene
+from estimator.rig.parameters import LogNormal
+from estimator.rig.rig import Rig
 
 
 class _OneCoilCurrent(CurrentEffect):

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, RoomEffect, Theta, triple
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 
 
 class BackgroundField(RoomEffect):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Theta
-from estimator.rig import Body, Cause, Mover, Rig
+from estimator.rig.rig import Body, Cause, Mover, Rig
 
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
 

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, SourceEffect, Theta, WindingEffect, normal, shape
-from estimator.effects.scene import Extent, Scene
+from estimator.effects.circumstances import Extent, Scene
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
-from estimator.parameters import LogNormal
+from estimator.rig.parameters import LogNormal
 from estimator.units import MU0_T_M_PER_A
 
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve

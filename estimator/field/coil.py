@@ -8,7 +8,7 @@ from torch import Tensor
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
-from estimator.rig import Coil, FieldSum
+from estimator.rig.rig import Coil, FieldSum
 
 
 def coil_field_per_ampere(

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
-from estimator.coordinates import Coordinates
 from estimator.errors import InvalidInput
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
@@ -21,6 +20,7 @@ from estimator.inference.moves import (
     autoregressive_move,
     independence_move,
 )
+from estimator.rig.coordinates import Coordinates
 
 INDEPENDENCE_SHARE, AUTOREGRESSIVE_SHARE = 0.7, 0.15  # the rest is differential evolution
 BURN_IN_SHARE = 0.1

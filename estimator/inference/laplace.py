@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.coordinates import Coordinates
-from estimator.inference.polish import Polished
+from estimator.inference.levenberg_marquardt import Polished
+from estimator.rig.coordinates import Coordinates
 
 UNDETERMINED_RATIO = 1.0
 SMALLEST_SHARE = 0.15

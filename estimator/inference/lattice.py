@@ -14,8 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.laplace import covariance, log_evidence
+from estimator.inference.levenberg_marquardt import Polished, polish
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import Polished, polish
 
 NEGLIGIBLE = 1e-5
 MOST_TUPLES, MOST_EFFECTIVE = 600, 200.0

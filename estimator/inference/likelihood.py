@@ -12,8 +12,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.func import jacfwd
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates, Values
 from estimator.effects.base import (
     Effect,
     ElementEffect,
@@ -25,7 +23,9 @@ from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
 from estimator.field.node_sum import SumMode
-from estimator.records import Observations
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates, Values
 
 
 class LogPosterior:

@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
+from estimator.inference.levenberg_marquardt import Polished, polish
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.nelder_mead import initial_simplex, minimise
-from estimator.inference.polish import Polished, polish
-from estimator.records import Observations
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
 
 THIN_TO = 100  # readings that Nelder-Mead sees: it has to find the valley, not its floor
 N_STARTS = 12

@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
 from estimator.inference.laplace import covariance
+from estimator.inference.levenberg_marquardt import polish, prior_slope, solve
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import polish, prior_slope, solve
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
 
 DIFFERENCE = 1e-4  # of the prior's width: one batched prediction gives the slope of a few readings in a quarter of the time of dual numbers
 FARTHEST_STEP = 0.5  # root mean square over the coordinates, in standard deviations

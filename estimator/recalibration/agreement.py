@@ -19,16 +19,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.calibration import Calibration
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
-from estimator.diagnosis.candidates import candidates, causes_of
+from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.effects.noise import Outliers
 from estimator.effects.use import uses_of
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
-from estimator.records import Observations
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
 
 FALSE_ALARMS = 1e-3  # per session: one in twenty years of weekly sessions
 N_DRAWS = 400

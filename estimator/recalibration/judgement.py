@@ -9,29 +9,29 @@ from typing import Any
 
 import torch
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
-from estimator.chain import Chain
-from estimator.config import rig_from_text
-from estimator.diagnose import diagnose
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
+from estimator.calibration.summary import finite
+from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import Gain, gain
+from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Verdict
-from estimator.diagnosis_record import Diagnosis
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.plots.style import shown, with_sd
-from estimator.preflight import check_readings, check_units
+from estimator.model.measurement_model import Chain
+from estimator.model.preflight import check_readings, check_units
+from estimator.readings.observations import Observations
+from estimator.readings.split import block_split, thinned
 from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
 from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
-from estimator.records import Observations
-from estimator.rig import Rig
-from estimator.split import block_split, thinned
+from estimator.reporting.plots.style import shown, with_sd
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
-from estimator.summary import finite
 from estimator.units import split_unit
 
 MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared

@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.calibration import Calibration
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
+from estimator.calibration.result import Calibration
 from estimator.inference.likelihood import LogPosterior
-from estimator.records import Observations
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
 
 N_DRAWS = 400
 

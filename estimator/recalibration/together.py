@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
-from estimator.diagnosis.step import (
+from estimator.diagnosis.hypotheses.step import (
     CREDIBLE,
     LEAST_LOG_ODDS,
     LOG_PRIOR_CAUSE,

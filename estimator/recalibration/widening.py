@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from estimator.calibration import Calibration
-from estimator.config import rig_from_text
+from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
-from estimator.parameters import LogNormal, Parameter, Prior
-from estimator.rig import POSE_KEYS, Rig
+from estimator.rig.parameters import LogNormal, Parameter, Prior
+from estimator.rig.rig import POSE_KEYS, Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.units import split_unit
 
 EXPANSION = 3e-4  # of a winding's lengths: copper by 20 K

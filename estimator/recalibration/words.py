@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from estimator.diagnosis.gain import Gain
-from estimator.diagnosis_record import Diagnosis
-from estimator.plots.style import shown, with_sd
+from estimator.diagnosis.result import Diagnosis
+from estimator.reporting.plots.style import shown, with_sd
 
 
 def causes_of(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:

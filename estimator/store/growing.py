@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from estimator.config import rig_state
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_state
 from estimator.store.journal import Record
 
 GROWING = "coilcal growing session"

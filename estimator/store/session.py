@@ -23,11 +23,11 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from estimator.config import rig_from_state, rig_state
-from estimator.devices_section import without_devices
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
-from estimator.records import Observations
-from estimator.rig import Body, Mover, Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Body, Mover, Rig
+from estimator.rig_files.devices import without_devices
+from estimator.rig_files.read import rig_from_state, rig_state
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
 

@@ -8,17 +8,17 @@ import pytest
 import torch
 from torch.func import jacfwd
 
-from estimator.chain import Chain
-from estimator.config import rig_from_text
 from estimator.diagnosis.extension import extended_text
 from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.circumstances import Extent, Scene
 from estimator.effects.record import RECORD
-from estimator.effects.scene import Extent, Scene
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import rig_from_text
 
 RIG = """
 schema_version: 1

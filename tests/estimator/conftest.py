@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
-from estimator.config import rig_from_text
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
 from estimator.inference.ensemble import SamplerSettings
-from estimator.plan import Plan, load_plan
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan, load_plan
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 
 RIG = """\

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.chain import Chain
-from estimator.config import load_rig
+from estimator.model.measurement_model import Chain
+from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.flaw import record
 from tests.hidden.protocols import PROTOCOLS

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from estimator import diagnose, load_rig
-from estimator.rig import Cause
+from estimator.rig.rig import Cause
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.session import draw_session
 from tests.hidden.study import credible_sets
@@ -64,7 +64,7 @@ def test_cause_outside_the_library_is_unexplained_and_not_misnamed(tmp_path):
 
 def test_shuffled_names_fail(tmp_path, monkeypatch):
     """The tests above can fail: with the columns of another cause under its name, the right name is not found."""
-    import estimator.diagnosis.search as module
+    import estimator.diagnosis.hypotheses.search as module
 
     right = module.candidates
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from estimator import Rig, diagnose, load_rig
-from estimator.chain import Chain
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.search import search
-from estimator.plan import load_plan, observations_of
-from estimator.records import Observations
-from estimator.rig import Cause
+from estimator.diagnosis.hypotheses.search import search
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.readings.plan import load_plan, observations_of
+from estimator.rig.rig import Cause
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.session import draw_session
 from tests.independent.readings import perfect_readings_T

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.config import rig_from_text
-from estimator.coordinates import Values
 from estimator.field.winding import Winding, winding_field
-from estimator.prediction import RoomField
+from estimator.model.room_field import RoomField
+from estimator.rig.coordinates import Values
+from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
 
 TWO_COILS = """

@@ -18,7 +18,7 @@ import torch
 from scipy import stats
 
 from estimator import Rig, SamplerSettings, Session, calibrate, draw_truth, load_plan, load_rig
-from estimator.plan import observations_of
+from estimator.readings.plan import observations_of
 from tests.independent.readings import perfect_readings_T
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.importers.axis_scan import read_axis_scan
 from estimator.store.importers.difference_scan import read_difference_scan
 from estimator.store.importers.mice import read_mice

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
 from estimator.units import UNITS

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.errors import InvalidInput, reason
-from estimator.records import Observations
-from estimator.rig import MotionKind, Mover, Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import MotionKind, Mover, Rig
 
 
 def finite_number(cell: str, name: str, place: str) -> float:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.importers.common import current_by_coil, map_observations, read_lines
 from estimator.store.session import Session
 

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.importers.common import (
     current_by_coil,
     map_observations,

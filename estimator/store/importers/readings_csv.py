@@ -17,8 +17,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.errors import InvalidInput, reason
-from estimator.records import Observations
-from estimator.rig import MotionKind, Mover, Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.store.importers.common import finite_number
 from estimator.store.session import Session
 from estimator.units import UNITS, split_unit

@@ -19,11 +19,11 @@ from estimator.batching.jobs import jobs_of, stacks
 from estimator.batching.page import overview
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, is_enough
-from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
-from estimator.plan import Plan, load_plan
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan, load_plan
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
 from tests.estimator.conftest import TWO_COILS
 

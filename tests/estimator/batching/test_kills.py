@@ -19,9 +19,9 @@ from estimator.batching import batch, work
 from estimator.batching.jobs import jobs_of
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, sampled
-from estimator.plan import Plan
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from tests.estimator.batching.schedulers import free_address, started, stop
 

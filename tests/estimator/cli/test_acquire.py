@@ -16,7 +16,7 @@ from click.testing import Result
 
 from drivers.open import open_devices
 from drivers.protocols import FlangePose
-from estimator.config import load_rig
+from estimator.rig_files.read import load_rig
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session

@@ -17,7 +17,7 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from estimator.cli.rig_simulator import default_devices
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.journal import JOURNAL
 from estimator.store.session import is_growing, load_session
 from tests.drivers.fields import along_z

@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 from click.testing import Result
 
-from estimator.config import load_rig
-from estimator.pace import stops_of
-from estimator.plan import load_plan
-from estimator.simulate import perfect_readings
+from estimator.acquisition.pace import stops_of
+from estimator.model.simulate import perfect_readings
+from estimator.readings.plan import load_plan
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 from tests.estimator.cli.test_rig_simulator import start
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from estimator.acquire import Progress
+from estimator.acquisition.acquire import Progress
 from estimator.cli.acquire_progress import StopReporter
 from estimator.store.growing import StopRecord
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 from click.testing import Result
 
-from estimator.calibration import Calibration
+from estimator.calibration.result import Calibration
 from estimator.store.session import load_session
 
 Run = Callable[..., Result]

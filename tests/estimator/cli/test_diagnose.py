@@ -14,8 +14,8 @@ import pytest
 from click.testing import Result
 
 from estimator.cli.diagnose import _text
-from estimator.config import load_rig
 from estimator.errors import InvalidInput
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 from tests.estimator.cli.conftest import contents
 

@@ -11,7 +11,7 @@ from drivers.guarded import GuardedArm
 from drivers.open import DeviceSet
 from drivers.safety import ArmLimits
 from estimator.cli.instruments import Bench
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from tests.drivers.memory import MemoryArm
 
 BOX = ArmLimits((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0), highest_speed_m_per_s=0.1)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.calibration import Calibration
-from estimator.store.chain import ZarrBackend
+from estimator.calibration.result import Calibration
+from estimator.store.emcee_backend import ZarrBackend
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]

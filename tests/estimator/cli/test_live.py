@@ -20,16 +20,16 @@ from rich.console import Console
 
 from estimator.cli import live
 from estimator.cli.live_view import LiveState, LiveView, screen
-from estimator.diagnosis.watch import Alarm
-from estimator.plan import Plan
-from estimator.records import Observations
-from estimator.refresh import Background, Refreshed
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.live.refresh import Background, Refreshed
+from estimator.live.stream import Stream
+from estimator.live.watch import Alarm
+from estimator.model.simulate import simulate
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Rig
 from estimator.store.growing import StopRecord, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
-from estimator.stream import Stream
 
 Run = Callable[..., Result]
 N_STOPS = 108

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from estimator.calibrate import Stage
+from estimator.calibration.calibrate import Stage
 from estimator.cli.output import StageReporter, explain_errors, named_number, named_numbers
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.ensemble import Progress

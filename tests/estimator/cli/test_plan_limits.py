@@ -11,11 +11,11 @@ import pytest
 from drivers.errors import Refused
 from drivers.limits_section import RigLimits
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits
+from estimator.acquisition.pace import Pace, stops_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
-from estimator.pace import Pace, stops_of
-from estimator.plan import load_plan
-from estimator.records import Observations
-from estimator.rig import MotionKind, Rig
+from estimator.readings.observations import Observations
+from estimator.readings.plan import load_plan
+from estimator.rig.rig import MotionKind, Rig
 
 LIMITS = RigLimits(
     currents={"coil1": CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=100.0)}

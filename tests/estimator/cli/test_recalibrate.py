@@ -17,13 +17,13 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from estimator.calibration import Calibration
+from estimator.calibration.result import Calibration
 from estimator.cli import recalibrate as command
 from estimator.cli.main import main
 from estimator.cli.schedule import keep_running
-from estimator.config import rig_from_text
-from estimator.records import Observations
-from estimator.registry import Entry, Registry
+from estimator.readings.observations import Observations
+from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.conftest import TWO_COILS
 

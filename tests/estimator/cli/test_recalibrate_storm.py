@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from estimator.plan import Plan
-from estimator.registry import Registry
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
+from estimator.recalibration.registry import Registry
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 ROOT = Path(__file__).parents[3]

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from estimator.chain import Chain
-from estimator.config import load_rig
-from estimator.diagnosis.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.resolution import smallest_visible
-from estimator.plan import Plan
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
-from estimator.simulate import simulate
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.next_readings.resolution import smallest_visible
+from estimator.model.measurement_model import Chain
+from estimator.model.simulate import simulate
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import load_rig
 
 ROOT = Path(__file__).parents[3]
 TRUTH = {

@@ -6,8 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from estimator import Session, load_plan, load_rig, simulate
-from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.model.measurement_model import Chain
 
 RIG = load_rig("configs/paper_simulation.yaml")
 TRUTH = {

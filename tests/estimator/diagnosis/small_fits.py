@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import torch
 
-from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.attach import with_effect
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
 
 
 def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.config import load_rig
 from estimator.diagnosis.fitting import Fit
-from estimator.rig import Cause
+from estimator.rig.rig import Cause
+from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.estimator.diagnosis.small_fits import fit_of
 from tests.hidden.session import draw_session

@@ -8,12 +8,12 @@ import pytest
 import torch
 import yaml
 
-from estimator.config import load_rig, rig_from_text
 from estimator.diagnosis.extension import extended_text
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.parameters import Normal
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.readings.observations import Observations
+from estimator.rig.parameters import Normal
+from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
 

@@ -10,15 +10,15 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.chain import Chain
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import Gain, gain, judged
 from estimator.effects.attach import with_effect
-from estimator.metrics import errors
-from estimator.plan import Plan
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
-from estimator.simulate import simulate
+from estimator.model.measurement_model import Chain
+from estimator.model.simulate import simulate
+from estimator.readings.metrics import errors
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis.design import rows_seen, separation
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.noise import noise_causes
+from estimator.diagnosis.hypotheses.noise import noise_causes
+from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.effects.attach import with_effect
-from estimator.rig import Cause
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 SPHERICAL = Cause("spherical_sum", "coil1")

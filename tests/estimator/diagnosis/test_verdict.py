@@ -10,11 +10,11 @@ import torch
 from scipy.special import softmax
 
 from estimator.diagnosis import verdict
-from estimator.diagnosis.candidates import candidates
-from estimator.diagnosis.discrepancy import Discrepancy, families
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.search import Search
-from estimator.diagnosis.step import Rival, Step, credible_set
+from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.step import Rival, Step, credible_set
+from estimator.diagnosis.structure.discrepancy import Discrepancy, families
 from estimator.diagnosis.verdict import (
     Alternative,
     NamedCause,
@@ -25,7 +25,7 @@ from estimator.diagnosis.verdict import (
     stand_ins,
     verdict_of,
 )
-from estimator.rig import Cause, Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 

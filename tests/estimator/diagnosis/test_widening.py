@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.config import rig_from_text
-from estimator.coordinates import Coordinates
-from estimator.diagnosis.cross_validation import jackknife_covariance
-from estimator.diagnosis.discrepancy import Discrepancy, discrepancy, families
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.structure.cross_validation import jackknife_covariance
+from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy, families
 from estimator.diagnosis.widening import Widening, envelope
-from estimator.metrics import HALF_WIDTH_90
-from estimator.rig import Rig
-from estimator.split import blocks_of_places
+from estimator.readings.metrics import HALF_WIDTH_90
+from estimator.readings.split import blocks_of_places
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 

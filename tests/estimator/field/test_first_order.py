@@ -9,15 +9,15 @@ import pytest
 import torch
 from torch.func import jacfwd
 
-from estimator.chain import Chain
-from estimator.config import rig_from_text
-from estimator.coordinates import Coordinates
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import SourceEffect, WindingMagnetisation
 from estimator.field.node_sum import SumMode
-from estimator.records import Observations
-from estimator.rig import Cause, Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import rig_from_text
 
 RIG = """
 schema_version: 1

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.chain import Chain
-from estimator.config import rig_from_text
-from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 
 
 @dataclass(frozen=True)

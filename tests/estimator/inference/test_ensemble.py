@@ -13,8 +13,8 @@ from emcee.backends import Backend
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
 from estimator.inference.lattice import CountMixture, count_mixture
-from estimator.inference.polish import polish
-from estimator.store.chain import ZarrBackend
+from estimator.inference.levenberg_marquardt import polish
+from estimator.store.emcee_backend import ZarrBackend
 
 NEVER = 1e9  # an effective sample size that no chain reaches
 

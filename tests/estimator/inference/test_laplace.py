@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.coordinates import Coordinates
 from estimator.inference.laplace import covariance, log_evidence, open_directions
-from estimator.inference.polish import Polished, polish
+from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.rig.coordinates import Coordinates
 
 
 def at_start(coordinates: Coordinates, information: torch.Tensor) -> Polished:

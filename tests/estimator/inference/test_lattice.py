@@ -8,7 +8,7 @@ import torch
 
 from estimator.inference import lattice
 from estimator.inference.lattice import CountMixture, count_mixture
-from estimator.inference.polish import Polished, polish
+from estimator.inference.levenberg_marquardt import Polished, polish
 
 
 @pytest.fixture(scope="module")

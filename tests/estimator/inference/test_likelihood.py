@@ -11,10 +11,10 @@ import torch
 from scipy import stats
 from torch.func import jacfwd
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
-from estimator.parameters import Parameter, Tie
+from estimator.model.measurement_model import Chain
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.parameters import Parameter, Tie
 
 TWO_SENSORS = """{near: {noise_uT: 0.3, carried_by: stage}, far: {carried_by: stage, flange_from_sensor: {y_mm: 15},
   noise_uT: {prior: {log_normal: {median: 0.8, relative_sd: 0.5}}}}}"""

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.chain import Chain
-from estimator.coordinates import Coordinates
 from estimator.inference import point_estimate as module
+from estimator.inference.levenberg_marquardt import Polished, polish
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import N_STARTS, THIN_TO, point_estimate
-from estimator.inference.polish import Polished, polish
+from estimator.model.measurement_model import Chain
+from estimator.rig.coordinates import Coordinates
 
 FREE_PLACE = """{coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 3, radial_loops: 2,
   world_from_coil: {x_mm: {prior: {normal: {mean: 2, sd: 5}}}, z_mm: {prior: {normal: {mean: -40, sd: 4}}}}}}"""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.chain import Chain
+from estimator.inference.levenberg_marquardt import polish
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.polish import polish
 from estimator.inference.running import RunningFit
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 

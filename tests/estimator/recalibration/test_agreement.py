@@ -10,16 +10,16 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.calibration import Calibration
-from estimator.chain import Chain
+from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import fit_rig
-from estimator.plan import Plan
+from estimator.model.measurement_model import Chain
+from estimator.model.simulate import simulate
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan
 from estimator.recalibration import agreement
 from estimator.recalibration.agreement import Agreement
 from estimator.recalibration.widening import widened_rig
-from estimator.records import Observations
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.rig.rig import Rig
 
 N_SESSIONS = 40
 

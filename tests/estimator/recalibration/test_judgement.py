@@ -7,17 +7,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.calibrate import calibrate
-from estimator.calibration import Calibration
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
 from estimator.diagnosis.gain import Gain
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.plan import Plan
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
 from estimator.recalibration import judgement
 from estimator.recalibration.judgement import Judgement, judge
 from estimator.recalibration.stored import stored_log_density
-from estimator.rig import Rig
-from estimator.simulate import simulate
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 TOO_FEW_STEPS = SamplerSettings(n_walkers=16, target_ess=1e6, max_steps=100)

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.recalibrate import recalibrate
 from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement
+from estimator.recalibration.recalibrate import recalibrate
+from estimator.recalibration.registry import Registry
 from estimator.recalibration.together import named_together
-from estimator.registry import Registry
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-recalibrate_module = importlib.import_module("estimator.recalibrate")
+recalibrate_module = importlib.import_module("estimator.recalibration.recalibrate")
 CAUSES = [f"cause{i}" for i in range(40)]
 
 

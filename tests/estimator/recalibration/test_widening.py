@@ -7,9 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.calibration import Calibration
-from estimator.config import rig_from_text
-from estimator.parameters import LogNormal, Normal
+from estimator.calibration.result import Calibration
 from estimator.recalibration.widening import (
     EXPANSION,
     LOOPS,
@@ -18,7 +16,9 @@ from estimator.recalibration.widening import (
     SHARE_OF_POSE,
     widened_rig,
 )
-from estimator.rig import Rig
+from estimator.rig.parameters import LogNormal, Normal
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 
 RADIUS, LOOPS_OF_COIL, HEIGHT = "coil1.radius_m", "coil1.axial_loops", "coil1.world_from_coil0.z_m"
 

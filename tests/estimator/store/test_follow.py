@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.follow import Follower
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal

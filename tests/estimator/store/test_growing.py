@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.rig import Rig
+from estimator.rig.rig import Rig
 from estimator.store.growing import StopRecord, load_so_far, new_header
 from estimator.store.journal import JOURNAL, Journal, read_journal
 from estimator.store.session import Session, is_growing, load_session, remove_session, seal

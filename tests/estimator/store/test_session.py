@@ -13,10 +13,10 @@ import pytest
 import torch
 import xarray as xr
 
-from estimator.config import rig_from_text
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
 
 RIG = """\

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 import yaml
 
-from estimator.chain import Chain
-from estimator.config import rig_from_text
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
-from estimator.effects.scene import Extent
-from estimator.records import Observations
+from estimator.effects.circumstances import Extent
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
 
 RIG = """

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.config import rig_from_text
+from estimator.effects.circumstances import Scene
 from estimator.effects.iron import IronBody, PiercedPlate
-from estimator.effects.scene import Scene
+from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
 from tests.hidden.pierced_sheet import pierced_T
 from tests.physics.effects.laboratory import (

@@ -7,10 +7,10 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.config import rig_from_text
-from estimator.coordinates import Coordinates
 from estimator.inference.likelihood import LogPosterior
-from estimator.records import Observations
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimator.config import rig_from_text
 from estimator.effects import EFFECTS
-from estimator.effects.scene import Scene
+from estimator.effects.circumstances import Scene
+from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,

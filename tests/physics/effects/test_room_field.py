@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.config import rig_from_text
-from estimator.prediction import RoomField
+from estimator.model.room_field import RoomField
+from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,

@@ -8,10 +8,10 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from estimator.config import rig_from_text
 from estimator.effects.attach import with_effect
-from estimator.effects.scene import Scene
-from estimator.rig import Cause
+from estimator.effects.circumstances import Scene
+from estimator.rig.rig import Cause
+from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,

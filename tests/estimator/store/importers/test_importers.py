@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from estimator.config import load_rig
 from estimator.errors import InvalidInput
+from estimator.rig_files.read import load_rig
 from estimator.store.importers import IMPORTERS, read_axis_scan
 from estimator.units import UNITS
 

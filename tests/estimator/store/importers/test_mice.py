@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.chain import Chain
-from estimator.config import load_rig
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import load_rig
 from estimator.store.importers import read_mice
 from estimator.store.importers.common import map_observations
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.chain import Chain
-from estimator.config import load_rig
 from estimator.errors import InvalidInput
-from estimator.rig import Rig
+from estimator.model.measurement_model import Chain
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import load_rig
 from estimator.store.importers import read_plane_maps
 
 CONFIGS = Path(__file__).parents[4] / "configs"

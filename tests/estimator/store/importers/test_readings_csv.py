@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.config import rig_from_text
 from estimator.errors import InvalidInput
-from estimator.records import Observations
-from estimator.rig import Rig
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.importers import read_readings_csv, write_readings_csv
 from estimator.store.session import Session
 

@@ -1,0 +1,276 @@
+"""The main job: a session in, a calibrated model with credible intervals out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from emcee.backends import Backend
+
+from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration
+from estimator.calibration.summary import finite, summary
+from estimator.errors import InvalidInput, reason
+from estimator.field.node_sum import SumMode
+from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
+from estimator.inference.laplace import OpenDirection, open_directions
+from estimator.inference.lattice import CountMixture, count_mixture
+from estimator.inference.likelihood import LogPosterior
+from estimator.inference.point_estimate import PointEstimate, point_estimate
+from estimator.model.measurement_model import Chain
+from estimator.model.preflight import check_readings, check_units
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
+from estimator.store.emcee_backend import ZarrBackend
+from estimator.store.session import Session
+
+CHAIN = "chain.zarr"
+COMPILE_ABOVE = 3e8  # loop fields x effective samples: about half a minute of eager sums
+PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A step of the calibration that has just begun or moved on.
+
+    Attributes:
+        name: What is going on, in words.
+        sampling: State of the chain while sampling.
+        open_directions: What the data do not determine, known before sampling starts.
+    """
+
+    name: str
+    sampling: Progress | None = None
+    open_directions: tuple[OpenDirection, ...] = ()
+
+
+def calibrate(
+    session: Session,
+    rig: Rig | None = None,
+    *,
+    out: Path | str | None = None,
+    overwrite: bool = False,
+    seed: int = 0,
+    settings: SamplerSettings | None = None,
+    has_integer_counts: bool = True,
+    on_stage: Callable[[Stage], None] | None = None,
+) -> Calibration:
+    """Calibrate a rig from a session: point estimate, posterior, model.
+
+    Nelder-Mead from many starts, Levenberg-Marquardt, Laplace approximation, then emcee over every free parameter of the rig, loop
+    counts as whole numbers.
+
+    Args:
+        session: Readings; those marked as validation are kept out of the fit.
+        rig: Another description of the session's rig (other priors, other parameters free).
+        out: Folder for `summary.json`, `posterior.zarr` and the growing chain; a run that was killed, or ended at `max_steps`, is continued
+            from there.
+        overwrite: Replace a calibration in `out` instead, once the new one starts sampling.
+        seed: Of everything random.
+        settings: When to stop sampling; its seed is replaced by `seed`.
+        has_integer_counts: False treats free loop counts as real numbers.
+        on_stage: Called as the work proceeds.
+    Returns: The calibrated model. `summary()["is_converged"]` is False where sampling ended before its targets.
+    Raises:
+        InvalidInput: The readings cannot support a fit, or are in another unit than they claim; `out` holds another calibration or cannot
+            be written; settings do not fit the rig.
+        CorruptStore: The chain to be continued is damaged.
+    References: Osinde et al., section 3; DESIGN decisions 3 to 5.
+    """
+    tell = on_stage or (lambda stage: None)
+    rig = rig or session.rig
+    session.check_rig(rig)
+    if not rig.free:
+        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    if has_integer_counts and all(parameter.is_count for parameter in rig.free):
+        raise InvalidInput(
+            "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts be continuous; "
+            f"rig {rig.name!r} has none"
+        )
+    settings = replace(settings or SamplerSettings(), seed=seed).for_rig(len(rig.free))
+    folder = None if out is None else Path(out)
+    fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
+    backend = None if folder is None or overwrite else _unfinished(folder, fingerprint)
+    check_readings(rig, session.observations, session.source)
+    observations = session.observations.calibration
+    check_units(rig, observations, session.source)
+    Chain.build(
+        rig, session.observations
+    )  # sensors inside a winding are refused now, those of validation too
+    if folder is not None:
+        _make(folder)
+
+    tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
+    chain = Chain.build(rig, observations)
+    coordinates = Coordinates(rig)
+    posterior = LogPosterior(coordinates, chain, observations)
+    estimate = point_estimate(posterior, observations, seed)
+    chain = chain.with_rules(_values(coordinates, estimate.vector))
+    posterior = LogPosterior(coordinates, chain, observations)
+    undetermined = tuple(open_directions(coordinates, estimate.fit))
+
+    tell(Stage("Laplace approximation over loop counts", open_directions=undetermined))
+    rng = np.random.default_rng(seed)
+    lattice = LogPosterior(Coordinates(rig, has_integer_counts), chain, observations)
+    mixture = count_mixture(posterior, lattice, estimate.fit, rng)
+    if mixture is None:
+        tell(Stage("loop counts are hardly determined and are sampled as real numbers"))
+        lattice = LogPosterior(coordinates, chain, observations)
+        mixture = count_mixture(posterior, lattice, estimate.fit, rng)
+        assert mixture is not None
+    if chain.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
+        lattice = LogPosterior(lattice.coordinates, replace(chain, mode=SumMode.COMPILED), observations)
+
+    tell(Stage("posterior sampling with emcee"))
+    if backend is None:
+        backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
+    samples = sample(
+        lattice,
+        mixture,
+        settings,
+        backend,
+        lambda progress: tell(Stage("posterior sampling with emcee", progress)),
+    )
+    if isinstance(backend, ZarrBackend):
+        backend.flush()
+
+    tell(Stage("errors, coverage and summary"))
+    calibration = _calibration(session, rig, lattice.coordinates, mixture, samples)
+    record = {
+        **summary(session, calibration),
+        "is_converged": samples.is_converged,
+        "has_integer_counts": lattice.coordinates.n_counts > 0,
+        "sampling": _sampling(samples),
+        "point_estimate": _point_estimate(coordinates, estimate),
+        "undetermined": [asdict(direction) for direction in undetermined],
+        "seed": seed,
+        "versions": versions(),
+    }
+    calibration = replace(calibration, record=record)
+    if folder is not None:
+        calibration.save(folder)
+    return calibration
+
+
+def _values(coordinates: Coordinates, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+    with torch.no_grad():
+        return coordinates.values(vector)
+
+
+def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
+    """The chain of a calibration to be continued; None where the folder holds none."""
+    if _is_finished(folder):
+        raise InvalidInput(
+            f"output must not hold a finished calibration, or be replaced with --overwrite; received {folder}"
+        )
+    path = folder / CHAIN
+    if not path.exists():
+        return None
+    try:
+        return ZarrBackend.open(path, fingerprint=fingerprint)
+    except InvalidInput as error:
+        raise InvalidInput(
+            "output must be free, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
+            f"or be replaced with --overwrite; received {folder}, which holds another"
+        ) from error
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(
+            f"output must be a folder that can be written; {folder} is not: {reason(error)}"
+        ) from error
+
+
+def _new_backend(
+    folder: Path | None,
+    coordinates: Coordinates,
+    settings: SamplerSettings,
+    fingerprint: str,
+    overwrite: bool,
+) -> Backend:
+    if folder is None:
+        return Backend()
+    if overwrite:
+        _remove_result(folder)
+    return ZarrBackend.create(
+        folder / CHAIN,
+        coordinate_names=coordinates.labels,
+        n_walkers=settings.n_walkers,
+        checkpoint_steps=settings.check_every,
+        fingerprint=fingerprint,
+    )
+
+
+def _is_finished(folder: Path) -> bool:
+    """Whether a folder holds a calibration that reached its targets."""
+    try:
+        return bool(json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("is_converged", True))
+    except OSError:
+        return False
+    except (ValueError, AttributeError):
+        return True  # damaged, but nothing to write over unasked
+
+
+def _remove_result(folder: Path) -> None:
+    """Delete the files of an earlier calibration from a folder, and nothing else."""
+    for name in (SUMMARY, CHAIN, POSTERIOR, "report.html"):
+        path = folder / name
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _fingerprint(session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool) -> str:
+    """Hash of all that decides the steps of a chain; when to stop does not."""
+    decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
+    parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide a result."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def _calibration(
+    session: Session, rig: Rig, coordinates: Coordinates, mixture: CountMixture, samples: Samples
+) -> Calibration:
+    chain = reported(coordinates, samples.chain)
+    draws = {name: np.ascontiguousarray(chain[:, :, i].T) for i, name in enumerate(coordinates.names)}
+    top = int(mixture.weight.argmax())
+    best_vector = torch.cat((mixture.mean[top], mixture.counts[top]))
+    best = {name: float(value) for name, value in coordinates.values(best_vector).items()}
+    return Calibration(rig, session.observations, best, draws, np.ascontiguousarray(samples.log_prob.T), {})
+
+
+def _sampling(samples: Samples) -> dict[str, Any]:
+    return {
+        "steps": samples.n_steps,
+        "walkers": samples.log_prob.shape[1],
+        "acceptance": samples.acceptance,
+        "smallest_ess": samples.convergence.smallest_ess,
+        "largest_rhat": finite(samples.convergence.largest_rhat),
+    }
+
+
+def _point_estimate(coordinates: Coordinates, estimate: PointEstimate) -> dict[str, Any]:
+    values = _values(coordinates, estimate.vector)
+    return {
+        "values": {name: float(values[name]) for name in coordinates.names},
+        "nelder_mead_evaluations": estimate.n_evaluations,
+        "starts": estimate.n_starts,
+        "starts_agreeing": estimate.n_agreeing,
+        "is_converged": bool(estimate.fit.is_converged[0]),
+    }

@@ -1,0 +1,196 @@
+"""The figures of one calibration: fit, residuals around each coil, field, posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from estimator.calibration.result import Calibration
+from estimator.field.winding import Winding
+from estimator.geometry.motion import base_from_motion
+from estimator.model.bodies import winding_of, world_from_body
+from estimator.model.measurement_model import Chain
+from estimator.model.room_field import RoomField
+from estimator.reporting import plots
+from estimator.reporting.page import Picture
+from estimator.rig.rig import Coil
+
+MOST_CORNER_PARAMETERS = 12
+MOST_COILS = 3
+PLANE_POINTS = 61
+PLANE_DRAWS = 100
+
+
+def pictures(calibration: Calibration) -> list[Picture]:
+    """The figures of the report, each with a title and a sentence on what to look for."""
+    title = f"{calibration.rig.name}, {calibration.record['session_created'][:10]}"
+    return [*_fit_figures(calibration, title), *_posterior_figures(calibration, title)]
+
+
+def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
+    observations = calibration.observations.calibration
+    best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
+    chain = Chain.build(calibration.rig, observations)
+    measured_T = observations.field_sensor_T.numpy()
+    predicted_T = chain.predict(best).numpy()
+    residual_T = measured_T - predicted_T
+    sensor = observations.sensor.numpy()
+    by_sensor_T = np.array([calibration.best[f"{s.name}.noise_T"] for s in calibration.rig.sensors])
+    sigma_T = (
+        float(by_sensor_T[0]) if len(by_sensor_T) == 1 else by_sensor_T[sensor][:, None].repeat(3, axis=1)
+    )
+
+    yield Picture(
+        "Predicted against measured",
+        "Points should lie on the line, and residuals inside the band without a trend.",
+        _figure(plots.predicted_against_measured(measured_T, predicted_T, sigma_T, title=title)),
+    )
+    yield Picture(
+        "Whitened residuals",
+        "If the model is complete the histogram follows the normal curve.",
+        _figure(plots.residual_histogram(residual_T, sigma_T, title=title)),
+    )
+    if len(by_sensor_T) > 1:
+        names = [s.name for s in calibration.rig.sensors]
+        yield Picture(
+            "Residuals by sensor",
+            "A sensor or component that stands out has a fault of its own; where the noise was fitted, a sensor's components average to 1.",
+            _figure(plots.residual_by_sensor(residual_T, sensor, names, sigma_T, title=title)),
+        )
+    for coil, positions_m, winding in _places(calibration, chain, best):
+        yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
+        yield from _plane(calibration, coil, positions_m, best, winding, title)
+
+
+def _maps(
+    coil: Coil,
+    positions_m: np.ndarray,
+    winding: Winding,
+    measured_T: np.ndarray,
+    predicted_T: np.ndarray,
+    sigma_T: float | np.ndarray,
+    title: str,
+) -> Iterator[Picture]:
+    here = np.isfinite(positions_m).all(axis=1)
+    places, measured, predicted = positions_m[here], measured_T[here], predicted_T[here]
+    one_sigma = sigma_T if isinstance(sigma_T, float) else None
+    yield Picture(
+        f"Residual around {coil.name}",
+        "Length of the residual where the sensor stood, in the coil's frame; patterns point to something the model lacks.",
+        plots.residual_map(places, measured - predicted, winding, sigma_T=one_sigma, title=title),
+    )
+    yield Picture(
+        f"Relative error around {coil.name}",
+        "Residual over measured field; it grows where the field is weak.",
+        plots.relative_error_map(places, measured, predicted, winding, title=title),
+    )
+    if np.isfinite(measured).all(axis=1).any():
+        yield Picture(
+            f"Angular deviation around {coil.name}",
+            "Angle between measured and predicted field.",
+            plots.angular_deviation_map(places, measured, predicted, winding, title=title),
+        )
+
+
+def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
+    names = sorted(calibration.draws, key=list(calibration.rig.parameters).index)  # as in the rig file
+    draws = {name: calibration.draws[name].reshape(-1) for name in names}
+    moving = [name for name in names if np.ptp(draws[name]) > 0.0][:MOST_CORNER_PARAMETERS]
+    truth = {
+        name: calibration.record["truth"][name] for name in moving if name in calibration.record["truth"]
+    }
+    priors = {p.name: p.prior for p in calibration.rig.free if p.prior is not None}
+    yield Picture(
+        "What the data taught",
+        "Posterior interval of every parameter in units of its prior: narrow means determined by the data.",
+        _figure(plots.interval_summary(draws, priors, calibration.record["truth"] or None, title=title)),
+    )
+    if len(moving) > 1:
+        point = {name: calibration.best[name] for name in moving}
+        yield Picture(
+            "Posterior",
+            "68 and 95 % regions; narrow diagonal bands are combinations that the data determine better than single parameters.",
+            plots.corner({name: draws[name] for name in moving}, truth or None, point, title=title),
+        )
+    yield Picture(
+        "Trace",
+        "Walkers should mix and not drift.",
+        plots.traces({name: calibration.draws[name].T for name in moving or list(draws)[:1]}, title=title),
+    )
+
+
+def _places(
+    calibration: Calibration, chain: Chain, best: Mapping[str, torch.Tensor]
+) -> Iterator[tuple[Coil, np.ndarray, Winding]]:
+    """Per coil that carried current the sensor's position in its frame for every reading; NaN where it was off."""
+    for coil in calibration.rig.coils[:MOST_COILS]:
+        rows = chain.powered[coil.name]
+        if not len(rows):
+            continue
+        points, _ = chain.sensor_in_coil(coil, rows, best)
+        everywhere = np.full((len(chain.sensor), 3), np.nan)
+        everywhere[rows.numpy()] = points.numpy()
+        yield coil, everywhere[chain.place.numpy()], winding_of(calibration.rig, coil, best)
+
+
+def _plane(
+    calibration: Calibration,
+    coil: Coil,
+    positions_m: np.ndarray,
+    best: Mapping[str, torch.Tensor],
+    winding: Winding,
+    title: str,
+) -> Iterator[Picture]:
+    """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
+
+    The plane reaches as far as the readings, or twice as high as wide: beyond that the field is a dipole's, and the panels get thin.
+    """
+    reach = 1.2 * max(float(winding.radius_m), np.nanmax(np.abs(positions_m[:, :2])))
+    length_m = float(winding.length_m)
+    low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
+    high = max(0.5 * float(winding.radius_m), min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
+    x_m, z_m = np.linspace(-reach, reach, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
+    grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
+    points_m = torch.from_numpy(grid.reshape(-1, 3))
+    field, half_width = _field_in_coil_frame(calibration, coil, best, points_m)
+    shape = (PLANE_POINTS, PLANE_POINTS)
+    yield Picture(
+        f"Field of {coil.name}",
+        "Field per ampere in the plane through the axis, and how uncertain it is: the model is known where readings were taken.",
+        plots.field_plane(
+            x_m,
+            z_m,
+            field.reshape(*shape, 3),
+            half_width.reshape(shape),
+            winding,
+            readings_m=positions_m,
+            title=title,
+        ),
+    )
+
+
+def _field_in_coil_frame(
+    calibration: Calibration, coil: Coil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
+) -> tuple[np.ndarray, np.ndarray]:
+    """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its strength."""
+    rig = calibration.rig
+    flange = {
+        mover.name: base_from_motion(mover, torch.zeros(1, 6, dtype=torch.float64)) for mover in rig.movers
+    }
+    world_from_coil = world_from_body(rig, coil, "coil", flange, best)
+    room = RoomField(rig, best, world_from_coil.apply(points_m))
+    current_A = torch.tensor([float(other is coil) for other in rig.coils], dtype=torch.float64)
+    field = room.field_T(best, current_A)
+    strength = room.field_T(calibration.draw_values(PLANE_DRAWS), current_A).norm(dim=-1)
+    lower, upper = torch.quantile(strength, torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0)
+    half_width = 0.5 * (upper - lower) / field.norm(dim=-1)
+    return world_from_coil.unrotate(field).numpy(), half_width.numpy()
+
+
+def _figure(axes: Any) -> Figure:
+    figure: Figure = axes.figure
+    return figure

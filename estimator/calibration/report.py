@@ -1,0 +1,208 @@
+"""The page of one calibration: what was found, how well it fits, what the data leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.figures import pictures
+from estimator.calibration.result import Calibration
+from estimator.readings.observations import Observations
+from estimator.reporting.page import ReportPage, Table, render_report
+from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.units import split_unit
+
+
+def calibration_report(calibration: Calibration, command: str) -> str:
+    """HTML of one calibration, self-contained.
+
+    Args:
+        calibration: A calibration made by `estimator.calibration.calibrate` or loaded from disk.
+        command: What produced it, shown as provenance.
+    """
+    record = calibration.record
+    page = ReportPage(
+        title=f"Calibration of {calibration.rig.name}",
+        subtitle=f"{record['session_source']}; readings recorded {record['session_created']}",
+        verdict=_verdict(calibration),
+        warnings=_warnings(record),
+        tables=_tables(calibration),
+        figures=pictures(calibration),
+        provenance={
+            "command": command,
+            "seed": str(record["seed"]),
+            "session": record["session_hash"],
+            "rig": record["rig_hash"],
+            "versions": ", ".join(f"{name} {v}" for name, v in record["versions"].items()),
+            "sampling": _sampling(record),
+        },
+    )
+    return render_report(page)
+
+
+def _verdict(calibration: Calibration) -> list[str]:
+    record, observations = calibration.record, calibration.observations
+    role = "validation" if record["rmse"]["validation"] else "calibration"
+    error, nominal = record["rmse"][role], record["rmse_nominal"][role]
+    kept = (
+        "readings kept out of the fit"
+        if role == "validation"
+        else "readings of the fit itself (none were kept out)"
+    )
+    sentences = [
+        f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
+        f"{kept}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
+        _noise_share(calibration, observations.rows(observations.is_validation == (role == "validation"))),
+        f"Its 90 % intervals hold {record['coverage90'][role]:.1%} of the components of these readings.",
+    ]
+    for entry in _most_probable(record["loop_counts"]):
+        sentences.append(
+            f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.2f}."
+        )
+    n_fit = len(observations.calibration)
+    sentences.append(f"{n_fit} readings determined {len(record['point_estimate']['values'])} parameters.")
+    return sentences
+
+
+def _noise_share(calibration: Calibration, judged: Observations) -> str:
+    """The rms of the vector that noise alone gives, for no model is closer to its readings than that."""
+    sensors = calibration.rig.sensors
+    variance = np.array([calibration.best[f"{sensor.name}.noise_T"] ** 2 for sensor in sensors])
+    is_measured = judged.is_measured.numpy()
+    n_components = is_measured.sum(axis=1)
+    squared = (n_components * variance[judged.sensor.numpy()])[n_components > 0].mean()
+    is_fitted = any(f"{sensor.name}.noise_T" in calibration.draws for sensor in sensors)
+    return (
+        f"Noise as large as {'the fit found' if is_fitted else 'the rig file says'} would by itself leave "
+        f"{_microtesla(float(np.sqrt(squared)))}."
+    )
+
+
+def _warnings(record: Mapping[str, Any]) -> list[str]:
+    found = []
+    if not record["is_converged"]:
+        found.append(f"Sampling did not converge: {_sampling(record)}. The intervals are provisional.")
+    if wider := record.get("widening"):
+        found.append(
+            "Something in the readings remains unexplained, as the diagnosis shows: standard deviations are up to "
+            f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
+        )
+    for direction in record["undetermined"]:
+        found.append(
+            f"The data do not determine {direction['words']}: their own standard deviation is "
+            f"{min(direction['data_over_prior_sd'], 9999):.3g} times the prior's, so the interval is the prior's."
+        )
+    for name, distance in record["prior_tension"].items():
+        found.append(
+            f"{split_unit(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
+            "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
+        )
+    if not record["has_integer_counts"] and any(name.endswith("_loops") for name in record["parameters"]):
+        found.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
+    estimate = record["point_estimate"]
+    if estimate["starts_agreeing"] < 0.5 * estimate["starts"]:
+        found.append(
+            f"Only {estimate['starts_agreeing']} of {estimate['starts']} starts found the best maximum: there may be several."
+        )
+    return found
+
+
+def _tables(calibration: Calibration) -> list[Table]:
+    record = calibration.record
+    names = list(record["parameters"])
+    display = shown(names)
+    truth = record["truth"]
+    header = [
+        "parameter",
+        "median ± sd",
+        "90 % credible interval",
+        "unit",
+        "prior",
+        *(["truth"] if truth else []),
+    ]
+    rows = []
+    for name in names:
+        p, factor = record["parameters"][name], display[name].factor
+        low, high = (to_digit_of(p["sd"] * factor, end * factor) for end in p["ci90"])
+        parameter = calibration.rig.parameters.get(name)
+        prior = parameter.prior if parameter is not None else None
+        row = [
+            split_unit(name)[0],
+            with_sd(p["median"] * factor, p["sd"] * factor),
+            f"{low} to {high}",
+            display[name].unit or "1",
+            with_sd(prior.centre * factor, prior.sd * factor) if prior else "derived",
+        ]
+        rows.append(row + ([f"{truth[name] * factor:.6g}" if name in truth else "—"] if truth else []))
+    tables = [Table("Parameters", header, rows, "Medians and central 90 % intervals of the posterior.")]
+    if record["loop_counts"]:
+        counts = [
+            [e["coil"], str(e["axial"]), str(e["radial"]), f"{e['probability']:.4f}"]
+            for e in record["loop_counts"][:10]
+        ]
+        tables.append(Table("Loop counts", ["coil", "axial", "radial", "probability"], counts))
+    tables.append(_error_table(record))
+    if len(calibration.rig.sensors) > 1:
+        tables.append(_sensor_table(record))
+    return tables
+
+
+def _error_table(record: Mapping[str, Any]) -> Table:
+    rows = []
+    for role in ("calibration", "validation"):
+        for label, source in (("nominal", "rmse_nominal"), ("calibrated", "rmse")):
+            m = record[source][role]
+            if m is None:
+                continue
+            angle = m["angular_deviation_rad"]
+            rows.append(
+                [
+                    f"{label}, {role}",
+                    _microtesla(m["vector_T"]),
+                    _microtesla(m["component_T"]),
+                    _microtesla(m["paper_metric_T"]),
+                    _microtesla(m["max_T"]),
+                    f"{m['relative']:.3%}",
+                    f"{np.degrees(angle):.3f}°" if angle is not None else "—",
+                ]
+            )
+    header = [
+        "model and readings",
+        "vector rms",
+        "component rms",
+        "paper's metric",
+        "largest",
+        "of rms field",
+        "mean angle",
+    ]
+    return Table("Errors", header, rows, "The paper's metric is half the vector rms.")
+
+
+def _sensor_table(record: Mapping[str, Any]) -> Table:
+    rows = [
+        [name, _microtesla(m["vector_T"]), f"{m['relative']:.3%}"]
+        for name, m in record["rmse_by_sensor"]["calibration"].items()
+    ]
+    return Table("Errors by sensor", ["sensor", "vector rms", "of rms field"], rows)
+
+
+def _most_probable(loop_counts: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    first: dict[str, Mapping[str, Any]] = {}
+    for entry in loop_counts:
+        first.setdefault(entry["coil"], entry)
+    return list(first.values())
+
+
+def _sampling(record: Mapping[str, Any]) -> str:
+    s = record["sampling"]
+    rhat = f"{s['largest_rhat']:.4f}" if s["largest_rhat"] is not None else "none"
+    return (
+        f"{s['steps']} steps of {s['walkers']} walkers, acceptance {s['acceptance']:.2f}, "
+        f"smallest effective sample size {s['smallest_ess']:.0f}, largest R-hat {rhat}"
+    )
+
+
+def _microtesla(value_T: float) -> str:
+    return f"{value_T * 1e6:.4g} µT"

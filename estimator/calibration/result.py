@@ -1,0 +1,268 @@
+"""A calibrated model: the field anywhere, with credible intervals, and a place on disk."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import xarray as xr
+from jaxtyping import Float
+from torch import Tensor
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.model.room_field import RoomField
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import MotionKind, Rig
+from estimator.rig_files.read import rig_from_state, rig_state
+from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
+
+SCHEMA_VERSION = 1
+POSTERIOR, SUMMARY = "posterior.zarr", "summary.json"
+INTERVAL_DRAWS = 400
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result of a calibration.
+
+    Attributes:
+        rig: The rig with its priors.
+        observations: The readings it was made from, validation included.
+        best: Every number of the rig at the posterior's maximum, with the most probable whole loop counts.
+        draws: Posterior draws of every free parameter, walker by step.
+        log_prob: Log posterior density of the draws, up to a constant; as they were sampled, where they were widened since.
+        record: The content of `summary.json`.
+    """
+
+    rig: Rig
+    observations: Observations
+    best: Mapping[str, float]
+    draws: Mapping[str, np.ndarray]
+    log_prob: np.ndarray
+    record: Mapping[str, Any]
+
+    def field(
+        self,
+        points_m: Float[Tensor, "point 3"],
+        currents_A: Mapping[str, float],
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> Float[Tensor, "point 3"]:
+        """Flux density of the calibrated model in the world frame, in tesla.
+
+        Args:
+            points_m: Points in the world frame.
+            currents_A: Current of each coil by name; coils that are not named are off.
+            motion: Per mover the six numbers of its columns. A mover that reports displacements stands at zero, its reference
+                configuration, where it is not named; any other that carries a coil must be.
+        Returns: Bx, By, Bz; NaN at points inside a winding.
+        Raises:
+            InvalidInput: An unknown coil or mover, a mover whose stand is not said, or a number that is not finite.
+        """
+        best = self.best_values()
+        return self.room(points_m, motion).field_T(best, self._currents(currents_A))
+
+    def gradient(
+        self,
+        points_m: Float[Tensor, "point 3"],
+        currents_A: Mapping[str, float],
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> Float[Tensor, "point 3 3"]:
+        """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free place."""
+        best = self.best_values()
+        return self.room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
+
+    def field_interval(
+        self,
+        points_m: Float[Tensor, "point 3"],
+        currents_A: Mapping[str, float],
+        level: float = 0.9,
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3"]]:
+        """Credible interval of each field component: what the data and priors leave open about the model.
+
+        Args:
+            points_m, currents_A, motion: As in `field`.
+            level: Probability inside the interval, 0 < level < 1.
+        Returns: Lower and upper ends, in tesla, from 400 draws of the posterior.
+        Raises:
+            InvalidInput: Level outside (0, 1), or as in `field`.
+        """
+        if not 0.0 < level < 1.0:
+            raise InvalidInput(f"level must lie between 0 and 1; received {level}")
+        room = self.room(points_m, motion)
+        n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
+        fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
+        fields = fields.expand(n_draws, len(points_m), 3)  # no batch where no coil is free
+        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=fields.dtype)
+        lower, upper = torch.quantile(fields, tails, dim=0)
+        return lower, upper
+
+    def room(
+        self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, "... 6"]] | None
+    ) -> RoomField:
+        """The coils with their movers at a stand, or at one for each point, ready for any numbers of the rig and any currents.
+
+        Args:
+            points_m: Points in the world frame.
+            motion: As in `field`; or a row of six numbers for each point.
+        Raises:
+            InvalidInput: As in `field`.
+        """
+        motion = motion or {}
+        carriers = {coil.carried_by for coil in self.rig.coils}
+        for mover in self.rig.movers:
+            if mover.name in motion:
+                if motion[mover.name].shape[-1] != 6 or not torch.isfinite(motion[mover.name]).all():
+                    received = motion[mover.name].tolist()
+                    raise InvalidInput(
+                        f"motion of {mover.name} must be six finite numbers; received {received}"
+                    )
+            elif mover.name in carriers and mover.motion is not MotionKind.DISPLACEMENT:
+                raise InvalidInput(
+                    f"motion of {mover.name} must be given ({', '.join(mover.columns)}): it carries a coil; received none"
+                )
+        if not torch.isfinite(points_m).all():
+            raise InvalidInput("points must be finite; received NaN or infinity among them")
+        return RoomField(self.rig, self.best_values(), points_m, motion)
+
+    def best_values(self) -> dict[str, Tensor]:
+        """Every number of the rig at the posterior's maximum, as `RoomField` takes them."""
+        return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
+
+    def draw_values(self, most: int) -> dict[str, Tensor]:
+        """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps."""
+        flat = {name: array.T.reshape(-1) for name, array in self.draws.items()}
+        n = len(self.log_prob.reshape(-1))
+        index = np.linspace(0, n - 1, min(most, n)).astype(int)
+        coordinates = Coordinates(self.rig, integer_counts=True)
+        return coordinates.values(
+            coordinates.vector({k: torch.from_numpy(v[index]) for k, v in flat.items()})
+        )
+
+    def summary(self) -> Mapping[str, Any]:
+        """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
+        return self.record
+
+    def save(self, folder: Path | str) -> None:
+        """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`); `summary.json` comes last and marks a whole result."""
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            partial = folder / (POSTERIOR + ".partial")
+            shutil.rmtree(partial, ignore_errors=True)
+            self._write_posterior(partial)
+            replace_folder(partial, folder / POSTERIOR)
+            write_text(folder / SUMMARY, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
+        except OSError as error:
+            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
+
+    @classmethod
+    def load(cls, folder: Path | str) -> Calibration:
+        """Read what `save` wrote.
+
+        Raises:
+            InvalidInput: No finished calibration in this folder.
+            CorruptStore: A file in it is damaged.
+        """
+        folder = Path(folder)
+        if not (folder / SUMMARY).is_file():
+            raise InvalidInput(
+                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY}); received {folder}"
+            )
+        try:
+            record = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+            with (
+                quiet_zarr(),
+                xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree,
+            ):
+                tree.load()
+            if tree.attrs["schema_version"] != SCHEMA_VERSION:
+                raise CorruptStore(
+                    f"calibration schema_version must be {SCHEMA_VERSION}; received {tree.attrs['schema_version']!r} ({folder})"
+                )
+            seal = tree.attrs.pop("sha256")
+            if seal != _seal(tree):
+                raise CorruptStore(
+                    f"calibration must match its SHA-256; {folder / POSTERIOR} was altered or lost a chunk"
+                )
+            attributes = tree.attrs
+            arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
+            rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
+            observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
+            draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
+        except CorruptStore:
+            raise
+        except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
+            raise CorruptStore(
+                f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
+            ) from error
+        return cls(rig, observations, best, draws, log_prob, record)
+
+    def _write_posterior(self, path: Path) -> None:
+        walkers, steps = self.log_prob.shape
+        coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
+        attributes = {
+            "schema_version": SCHEMA_VERSION,
+            "rig": json.dumps(rig_state(self.rig)),
+            "best": json.dumps(dict(self.best)),
+        }
+        posterior = {name: (("chain", "draw"), draws) for name, draws in self.draws.items()}
+        arrays = observation_arrays(self.observations)
+        tree = xr.DataTree.from_dict(
+            {
+                "/": xr.Dataset(attrs=attributes),
+                "/posterior": xr.Dataset(posterior, coords, {"inference_library": "emcee"}),
+                "/sample_stats": xr.Dataset({"lp": (("chain", "draw"), self.log_prob)}, coords),
+                "/observed_data": xr.Dataset({"field_sensor_T": arrays.pop("field_sensor_T")}),
+                "/constant_data": xr.Dataset(arrays),
+            }
+        )
+        tree.attrs["sha256"] = _seal(tree)
+        checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
+        encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
+        tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+
+    def _currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
+        names = [coil.name for coil in self.rig.coils]
+        for name in currents_A:
+            if name not in names:
+                raise InvalidInput(
+                    f"currents must name coils of the rig ({', '.join(names)}); received {name!r}"
+                )
+            if not math.isfinite(currents_A[name]):
+                raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
+        return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
+
+
+def _seal(tree: xr.DataTree) -> str:
+    """SHA-256 over every array and attribute of a tree."""
+    arrays = {
+        f"{node.path} {name}": (tuple(str(d) for d in variable.dims), variable.to_numpy())
+        for node in tree.subtree
+        for name, variable in node.dataset.variables.items()
+    }
+    return digest(arrays, {node.path: dict(node.attrs) for node in tree.subtree})
+
+
+def _arrays(node: xr.DataTree) -> dict[str, np.ndarray]:
+    return {str(name): array.to_numpy() for name, array in node.data_vars.items()}
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a file whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)

@@ -1,0 +1,166 @@
+"""The figures of one diagnosis: residual before and after, what the extension explains, structure, and who else was in the race."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
+from estimator.model.bodies import winding_of
+from estimator.reporting import plots
+from estimator.reporting.page import Picture
+from estimator.reporting.plots.style import SHOWN_IN
+from estimator.units import UNITS
+
+MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
+MOST_IN_TITLE, LEAST_STEPS = 3, 2
+
+
+def pictures(diagnosis: Diagnosis) -> list[Picture]:
+    """The figures of the report, each with a title and a sentence on what to look for."""
+    parts = (_maps, _explained, _ladder, _structure, _ranking)
+    return [picture for part in parts for picture in part(diagnosis)]
+
+
+def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
+    before, after = diagnosis.plain, diagnosis.extended
+    residuals = [_residual_T(fit) for fit in (before, after)]
+    is_extended = bool(after.rig.effects)
+    rig = diagnosis.rig
+    is_powered = (after.observations.current_A != 0.0).numpy()
+    powered = [found for found in enumerate(sensor_in_coils(after).items()) if is_powered[:, found[0]].any()]
+    for i, (name, place_m) in powered[:MOST_COILS]:
+        is_on = is_powered[:, i]
+        winding = winding_of(after.rig, after.rig.coils[i], after.values)
+        sigma_T = _sigma_T(after)
+        one_sigma = float(sigma_T.max()) if np.ptp(sigma_T) < 1e-12 else None
+        places = place_m.numpy()[is_on]
+        if is_extended:
+            figure = plots.before_and_after_map(
+                places, residuals[0][is_on], residuals[1][is_on], winding, one_sigma, title=rig.name
+            )
+            words = "Length of the residual where the sensor stood, in the same colours: what is left below should look like noise."
+            yield Picture(f"Residual around {name}, before and after", words, figure)
+        else:
+            figure = plots.residual_map(places, residuals[0][is_on], winding, one_sigma, title=rig.name)
+            words = "Length of the residual where the sensor stood, in the coil's frame: patterns would be a flaw."
+            yield Picture(f"Residual around {name}", words, figure)
+
+
+def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
+    before, after = diagnosis.plain, diagnosis.extended
+    if not after.rig.effects:
+        return
+    change_T = (predicted_T(after) - predicted_T(before)).numpy()
+    labels = [diagnosis.label(cause) for cause in after.rig.effects]
+    names = " + ".join(labels) if len(labels) <= MOST_IN_TITLE else f"{len(labels)} causes together"
+    figure = plots.explained(_residual_T(before), change_T, _sigma_T(after), title=names).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "What the extension explains",
+        "Residual of the plain model over what the extended model changes in the same reading: the means should follow the slanted line.",
+        figure,
+    )
+
+
+def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
+    stages = diagnosis.search.stages
+    if len(stages) < LEAST_STEPS:
+        return
+    fits = [diagnosis.search.base, *(stage.fit for stage in stages)]
+    figure = plots.ladder(
+        [diagnosis.label_of_stage(stage) for stage in stages],
+        [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
+        [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
+        title=diagnosis.rig.name,
+    ).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "What each cause brought",
+        "Causes in the order in which they were taken, and what was left of the residual after each.",
+        figure,
+    )
+
+
+def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
+    before = diagnosis.before.structure
+    after = {one.covariate.name: one for one in diagnosis.after.structure}
+    chosen = [one for one in before if one.covariate.name in after][:MOST_COVARIATES]
+    names = [one.covariate.name for one in chosen]
+    yield Picture(
+        "Along what the residual has structure",
+        "Bars that leave the grey zone: the residual depends on that. Probabilities are for all covariates together, so chance passes "
+        "the zone's edge in 5 % of sessions.",
+        plots.structure_bars(
+            names,
+            [one.p_value for one in chosen],
+            [after[name].p_value for name in names],
+            title=diagnosis.rig.name,
+        ),
+    )
+    if not chosen:
+        return
+    first = chosen[0].covariate
+    now = after[first.name].covariate
+    factor, unit = _display(first.unit)
+    for fit, covariate, when in (
+        (diagnosis.plain, first, "before"),
+        (diagnosis.extended, now, "after"),
+    )[: 2 if diagnosis.extended.rig.effects else 1]:
+        figure = plots.residual_against(
+            covariate.by_reading.numpy() * factor,
+            _residual_T(fit),
+            _sigma_T(fit),
+            f"{first.name} ({unit})" if unit != "1" else first.name,
+            title=when,
+        ).figure
+        assert isinstance(figure, Figure)
+        yield Picture(
+            f"Residual along the most telling covariate, {when}",
+            "Means of neighbours that leave the band by several of their error bars are structure.",
+            figure,
+        )
+
+
+def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
+    for number, (title, step) in enumerate(diagnosis.races[:MOST_STEPS], start=1):
+        evidence = {
+            rival.name if rival.cause is None else diagnosis.label(rival.cause): rival.log_bayes_factor
+            for rival in step.rivals
+        }
+        taken = None if step.taken is None else diagnosis.label(step.taken)
+        figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
+        assert isinstance(figure, Figure)
+        words = f"{title} was taken." if taken else "Nothing earned its place any more."
+        if taken and title != taken:
+            words += f" Shown is {taken}, beside the others of them."
+        yield Picture(
+            f"Who explains it, step {number}",
+            f"Log evidence of each cause, of a flexible curve that no cause explains, and of nothing. {words}",
+            figure,
+        )
+
+
+def _residual_T(fit: Fit) -> np.ndarray:
+    residual = fit.observations.field_sensor_T - predicted_T(fit)
+    return residual.numpy()
+
+
+def _sigma_T(fit: Fit) -> np.ndarray:
+    """Noise of each component of each reading."""
+    with torch.no_grad():
+        by_sensor = fit.posterior.sigma_T(fit.vector)
+    return by_sensor[fit.observations.sensor][:, None].expand(-1, 3).numpy()
+
+
+def _display(unit: str) -> tuple[float, str]:
+    """Factor and unit in which laboratories speak."""
+    shown = SHOWN_IN.get(unit, unit)
+    factor = UNITS[unit].to_si / UNITS[shown].to_si if unit in UNITS and shown in UNITS else 1.0
+    return factor, shown.replace("u", "µ")

@@ -1,0 +1,1 @@
+"""Which causes could explain a residual, and what evidence there is for each."""

@@ -1,0 +1,129 @@
+"""What each cause would look like in a session: its whitened columns at the base fit, for every place and every start of its shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.fitting import Fit
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.record import RECORD
+from estimator.model.measurement_model import Chain
+from estimator.rig.rig import Cause, Rig
+
+STEP = 1e-3  # of the prior's width: central differences of smooth effects
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause at one place with one start of its shapes.
+
+    Attributes:
+        cause: Name and place.
+        shapes: Where its shapes start.
+        keys: The quantities that its columns belong to.
+        shift: Whitened change of the predictions at the start itself; zero where that is the null.
+        columns: Whitened change of the predictions per unit of each quantity.
+        prior_sd: Of the quantities.
+        subsets: Which columns may be there alone: one of them, the pairs, or all.
+    """
+
+    cause: Cause
+    shapes: dict[str, float]
+    keys: tuple[str, ...]
+    units: tuple[str, ...]
+    shift: Float[Tensor, " component"]
+    columns: Float[Tensor, "component column"]
+    prior_sd: Float[Tensor, " column"]
+
+    def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
+        """The same where each component weighs so many times what it did."""
+        return replace(self, shift=self.shift * weight, columns=self.columns * weight[:, None])
+
+    @property
+    def subsets(self) -> tuple[tuple[int, ...], ...]:
+        """Columns that may be there alone: each, each pair, those of one element, and (last) all."""
+        n = len(self.keys)
+        if n == 1:
+            return ((0,),)
+        found: list[tuple[int, ...]] = [(i,) for i in range(n)]
+        if n > 2:
+            found += list(combinations(range(n), 2))
+        if n > 6:
+            found += [tuple(i for i, key in enumerate(self.keys) if key[0] == first) for first in "xyz"]
+            found += [tuple(i for i, key in enumerate(self.keys) if key[0] != first) for first in "xyz"]
+        return (*found, tuple(range(n)))
+
+
+def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
+    """Continuous causes that the rig has not got yet and that the session could show."""
+    scene = fit.posterior.chain.scene
+    present = set(rig.effects)
+    return [
+        cause
+        for name, effect in EFFECTS.items()
+        if name not in RECORD and not isinstance(effect, NoiseEffect)
+        for place in effect.places(rig)
+        if (cause := Cause(name, place)) not in present and effect.concerns(scene, place)
+    ]
+
+
+def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
+    """Columns of every cause at a fit, start by start; starts at which a cause has no effect are left out."""
+    found = []
+    for cause in causes:
+        effect = EFFECTS[cause.name]
+        scene = fit.posterior.chain.scene
+        for shapes in effect.starts(scene, cause.place):
+            candidate = _candidate(fit, cause, shapes)
+            if candidate is not None:
+                found.append(candidate)
+    return found
+
+
+def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
+    observations = fit.observations
+    rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
+    chain = replace(Chain.unruled(rig, observations), rules=fit.posterior.chain.rules)
+    quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
+    own = {
+        name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)
+        for name in rig.parameters
+        if name.startswith(f"{cause.label}.")
+    }
+    values = {**fit.values, **own}
+    steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
+    ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
+    for i, quantity in enumerate(quantities):
+        name = f"{cause.label}.{quantity.key}"
+        values[name] = values[name] + ends[:, i]
+    with torch.no_grad():
+        reading_T = chain.predict(values).expand(len(ends), len(observations), 3)
+        components_T = fit.posterior.measured_components(reading_T)
+        shift = (components_T[-1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
+    up, down = components_T[:-1].chunk(2)
+    whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).T
+    if not bool(torch.isfinite(whitened).all() and torch.isfinite(shift).all()):
+        return None
+    return Candidate(
+        cause,
+        shapes,
+        tuple(q.key for q in quantities),
+        tuple(q.unit for q in quantities),
+        shift,
+        whitened,
+        torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64),
+    )
+
+
+def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
+    """Those that the session can show."""
+    scene, effect = fit.posterior.chain.scene, EFFECTS[cause.name]
+    unseen = effect.unseen(scene, cause.place)
+    return tuple(q for q in effect.quantities(scene.extent) if q.key not in unseen)

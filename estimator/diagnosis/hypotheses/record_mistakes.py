@@ -1,0 +1,170 @@
+"""Discrete mistakes of the record, before anything is fitted finely: axes, signs, units, frames of displacements.
+
+Each makes the readings absurd unless undone. All starts of all of them are compared at once on a few readings, at the nominal rig with its
+parameters let go to first order; the best few are fitted. A session whose noise is as expected has none of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.effects.record import RECORD
+from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import Chain
+from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Cause, Rig
+
+MOST_FITS = 6
+MOST_FAULTS = 3
+MOST_READINGS = 100  # for the comparison of all starts
+MOST_TOGETHER = 16  # starts in one batch: more of them leave the processor's cache
+MOST_LOST_ON_FEW = 3.0  # log evidence on these, against no mistake, of one that is worth a fit to all
+LOG_PRIOR_FAULT = math.log(1e-3)
+EXPECTED_NOISE, EXPECTED_VALUE = (
+    2.5,
+    3.5,
+)  # standard deviations of the prior within which what is fitted must lie
+LARGEST_MEAN_SQUARE = 1.5  # of whitened residuals
+TWINS_WITHIN = 3.0  # of the best in log evidence: they explain the readings as well
+LEAST_LOG_GAIN = math.log(1e3)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A mistake of the record.
+
+    Attributes:
+        cause: The one that was undone.
+        log_bayes_factor: Against no mistake.
+        twins: Others that would explain the readings as well, with the difference in log evidence.
+    """
+
+    cause: Cause
+    log_bayes_factor: float
+    twins: tuple[tuple[Cause, float], ...]
+
+
+def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
+    """Undo mistakes of the record one after another while the evidence asks for it.
+
+    Returns: The fit with the mistakes as effects of its rig, and what was found.
+    """
+    found: list[Fault] = []
+    while len(found) < MOST_FAULTS and not _is_as_expected(base):
+        fits = sorted(_faults(base), key=lambda fit: -fit.log_evidence)
+        if not fits or fits[0].log_evidence - base.log_evidence < LEAST_LOG_GAIN - LOG_PRIOR_FAULT:
+            break
+        best = fits[0]
+        others = [(fit.rig.effects[-1], fit.log_evidence - best.log_evidence) for fit in fits[1:]]
+        twins = {
+            cause: value
+            for cause, value in reversed(others)
+            if value > -TWINS_WITHIN and cause != best.rig.effects[-1]
+        }
+        gain = best.log_evidence - base.log_evidence
+        found.append(Fault(best.rig.effects[-1], gain, tuple(twins.items())))
+        base = best
+    return base, found
+
+
+def _is_as_expected(fit: Fit) -> bool:
+    """Whether the readings are followed down to a noise that was expected, by parameters that were expected."""
+    if float(fit.residual.square().mean()) > LARGEST_MEAN_SQUARE:
+        return False
+    noises = {f"{sensor.name}.noise_T" for sensor in fit.rig.sensors}
+    for parameter in fit.rig.free:
+        assert parameter.prior is not None
+        distance = abs(parameter.prior.distance(float(fit.values[parameter.name])))
+        if distance > (EXPECTED_NOISE if parameter.name in noises else EXPECTED_VALUE):
+            return False
+    return True
+
+
+def _faults(base: Fit) -> list[Fit]:
+    """Full fits of the mistakes that look best on a few readings, and follow those no worse than the rig as it is."""
+    scene = base.posterior.chain.scene
+    observations = scene.observations
+    some = torch.linspace(0, len(observations) - 1, min(MOST_READINGS, len(observations))).round().long()
+    few = observations.rows(some.unique())
+    present = {cause.name for cause in base.rig.effects}
+    ranked = []
+    for name in RECORD:
+        for place in EFFECTS[name].places(base.rig) if name not in present else ():
+            cause, starts = Cause(name, place), EFFECTS[name].starts(scene, place)
+            values = _coarse(base, cause, starts, few)
+            ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
+    ranked.sort(key=lambda one: -one[0])
+    rules = base.posterior.chain.rules
+    least = fit_rig(base.rig, few, base.values, rules, tolerance=ROUGH).log_evidence - MOST_LOST_ON_FEW
+    rigs = [with_effect(base.rig, cause, observations, start) for _, cause, start in ranked[:MOST_FITS]]
+    trials = [fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for rig in rigs]
+    better = [
+        trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
+    ]
+    fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in better]
+    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
+
+
+def _coarse(
+    base: Fit, cause: Cause, starts: Sequence[Mapping[str, float]], observations: Observations
+) -> list[float]:
+    """Log likelihood of each start of a mistake, at the best common noise.
+
+    The parameters are let go to first order from the nominal rig, within their priors.
+    """
+    rig = with_effect(base.rig, cause, base.observations, starts[0])
+    chain = replace(Chain.unruled(rig, observations), rules=base.posterior.chain.rules)
+    found = []
+    for first in range(0, len(starts), MOST_TOGETHER):
+        some = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
+        found += _followed(LogPosterior(some, chain, observations), some.start())
+    return found
+
+
+def _followed(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> list[float]:
+    """Log likelihood after one step to first order from each start."""
+    with torch.no_grad():
+        unit = posterior.component_sigma_T(vector).mean(-1) / posterior.sigma_T(vector).mean(-1)
+        residual = (posterior.measured_T - posterior.predicted(vector)) / unit[:, None]
+        slope = posterior.slope(vector) / unit[:, None, None] * posterior.coordinates.scale
+    prior = torch.eye(vector.shape[-1], dtype=torch.float64)
+    noise_T = residual.square().mean(-1).sqrt()
+    step = torch.zeros_like(vector)
+    for _ in range(2):  # the noise of the first step is that of the absurd readings
+        weighted, target = slope / noise_T[:, None, None], residual / noise_T[:, None]
+        step = torch.linalg.solve(weighted.mT @ weighted + prior, (weighted.mT @ target[..., None])[..., 0])
+        left = residual - (slope @ step[..., None])[..., 0]
+        noise_T = left.square().mean(-1).sqrt().clamp(min=1e-9)
+    log_likelihood = -residual.shape[-1] * torch.log(noise_T * unit) - 0.5 * step.square().sum(-1)
+    return list(log_likelihood.tolist())
+
+
+class _AtStarts(Coordinates):
+    """Coordinates of a mistake whose numbers that are set, not fitted, differ from row to row."""
+
+    def __init__(self, rig: Rig, cause: Cause, starts: Sequence[Mapping[str, float]]) -> None:
+        super().__init__(rig)
+        self._rows = {
+            f"{cause.label}.{key}": torch.tensor([start[key] for start in starts], dtype=torch.float64)
+            for key in starts[0]
+        }
+        self._n_rows = len(starts)
+
+    def start(self) -> Float[Tensor, "start coordinate"]:
+        """Coordinates of every start."""
+        return self.vector(self._rows).expand(self._n_rows, -1)
+
+    def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
+        """Every number of the rig."""
+        set_ = {name: value for name, value in self._rows.items() if name not in self.names}
+        return {**super().values(vector), **set_}

@@ -1,0 +1,1 @@
+"""Which readings would tell causes apart or shrink a parameter."""

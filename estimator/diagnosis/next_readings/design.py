@@ -1,0 +1,130 @@
+"""Proposals for the next readings: to tell causes apart, or to shrink a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.next_readings.expected_evidence import (
+    Proposal,
+    actions,
+    proposals,
+    rows_seen,
+    separation,
+)
+from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
+from estimator.diagnosis.structure.signatures import CLEAR
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.errors import InvalidInput
+from estimator.model.hide import cause_of
+from estimator.model.measurement_model import Chain
+from estimator.model.preflight import check_readings
+from estimator.readings.observations import Observations
+from estimator.readings.plan import plan_text
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+
+TYPICAL_SIGMA = 8.0  # visible size at which causes that the session does not show are compared
+NEARLY_NOTHING = 0.1  # standard deviations that the prior width of a cause would change the readings by
+MORE_STARTS = 3
+
+
+@dataclass(frozen=True)
+class Design:
+    """What to measure next.
+
+    Attributes:
+        goal: In words.
+        actions: Whole programmes and what each would bring, best first; empty where a parameter is to be shrunk.
+        readings: Chosen stops, in their order.
+        so_far: What the session has reached: expected log evidence, or standard deviation of the parameter in its SI unit.
+        reached: The same after each of the stops.
+        plan: The stops as a plan file.
+    """
+
+    goal: str
+    actions: tuple[Proposal, ...]
+    readings: Observations
+    so_far: float
+    reached: tuple[float, ...]
+    plan: str
+
+
+def design(
+    session: Session,
+    *,
+    split: Sequence[str] = (),
+    shrink: str | None = None,
+    n_readings: int = 20,
+    rig: Rig | None = None,
+) -> Design:
+    """Propose the next readings.
+
+    Args:
+        session: Readings so far.
+        split: Two or more causes, as `cause` or `cause[place]`, to be told apart. Each counts with its fitted size where the session
+            shows it, else with one of eight standard deviations.
+        shrink: A parameter of the rig whose interval is to shrink.
+        n_readings: How many stops to choose.
+        rig: Another description of the session's rig.
+    Raises:
+        InvalidInput: Neither or both of the goals are given, or they name what the rig has not.
+    """
+    if bool(split) == (shrink is not None) or len(split) == 1:
+        raise InvalidInput(
+            f"a design must split two or more causes, or shrink one parameter; received split {list(split)}, shrink {shrink!r}"
+        )
+    rig = rig or session.rig
+    session.check_rig(rig)
+    check_readings(rig, session.observations, session.source)
+    observations = session.observations.calibration
+    base = fit_rig(rig, observations, {}, Chain.build(rig, observations).rules, MORE_STARTS)
+    stops = candidate_stops(observations)
+    if shrink is not None:
+        if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
+            raise InvalidInput(f"shrink must name a parameter that the fit may change; received {shrink!r}")
+        rows, reached = best_to_shrink(base, shrink, stops, n_readings)
+        goal, programmes, so_far = f"shrink {shrink}", [], base.value_sd(shrink)
+    else:
+        causes = [cause_of(text, rig) for text in split]
+        hypotheses = {cause.label: _fit_with(base, cause) for cause in causes}
+        rows, reached = best_to_split(hypotheses, stops, n_readings)
+        programmes = proposals(hypotheses, actions(observations, rig))
+        goal, so_far = (
+            f"tell {' from '.join(hypotheses)}",
+            float(separation(hypotheses, rows_seen(hypotheses)).min()),
+        )
+    chosen = stops.rows(rows)
+    time_s = observations.history.time_s
+    pace_s = float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0
+    text = plan_text(goal, rig, chosen, pace_s)
+    return Design(goal, tuple(programmes), chosen, so_far, tuple(reached.tolist()), text)
+
+
+def _fit_with(base: Fit, cause: Cause) -> Fit:
+    """The fit with a cause; where the readings show little of it, at a size that they would show."""
+    if cause in base.rig.effects:
+        raise InvalidInput(f"{cause.label} must not be in the rig already to be told from another")
+    pool = candidates(base, [cause])
+    if not pool:
+        raise InvalidInput(f"{cause.label} must have some effect on the readings of the session")
+    best = max(pool, key=lambda one: float(base.projector.rest(one.columns).norm()))
+    rig = with_effect(base.rig, cause, base.observations, best.shapes)
+    fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.chain.rules)
+    if fit.log_evidence - base.log_evidence > CLEAR:
+        return fit
+    visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
+    strongest = int(visible.argmax())
+    if float(visible[strongest]) < NEARLY_NOTHING:
+        raise InvalidInput(
+            f"{cause.label} must be visible in the session to be told from another; the fit follows it wholly"
+        )
+    size = min(TYPICAL_SIGMA / float(visible[strongest]), 3.0) * float(best.prior_sd[strongest])
+    key = best.keys[strongest]
+    null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.chain.scene.extent)}[key]
+    there = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
+    vector = fit.posterior.coordinates.vector(there)[None]
+    return Fit(fit.posterior, replace(fit.polished, vector=vector))

@@ -1,0 +1,346 @@
+"""The page of one diagnosis: what the simulation gets wrong, which cause that has, and what is gained by knowing it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from estimator.diagnosis.figures import pictures
+from estimator.diagnosis.gain import Judged
+from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.verdict import Alternative, Verdict
+from estimator.effects import EFFECTS
+from estimator.reporting.page import ReportPage, Table, render_report
+from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.units import split_unit
+
+MOST_RIVALS = 8
+MOST_STEPS = 6
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+MOVED_SD = 1.0
+
+
+def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
+    """HTML of one diagnosis, self-contained.
+
+    Args:
+        diagnosis: As `estimator.diagnosis.diagnose` returns it.
+        command: What produced it, shown as provenance.
+    """
+    page = ReportPage(
+        title=f"Diagnosis of {diagnosis.rig.name}",
+        subtitle=diagnosis.source,
+        verdict=_verdict(diagnosis),
+        warnings=_warnings(diagnosis),
+        tables=_tables(diagnosis),
+        figures=pictures(diagnosis),
+        appendix=_appendix(diagnosis),
+        provenance={"command": command, "seed": str(diagnosis.seed), "rig": diagnosis.rig.hash},
+    )
+    return render_report(page)
+
+
+def size_with_unit(value: float, unit: str) -> str:
+    """A size to two digits in the unit of its order: `12 µT`, `0.17 %`.
+
+    Examples:
+        >>> size_with_unit(1.234e-5, "T"), size_with_unit(0.00171, "1"), size_with_unit(3.2e-4, "T/h")
+        ('12 µT', '0.17 %', '320 µT/h')
+    """
+    if unit == "1":
+        return f"{100.0 * value:.2g} %" if abs(value) < 1.0 else f"{value:.3g}"
+    if unit.partition("/")[0] in ("T", "m", "rad", "A"):
+        factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
+        scaled = value / factor
+        return f"{float(f'{scaled:.2g}'):g} {prefix}{unit}"
+    return f"{value:.2g} {unit}"
+
+
+def _verdict(diagnosis: Diagnosis) -> list[str]:
+    listed = "; ".join(_names(diagnosis))
+    if diagnosis.verdict is Verdict.NAMED:
+        first = f"Found: {listed}."
+    elif diagnosis.verdict is Verdict.INDISTINGUISHABLE:
+        first = f"Found, but not down to one cause: {listed}."
+    elif diagnosis.verdict is Verdict.UNEXPLAINED:
+        known = f" What can be named: {listed}." if listed else ""
+        first = f"Something is wrong that no known cause explains.{known}"
+    else:
+        first = "Nothing is wrong that these readings could show."
+    sentences = [first]
+    for one in diagnosis.causes:
+        if one.alternatives:
+            others = ", or ".join(_alternative(diagnosis, other) for other in one.alternatives)
+            sentences.append(
+                f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
+            )
+    if diagnosis.stand_ins:
+        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.stand_ins)
+        sentences.append(
+            f"The extended rig also has {kept}: needed here, but something unknown may look like them."
+        )
+    sentences += [_next(diagnosis)] if diagnosis.next_measurements else []
+    left = diagnosis.search.steps[-1].left
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        seen = left if left.log_bayes_factor > 0.0 else diagnosis.search.whole
+        sentences.append(f"What is left looks like {seen.family}: {seen.rms_sigma:.2g} of the noise rms.")
+    gain = diagnosis.gain
+    if gain is not None and diagnosis.extended.rig.effects:
+        sentences.append(
+            f"On {len(gain.before.log_density)} readings kept out of all fits the error falls from "
+            f"{_microtesla(gain.before)} to {_microtesla(gain.after)}."
+            if gain.is_there
+            else f"On {len(gain.before.log_density)} readings kept out of all fits the extension gains nothing that is certain: "
+            f"{_microtesla(gain.before)} before, {_microtesla(gain.after)} after."
+        )
+    sentences.append("Before: " + " ".join(diagnosis.before.sentences()))
+    if diagnosis.extended.rig.effects:
+        sentences.append("After: " + " ".join(diagnosis.after.sentences()))
+    return sentences
+
+
+def _alternative(diagnosis: Diagnosis, other: Alternative) -> str:
+    """Another name, how probable it is, and whether the readings could have told."""
+    apart = other.expected_log_evidence
+    why = "" if apart is None else f"; these readings tell the two apart by {apart:.2g} in log evidence"
+    return f"{diagnosis.label(other.cause)} ({other.probability:.0%}{why})"
+
+
+def _next(diagnosis: Diagnosis) -> str:
+    best = diagnosis.next_measurements[0]
+    return f"To tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})."
+
+
+def _warnings(diagnosis: Diagnosis) -> list[str]:
+    found = []
+    gain = diagnosis.gain
+    if gain is None:
+        found.append("No readings were kept out of the fits, so nothing judges the gain.")
+    elif not 0.8 < gain.after.coverage90 < 0.97:
+        found.append(
+            f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
+        )
+    for cause in diagnosis.search.dropped:
+        found.append(
+            f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained what it had explained."
+        )
+    return found
+
+
+def _tables(diagnosis: Diagnosis) -> list[Table]:
+    tables = []
+    rows = [
+        [label, key, with_sd(p["median"] * f, p["sd"] * f), f"{to_digit_of(p['sd'] * f, p['ci90'][0] * f)} to "
+         f"{to_digit_of(p['sd'] * f, p['ci90'][1] * f)}", unit]
+        for label, key, p, f, unit in _parameters(diagnosis)
+    ]  # fmt: skip
+    if rows:
+        header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
+        tables.append(Table("What was found", header, rows, "In the extended rig, rig_extended.yaml."))
+    if diagnosis.gain is not None:
+        tables.append(_gain_table(diagnosis))
+        moved = _moved_table(diagnosis)
+        tables += [moved] if moved.rows else []
+    if diagnosis.next_measurements:
+        proposals = [
+            [one.action.words, " or ".join(one.splits), f"{one.expected_log_evidence:.1f}"]
+            for one in diagnosis.next_measurements
+        ]
+        tables.append(
+            Table(
+                "What to measure next",
+                ["readings", "tells apart", "expected log evidence"],
+                proposals,
+                "What they add to the readings so far, the best few; 3 is 20 to 1, and what adds less is not listed.",
+            )
+        )
+    return tables
+
+
+def _appendix(diagnosis: Diagnosis) -> list[Table]:
+    races = enumerate(diagnosis.races[:MOST_STEPS], start=1)
+    return [
+        *(_rivals_table(diagnosis, step, number, title) for number, (title, step) in races),
+        _visible_table(diagnosis),
+    ]
+
+
+def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, dict[str, Any], float, str]]:
+    found = []
+    for cause in diagnosis.fit.rig.effects:
+        for key, p in diagnosis.parameters(cause).items():
+            display = shown([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
+            if p["unit"] == "1" and abs(p["median"]) < 1.0:
+                factor, unit = 100.0, "%"
+            elif p["unit"].startswith("T/") and not p["unit"].startswith("T/m"):
+                factor, unit = 1e6, f"µ{p['unit']}"
+            else:
+                factor, unit = display.factor, display.unit or p["unit"]
+            label = diagnosis.label(cause)
+            found.append(
+                (f"{label} (stands in)" if cause in diagnosis.stand_ins else label, key, p, factor, unit)
+            )
+    return found
+
+
+def _gain_table(diagnosis: Diagnosis) -> Table:
+    gain = diagnosis.gain
+    assert gain is not None
+    rows = []
+    for name, judged in (("before", gain.before), ("after", gain.after)):
+        angle = judged.errors.angular_deviation_rad
+        rows.append(
+            [
+                name,
+                _microtesla(judged),
+                f"{judged.errors.relative:.3%}",
+                f"{judged.errors.max_T * 1e6:.4g} µT",
+                f"{math.degrees(angle):.3f}°" if math.isfinite(angle) else "—",
+                f"{judged.coverage50:.0%}",
+                f"{judged.coverage90:.0%}",
+                f"{judged.elpd:.1f}",
+            ]
+        )
+    header = [
+        "model",
+        "vector rms",
+        "of rms field",
+        "largest",
+        "mean angle",
+        "in 50 %",
+        "in 90 %",
+        "log density",
+    ]
+    says = (
+        f"Log predictive density changes by {gain.elpd_difference:+.1f} ± {gain.elpd_se:.1f} (standard error over readings). "
+        "The columns `in` give the share of components inside intervals of that probability."
+    )
+    return Table("Gain on readings not used for fitting", header, rows, says)
+
+
+def _moved_table(diagnosis: Diagnosis) -> Table:
+    gain = diagnosis.gain
+    assert gain is not None
+    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > MOVED_SD]
+    display = shown(names)
+    rows = []
+    for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
+        show = display[name]
+        old, new = (float(fit.values[name]) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
+        rows.append(
+            [
+                show.words,
+                with_sd(old, diagnosis.plain.value_sd(name) * show.factor),
+                with_sd(new, diagnosis.value_sd(name) * show.factor),
+                show.unit or "1",
+                f"{gain.moved_sd[name]:+.1f}".replace("-", "−"),
+            ]
+        )
+    return Table(
+        "What the plain model had bent to hide it",
+        ["parameter", "before", "after", "unit", "moved (sd)"],
+        rows,
+        "Parameters of the rig that the extension moved by more than one standard deviation.",
+    )
+
+
+def _rivals_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
+    """Who else was in the race."""
+    causes = [rival for rival in step.rivals if rival.cause is not None]
+    share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
+    rows = [
+        [
+            rival.name if rival.cause is None else diagnosis.label(rival.cause),
+            _words(rival),
+            _signed(rival.log_bayes_factor),
+            _percent(share.get(rival.name)),
+            "—" if rival.held_out is None else f"{_signed(rival.held_out.gain)} ± {rival.held_out.se:.1f}",
+            _why(step, rival),
+        ]
+        for i, rival in enumerate(step.rivals)
+        if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
+    ]
+    return Table(
+        f"Who was considered, step {number}: {title} taken",
+        ["hypothesis", "meaning", "log evidence", "among causes", "unseen blocks", "outcome"],
+        rows,
+        "Unseen blocks: gain in log density where each block of places is predicted from the others; ± is its standard error.",
+    )
+
+
+def _signed(value: float) -> str:
+    """To one digit, without a sign before zero.
+
+    Examples:
+        >>> _signed(-0.04), _signed(-2.34)
+        ('0.0', '−2.3')
+    """
+    return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "—"
+    return f"{share:.1%}" if share > 1e-3 else "< 0.1 %"
+
+
+def _words(rival: Rival) -> str:
+    if rival.cause is not None:
+        return EFFECTS[rival.cause.name].words
+    return "no flaw" if rival.name == "nothing" else "a flexible curve that stands for what no cause explains"
+
+
+def _why(step: Step, rival: Rival) -> str:
+    if rival.cause is not None and rival.cause == step.taken:
+        return "taken"
+    if rival in step.credible and step.taken is not None:
+        return "cannot be told from what was taken"
+    best = next((r for r in step.rivals if r.cause == step.taken), None)
+    if rival.name == "unexplained":
+        return "asked again at the end"
+    if best is None or step.taken is None:
+        return "not needed" if rival.cause is not None else ""
+    if rival.held_out is not None and rival.held_out.is_loss:
+        return "predicts unseen places worse"
+    behind = best.log_bayes_factor - rival.log_bayes_factor
+    if rival.name == "nothing":
+        return f"explains nothing: {behind:.1f} behind"
+    return f"explains less: {behind:.1f} behind" if behind > 0.0 else "asked again after what was taken"
+
+
+def _visible_table(diagnosis: Diagnosis) -> Table:
+    visible = [one for one in diagnosis.visible if one.is_visible]
+    hidden = {diagnosis.label(one.cause) for one in diagnosis.visible} - {
+        diagnosis.label(o.cause) for o in visible
+    }
+    sizes: dict[str, list[str]] = {}
+    for one in visible:
+        quantity = split_unit(one.key)[0] if one.unit != "T/h" else one.key[0]
+        sizes.setdefault(diagnosis.label(one.cause), []).append(
+            f"{quantity} {size_with_unit(one.size, one.unit)}"
+        )
+    rows = [[label, "; ".join(words)] for label, words in sizes.items()]
+    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.twins)
+    says = "Sizes that these readings would show at five standard deviations, were nothing else wrong."
+    if hidden:
+        says += f" Not visible at any likely size: {', '.join(sorted(hidden))}."
+    if twins:
+        says += f" Never to be told apart here: {twins}."
+    return Table("What these readings can show", ["cause", "smallest visible"], rows, says)
+
+
+def _names(diagnosis: Diagnosis) -> list[str]:
+    """What was found, with its meaning; a kind of cause that is there in several places once."""
+    causes = [fault.cause for fault in diagnosis.faults] + [one.cause for one in diagnosis.causes]
+    found = []
+    for name in dict.fromkeys(cause.name for cause in causes):
+        labels = [diagnosis.label(cause) for cause in causes if cause.name == name]
+        places = ", ".join(cause.place for cause in causes if cause.name == name)
+        label = labels[0] if len(labels) == 1 else f"{name}[{places}]"
+        found.append(f"{label} ({EFFECTS[name].words})")
+    return found
+
+
+def _microtesla(judged: Judged) -> str:
+    return f"{judged.errors.vector_T * 1e6:.4g} µT"

@@ -1,0 +1,1 @@
+"""What a residual shows by itself, before any cause is named."""

@@ -1,0 +1,98 @@
+"""All that a residual shows by itself, before any cause is named: its size, along what it has structure, its physical signatures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.structure.residual_tests import LackOfFit, Structure, lack_of_fit, structure
+from estimator.diagnosis.structure.signatures import Signatures, leading, signatures, words
+
+SIGNIFICANT = 0.05
+MOST_LISTED = 12
+CLEARLY_MORE = 1.2  # than noise would leave, for a reader
+
+
+@dataclass(frozen=True)
+class Symptoms:
+    """Of one fit."""
+
+    lack_of_fit: LackOfFit
+    structure: tuple[Structure, ...]
+    signatures: Signatures
+
+    @classmethod
+    def of(cls, fit: Fit, seed: int = 0) -> Symptoms:
+        """Look at the residual of a fit.
+
+        Args:
+            fit: Any.
+            seed: Of the pure noise that the structure is compared with.
+        """
+        return cls(lack_of_fit(fit), tuple(structure(fit, seed)), signatures(fit))
+
+    def record(self) -> dict[str, Any]:
+        """As `diagnosis.json` holds it."""
+        return {
+            "lack_of_fit": {
+                "rms_T": self.lack_of_fit.rms_T,
+                "noise_T": self.lack_of_fit.noise_T,
+                "noise_from": self.lack_of_fit.noise_from,
+                "p_value": self.lack_of_fit.p_value,
+            },
+            "structure": [
+                {
+                    "along": one.covariate.name,
+                    "p_value": one.p_value,
+                    "share": one.share,
+                    "share_of_noise": one.expected_share,
+                }
+                for one in self.structure[:MOST_LISTED]
+            ],
+            "stays_with": self.signatures.stays_with,
+            "current": self.signatures.current,
+            "field_equations": self.signatures.field_equations,
+        }
+
+    def sentences(self) -> list[str]:
+        """For people; the size first."""
+        size = self.lack_of_fit
+        source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
+        against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would leave {size.noise_T * 1e6:.3g} µT ({source})"
+        found = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
+        striking = [one for one in self.structure if one.p_value < SIGNIFICANT]
+        if striking:
+            names = "; ".join(f"{one.covariate.name} (p = {_p(one.p_value)})" for one in striking[:4])
+            found.append(
+                f"It has structure along {len(striking)} of {len(self.structure)} covariates: {names}."
+            )
+        else:
+            found.append(f"It has no structure along any of {len(self.structure)} covariates.")
+        for evidence in (
+            self.signatures.stays_with,
+            self.signatures.current,
+            self.signatures.field_equations,
+        ):
+            answers = leading(evidence)
+            if answers:
+                found.append("It " + ", or ".join(words(answer) for answer in answers) + ".")
+        return found
+
+
+def _against_noise(size: LackOfFit) -> str:
+    """The residual beside the noise, in words.
+
+    Examples:
+        >>> _against_noise(LackOfFit(357e-6, 100e-6, "specification", 0.1))
+        'more, but what is known of the noise does not rule that out'
+    """
+    if size.p_value < SIGNIFICANT:
+        return "more than noise may leave"
+    if size.rms_T > CLEARLY_MORE * size.noise_T:
+        return "more, but what is known of the noise does not rule that out"
+    return "no more than noise may leave"
+
+
+def _p(value: float) -> str:
+    return "below 0.0001" if value < 1e-4 else f"{value:.2g}"

@@ -1,0 +1,159 @@
+"""What is known of every reading besides the model: when it was taken, what had happened before, how warm it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from estimator.frames import Transform
+from estimator.geometry.motion import base_from_motion, nominal_places_m
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+
+SECONDS_PER_HOUR = 3600.0
+MOST_TIME_STEPS = 300  # of a heating curve
+SMALLEST_MOVE_M = 1e-9
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How long, strong and wide a session is, and where: the priors of some causes scale with it."""
+
+    duration_h: float = 1.0
+    largest_current_A: float = 1.0
+    largest_field_T: float = 1.0
+    reach_m: float = 1.0
+    middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The circumstances of some readings of a session.
+
+    Attributes:
+        rig: Names of coils, sensors and movers.
+        observations: The readings; their `history` is the whole session.
+    """
+
+    rig: Rig
+    observations: Observations
+
+    def __len__(self) -> int:
+        return len(self.observations)
+
+    @property
+    def sensor(self) -> Int[Tensor, " reading"]:
+        """Index of the sensor of each reading."""
+        return self.observations.sensor
+
+    @property
+    def current_A(self) -> Float[Tensor, "reading coil"]:
+        """Commanded currents."""
+        return self.observations.current_A
+
+    @cached_property
+    def largest_current_A(self) -> float:
+        """Largest commanded current of the session."""
+        return max(float(self.observations.history.current_A.abs().max()), 1e-9)
+
+    @cached_property
+    def largest_field_T(self) -> float:
+        """Largest component that was read in the session."""
+        return max(float(self.observations.history.field_sensor_T.nan_to_num().abs().max()), 1e-9)
+
+    def largest_of_sensor_T(self, sensor: str) -> float:
+        """Largest component that one sensor read in the session."""
+        history = self.observations.history
+        mine = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        return max(float(history.field_sensor_T[mine].nan_to_num().abs().max()), 1e-9)
+
+    @cached_property
+    def places_m(self) -> Float[Tensor, "place 3"]:
+        """Where coils and sensors nominally stand in the world, a few hundred of their poses at most."""
+        return nominal_places_m(self.rig, self.observations.history)
+
+    @cached_property
+    def sensor_places_m(self) -> Float[Tensor, "place 3"]:
+        """Where sensors alone nominally stand."""
+        return nominal_places_m(self.rig, self.observations.history, has_coils=False)
+
+    @cached_property
+    def reach_m(self) -> float:
+        """Distance over which things stand in the laboratory: the farthest of the places from their middle."""
+        return float((self.places_m - self.places_m.mean(0)).norm(dim=-1).max())
+
+    @property
+    def extent(self) -> Extent:
+        """How long, strong and wide the session is, and where."""
+        x, y, z = self.places_m.mean(0).tolist()
+        return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m, (x, y, z))
+
+    @cached_property
+    def hours(self) -> Float[Tensor, " reading"]:
+        """Time since the session began."""
+        return (self.observations.time_s - self.observations.history.time_s.min()) / SECONDS_PER_HOUR
+
+    @cached_property
+    def duration_h(self) -> float:
+        """From the first reading of the session to the last; at least a second."""
+        time_s = self.observations.history.time_s
+        return max(float(time_s.max() - time_s.min()), 1.0) / SECONDS_PER_HOUR
+
+    def temperature_K(self, place: str) -> Float[Tensor, " reading"] | None:
+        """Temperature of a coil or sensor above its mean over the session; None without a thermometer."""
+        celsius = self.observations.temperature_C.get(place)
+        if celsius is None:
+            return None
+        everywhere = self.observations.history.temperature_C[place]
+        known = everywhere[~torch.isnan(everywhere)]
+        mean = known.mean() if len(known) else torch.tensor(0.0, dtype=torch.float64)
+        return torch.nan_to_num(celsius - mean)
+
+    def warming_K(self, place: str) -> Float[Tensor, " reading"] | None:
+        """Temperature of a coil or sensor above the coolest of the session; None without a thermometer."""
+        kelvin = self.temperature_K(place)
+        if kelvin is None:
+            return None
+        celsius = self.observations.history.temperature_C[place]
+        known = celsius[~torch.isnan(celsius)]
+        return kelvin + (known.mean() - known.min()) if len(known) else kelvin
+
+    def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
+        """Translation of the mover from the last other place to this one; zero before it first moved."""
+        here = self._poses(mover).translation_m
+        step = torch.diff(here, dim=0, prepend=here[:1])
+        has_moved = (step.abs() > SMALLEST_MOVE_M).any(-1)
+        last = torch.cummax(torch.arange(len(here)) * has_moved, dim=0).values
+        return step[last][self.observations.row]
+
+    def approach(self, mover: str) -> Float[Tensor, "reading 3"]:
+        """Sign of the last move along each axis; 0 before the first."""
+        here = self._poses(mover).translation_m
+        sign = torch.diff(here, dim=0, prepend=here[:1])
+        sign = torch.where(sign.abs() > SMALLEST_MOVE_M, torch.sign(sign), torch.zeros_like(sign))
+        last = torch.arange(len(here))[:, None] * (sign != 0.0)
+        return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
+
+    def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
+        """Low-passed square of the commanded current, as a thermal mass of that time constant sees it."""
+        history = self.observations.history
+        time_h = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR
+        edges = torch.linspace(
+            0.0, self.duration_h, min(len(time_h), MOST_TIME_STEPS) + 1, dtype=torch.float64
+        )
+        bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
+        held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
+        square = history.current_A[held, coil] ** 2
+        step_h = self.duration_h / (len(edges) - 1)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        age_h = middle[:, None] - middle[None, :]
+        decay = torch.exp(-age_h.clamp(min=0.0) / tau_h[..., None, None]) * (age_h >= 0.0)
+        heat = (decay @ square[:, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
+        return heat[..., bin_of[self.observations.row]]
+
+    def _poses(self, mover: str) -> Transform:
+        return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])

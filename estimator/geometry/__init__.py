@@ -1,0 +1,1 @@
+"""From what a mover reports to where it stands."""

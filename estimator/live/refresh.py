@@ -1,0 +1,194 @@
+"""The slow half of a live calibration: posterior and diagnosis of the readings so far, in a process of their own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from types import TracebackType
+
+import torch
+
+from estimator.calibration.calibrate import calibrate
+from estimator.diagnosis.diagnose import diagnose
+from estimator.errors import InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.store.session import Session
+
+QUICK = SamplerSettings(target_ess=400.0, largest_rhat=1.05, max_steps=3000)
+FEWEST_READINGS = 15
+GROWTH = 1.25  # of the session between two refreshments
+NICENESS = 10
+
+
+@dataclass(frozen=True)
+class Refreshed:
+    """Posterior and verdict about the first readings of a session.
+
+    Attributes:
+        n_readings: That it knows of, validation included.
+        best: Values at the maximum.
+        ci90: 90 % credible interval of each free parameter, from posterior draws.
+        verdict: Of the diagnosis.
+        causes: That were named, with what they cannot be told from.
+        took_s: The work.
+        places: Sensors, coils and movers that the named causes are in.
+    """
+
+    n_readings: int
+    best: Mapping[str, float]
+    ci90: Mapping[str, tuple[float, float]]
+    verdict: str
+    causes: tuple[str, ...]
+    took_s: float
+    places: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The verdict as an operator reads it."""
+        found = f": {', '.join(self.causes)}" if self.causes else ""
+        return f"{self.verdict.replace('_', ' ')}{found} (after {self.n_readings} readings)"
+
+
+def refreshed(session: Session, seed: int) -> Refreshed:
+    """Posterior and verdict of a session.
+
+    Raises:
+        InvalidInput: The readings cannot support a fit yet.
+    """
+    begin_s = time.monotonic()
+    calibration = calibrate(session, settings=QUICK, seed=seed)
+    parameters = calibration.summary()["parameters"]
+    diagnosis = diagnose(session, seed=seed).record()
+    causes = tuple(
+        " or ".join([_label(one), *(other["name"] for other in one["alternatives"])])
+        for one in diagnosis["causes"]
+    )
+    return Refreshed(
+        len(session.observations),
+        dict(calibration.best),
+        {name: (one["ci90"][0], one["ci90"][1]) for name, one in parameters.items()},
+        str(diagnosis["verdict"]),
+        causes,
+        time.monotonic() - begin_s,
+        tuple(one["place"] for one in diagnosis["causes"] if one.get("place")),
+    )
+
+
+class Background:
+    """Refreshes one session after another, each begun when the one before is done; leaving its `with` block ends it at once.
+
+    Attributes:
+        trouble: Why the last refreshment gave nothing, in a sentence, though there were readings enough; None where it did.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.trouble: str | None = None
+        self._seed = seed
+        self._is_busy = False
+        self._n_seen = 0
+        self._start()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a refreshment is under way or has not been taken."""
+        return self._is_busy
+
+    def wants(self, n_readings: int) -> bool:
+        """Whether there is nothing else to do, and a session of this size has grown enough."""
+        return not self._is_busy and n_readings >= max(FEWEST_READINGS, GROWTH * self._n_seen)
+
+    def offer(self, session: Session) -> None:
+        """Begin with a session, if it is wanted."""
+        if self.wants(len(session.observations)):
+            self._begin(session)
+
+    def take(self) -> Refreshed | None:
+        """What was found, once; None where it is not ready, the readings do not support a fit yet, or there was trouble."""
+        return self._answer() if self._is_busy and self._pipe.poll() else None
+
+    def last(self, session: Session) -> Refreshed | None:
+        """Posterior and verdict of a session that will not grow any more; waits for them."""
+        found = self._wait()
+        if len(session.observations) > self._n_seen or self.trouble is not None:
+            self._begin(session)
+            found = self._wait() or found
+        return found
+
+    def _start(self) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._pipe, theirs = spawn.Pipe()
+        self._process = spawn.Process(target=_serve, args=(theirs, self._seed), daemon=True)
+        self._process.start()
+        theirs.close()  # so that the end of the process is the end of the pipe
+
+    def _begin(self, session: Session) -> None:
+        self._n_seen, self._is_busy = len(session.observations), True
+        if not self._process.is_alive():
+            self._end()
+            self._start()
+        with suppress(OSError):  # it ended just now, which the answer will tell
+            self._pipe.send(
+                session
+            )  # does not wait for the process to begin: tensors travel in shared memory
+
+    def _answer(self) -> Refreshed | None:
+        self._is_busy = False
+        try:
+            answer: Refreshed | str | None = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            answer = f"their process ended with exit status {self._process.exitcode}"
+        if isinstance(answer, str):
+            self.trouble = f"posterior and diagnosis after {self._n_seen} readings gave nothing: {answer}"
+            return None
+        self.trouble = None
+        return answer
+
+    def _wait(self) -> Refreshed | None:
+        if not self._is_busy:
+            return None
+        self._pipe.poll(None)
+        return self._answer()
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+
+    def __enter__(self) -> Background:
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._end()
+
+
+def _serve(pipe: Connection, seed: int) -> None:
+    """Body of the process: the readings come first, and Ctrl-C is for the program that started it, with which it ends."""
+    os.nice(NICENESS)
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            session = pipe.recv()
+        except (EOFError, OSError):
+            return
+        answer: Refreshed | str | None
+        try:
+            answer = refreshed(session, seed)
+        except InvalidInput:  # the readings do not support a fit yet
+            answer = None
+        except Exception as error:  # whatever it is, the estimate goes on without it
+            answer = f"{type(error).__name__}: {error}"
+        pipe.send(answer)
+
+
+def _label(cause: Mapping[str, str]) -> str:
+    return f"{cause['name']}[{cause['place']}]" if cause.get("place") else cause["name"]

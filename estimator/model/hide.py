@@ -1,0 +1,74 @@
+"""Causes as users write them: `axis_gain[hall].x=0.01` becomes an effect of the rig that makes the readings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from estimator.effects import effect_of
+from estimator.effects.attach import with_effect
+from estimator.effects.circumstances import Extent, Scene
+from estimator.errors import InvalidInput
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+
+WRITTEN = re.compile(r"(?P<name>\w+)(\[(?P<place>\w+)\])?(\.(?P<key>\w+))?$")
+
+
+def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> Rig:
+    """The rig with causes at given sizes, nothing of them free.
+
+    Args:
+        rig: Has none of them yet.
+        observations: Poses, currents and times of the session that is to be simulated.
+        hidden: `cause`, `cause[place]`, `cause.quantity` or `cause[place].quantity`: value in SI. Without quantity it is the first one
+            that the cause declares; shapes that are not given are those that a fit would start from.
+    Raises:
+        InvalidInput: A cause, place or quantity does not exist, or the place is left open where there are several.
+    """
+    sizes: dict[Cause, dict[str, float]] = {}
+    for text, value in hidden.items():
+        cause, key = _read(text, rig)
+        sizes.setdefault(cause, {})[key] = value
+    for cause, own in sizes.items():
+        shapes = effect_of(cause.name).starts(Scene(rig, observations), cause.place)[0]
+        rig = with_effect(rig, cause, observations, {**shapes, **own}, is_free=False)
+    return rig
+
+
+def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
+    """The same sizes as parameters of an extended rig are named: `axis_gain[hall].x`."""
+    found = {}
+    for text, value in hidden.items():
+        cause, key = _read(text, rig)
+        found[f"{cause.label}.{key}"] = value
+    return found
+
+
+def cause_of(text: str, rig: Rig) -> Cause:
+    """The cause that `cause` or `cause[place]` means in a rig.
+
+    Raises:
+        InvalidInput: There is none, or the place is left open where there are several.
+    """
+    match = WRITTEN.match(text)
+    if match is None:
+        raise InvalidInput(f"a cause must look like cause or cause[place]; received {text!r}")
+    effect = effect_of(match["name"])
+    places = effect.places(rig)
+    place = match["place"] or (places[0] if len(places) == 1 else None)
+    if place not in places:
+        raise InvalidInput(f"{effect.name} must say where, one of {', '.join(places)}; received {text!r}")
+    return Cause(effect.name, place)
+
+
+def _read(text: str, rig: Rig) -> tuple[Cause, str]:
+    cause = cause_of(text, rig)
+    if cause in rig.effects:
+        raise InvalidInput(f"{cause.label} must not be in the rig already to be hidden; received {text!r}")
+    keys = [quantity.key for quantity in effect_of(cause.name).quantities(Extent())]
+    match = WRITTEN.match(text)
+    key = (match["key"] if match else None) or keys[0]
+    if key not in keys:
+        raise InvalidInput(f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}")
+    return cause, key

@@ -1,0 +1,241 @@
+"""Plans: which poses and currents to visit, in which order."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+from scipy.stats import qmc
+
+from estimator.readings.observations import Observations
+from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
+from estimator.rig.rig import POSE_QUANTITIES, MotionKind, Mover, Rig
+from estimator.units import UNITS
+from estimator.yaml_section import Section
+
+CARTESIAN = POSE_QUANTITIES[:6]  # place and rotation vector; tilts and spin belong to mounts
+SHOWN = {"length": "mm", "angle": "deg"}  # in plans that are written
+REVISITED = 2.0  # places, by the recommended protocol
+JOINTS = tuple((f"q{i}", "angle") for i in range(6))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Poses by role and the currents to set at each of them.
+
+    Attributes:
+        calibration, validation: Per pose and mover the six numbers of the mover's columns, in SI.
+        currents_A: Settings visited at every pose; coils that are not named are off.
+        stops: Pose and setting one by one, after all others, in the order of the file.
+        order: Of the poses, that of the file (`raster`) or by chance (`random`); with `mixed`, currents change by chance as well.
+        repeats: Visits of every pose and setting.
+        settle_s: Time from one reading to the next.
+        n_revisited: Calibration poses that are visited again half-way and at the end.
+    """
+
+    name: str
+    calibration: tuple[Mapping[str, np.ndarray], ...]
+    validation: tuple[Mapping[str, np.ndarray], ...]
+    currents_A: tuple[Mapping[str, float], ...]
+    order: str
+    repeats: int
+    settle_s: float
+    stops: tuple[tuple[Mapping[str, np.ndarray], Mapping[str, float]], ...] = ()
+    n_revisited: int = 0
+
+
+def load_plan(path: Path | str, rig: Rig) -> Plan:
+    """Read a plan for a rig.
+
+    Raises:
+        InvalidInput: Unknown key, mover or coil, missing unit: with file, line, key, rule and value.
+    """
+    top = Section.from_file(Path(path))
+    if top.required("schema_version") != 1:
+        top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
+    stops = tuple(_stop(entry, rig) for entry in top.sections("stops"))
+    calibration: tuple[Mapping[str, np.ndarray], ...] = ()
+    validation: tuple[Mapping[str, np.ndarray], ...] = ()
+    if not stops or "poses" in top:
+        poses = top.section("poses")
+        poses.required("calibration")
+        calibration = _poses(poses.section("calibration"), rig)
+        validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
+        poses.finish()
+    is_recommended = bool(calibration) and "currents_A" not in top
+    settle_s = top.number("settle_s", 1.0)
+    if settle_s <= 0.0:
+        top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
+    plan = Plan(
+        str(top.required("name")),
+        calibration,
+        validation,
+        _currents(top, rig, is_recommended) if calibration else (),
+        top.choice("order", ORDERS, "mixed" if is_recommended else "raster"),
+        _count(top, "repeats", 1.0),
+        settle_s,
+        stops,
+        _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0),
+    )
+    top.finish()
+    return plan
+
+
+def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observations:
+    """The plan as readings whose field is still NaN, one row per sensor and setting, in the order of the visit."""
+    rows: list[tuple[Mapping[str, np.ndarray], Mapping[str, float], bool, int]] = []
+    for is_validation, poses in ((False, plan.calibration), (True, plan.validation)):
+        n_revisited = 0 if is_validation else plan.n_revisited
+        for repeat in range(plan.repeats):
+            for place, number in visits(len(poses), n_revisited, plan.order, rng):
+                settings = np.arange(len(plan.currents_A))
+                if plan.order == "mixed":
+                    settings = rng.permutation(settings)
+                visit = number * plan.repeats + repeat
+                rows += [(poses[place], plan.currents_A[i], is_validation, visit) for i in settings]
+    rows += [(*stop, False, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
+    n_sensors = len(rig.sensors)
+    times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
+    current_A = [[setting.get(coil.name, 0.0) for coil in rig.coils] for _, setting, _, _ in rows]
+    motion = {
+        mover.name: torch.from_numpy(np.repeat([pose[mover.name] for pose, *_ in rows], n_sensors, axis=0))
+        for mover in rig.movers
+    }
+    return Observations(
+        torch.tensor(times, dtype=torch.float64),
+        torch.arange(n_sensors).repeat(len(rows)),
+        torch.tensor(current_A, dtype=torch.float64).repeat_interleave(n_sensors, dim=0),
+        motion,
+        torch.full((len(times), 3), torch.nan, dtype=torch.float64),
+        torch.tensor([v for _, _, v, _ in rows]).repeat_interleave(n_sensors),
+        torch.tensor([r for _, _, _, r in rows]).repeat_interleave(n_sensors),
+        {},
+    )
+
+
+def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
+    """Poses of all movers: a grid over every span, or `scattered` places that fill the spans evenly (Halton's sequence)."""
+    names = [mover.name for mover in rig.movers]
+    for key in section:
+        if key not in (*names, "scattered"):
+            section.refuse(
+                key, f"must name a mover of rig {rig.name!r}", f"{key!r} instead of {' or '.join(names)}"
+            )
+    n_scattered = _count(section, "scattered") if "scattered" in section else None
+    axes: list[tuple[str, int, np.ndarray]] = []
+    for mover in rig.movers:
+        block = section.section(mover.name)
+        quantities = quantities_of(mover)
+        is_grid = n_scattered is None
+        axes += [(mover.name, i, _stops(block, *quantity, is_grid)) for i, quantity in enumerate(quantities)]
+        block.finish()
+    section.finish()
+    stops = [axis for *_, axis in axes]
+    rows = itertools.product(*stops) if n_scattered is None else _scattered(stops, n_scattered)
+    poses = []
+    for values in rows:
+        pose = {name: np.zeros(6) for name in names}
+        for (name, i, _), value in zip(axes, values, strict=True):
+            pose[name][i] = value
+        poses.append(pose)
+    return tuple(poses)
+
+
+def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping[str, float]]:
+    """One pose of all movers, and the currents there."""
+    setting = section.required("current_A")
+    _check_setting(section, "current_A", setting, rig)
+    pose = {}
+    for mover in rig.movers:
+        block = section.section(mover.name)
+        pose[mover.name] = np.array([_stops(block, *quantity, False)[0] for quantity in quantities_of(mover)])
+        block.finish()
+    section.finish()
+    return pose, {str(name): float(value) for name, value in setting.items()}
+
+
+def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
+    """What the six numbers of a mover's pose are called in a plan, and their dimensions."""
+    return JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
+
+
+def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
+    unit = qmc.Halton(len(spans), scramble=False).random(count + 1)[1:]  # the first point is the corner
+    low, high = np.array([[span[0], span[-1]] for span in spans]).T
+    return np.asarray(low + unit * (high - low))
+
+
+def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
+    """The values an axis takes: 0 where it is absent, a number, the steps of a grid, or the two ends of a span."""
+    entry = section.key_with_unit(quantity, dimension)
+    if entry is None:
+        return np.zeros(1)
+    key, unit = entry
+    if not section.is_section(key):
+        return np.array([section.number(key) * unit.to_si])
+    span = section.section(key)
+    start, stop = span.number("from"), span.number("to")
+    count = _count(span, "count") if is_grid else 2
+    span.finish()
+    return np.linspace(start, stop, count) * unit.to_si
+
+
+def _count(section: Section, key: str, default: float | None = None, least: int = 1) -> int:
+    number = section.number(key, default)
+    if number < least or number != int(number):
+        section.refuse(key, f"must be a whole number of at least {least}", f"{number:g}")
+    return int(number)
+
+
+def _currents(top: Section, rig: Rig, is_recommended: bool) -> tuple[Mapping[str, float], ...]:
+    """The settings that are listed, or those that the recommended protocol makes of the largest current."""
+    if is_recommended and "largest_A" in top:
+        largest_A = top.required("largest_A")
+        _check_setting(top, "largest_A", largest_A, rig)
+        return recommended_currents_A({str(name): float(value) for name, value in largest_A.items()})
+    settings = top.required("currents_A")
+    if not isinstance(settings, list) or not settings:
+        top.refuse("currents_A", "must be a list of settings such as [{coil1: 3}]", repr(settings))
+    for setting in settings:
+        _check_setting(top, "currents_A", setting, rig)
+    return tuple({str(k): float(v) for k, v in setting.items()} for setting in settings)
+
+
+def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> None:
+    coils = [coil.name for coil in rig.coils]
+    if not isinstance(setting, dict) or any(name not in coils for name in setting):
+        section.refuse(key, f"must name coils of the rig ({', '.join(coils)})", repr(setting))
+    for current in setting.values():
+        is_number = isinstance(current, int | float) and not isinstance(current, bool)
+        if not is_number or not math.isfinite(current):
+            section.refuse(key, "must hold finite numbers", repr(setting))
+
+
+def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> str:
+    """A plan, as a file holds it, that visits the poses and currents of some readings one by one.
+
+    Args:
+        name: Of the plan.
+        rig: Names movers and coils.
+        readings: One row per stop.
+        settle_s: Time from one reading to the next.
+    """
+    stops = []
+    for row in range(len(readings)):
+        stop: dict[str, object] = {}
+        for mover in rig.movers:
+            numbers = zip(quantities_of(mover), readings.motion[mover.name][row].tolist(), strict=True)
+            stop[mover.name] = {
+                f"{q}_{SHOWN[d]}": round(v / UNITS[SHOWN[d]].to_si, 4) for (q, d), v in numbers if v != 0.0
+            }
+        currents = zip(rig.coils, readings.current_A[row].tolist(), strict=True)
+        stop["current_A"] = {coil.name: round(current, 6) for coil, current in currents}
+        stops.append(stop)
+    content = {"schema_version": 1, "name": name, "settle_s": round(settle_s, 3), "stops": stops}
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)

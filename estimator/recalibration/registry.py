@@ -1,0 +1,313 @@
+"""Every calibration of a rig with its history, in one folder that survives `kill -9` at any instant.
+
+    versions/0001/   a whole calibration, its rig.yaml and provenance.json
+    current          a link to the version that is in use, replaced by renaming
+    log.jsonl        one line per session or rollback, in order
+    told             how many of these lines somebody was told of
+    lock             held by the job that writes
+
+Renaming a finished version into its place commits it; its log line follows from its provenance and the link from the last line, so the
+next job that opens the folder completes what an interrupted one left.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration, write_text
+from estimator.errors import CorruptStore, InvalidInput, reason
+
+VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
+RIG, PROVENANCE = "rig.yaml", "provenance.json"
+ROLLED_BACK = "rolled_back"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the log.
+
+    Attributes:
+        conclusion: unchanged, updated, drifted, rejected or rolled_back.
+        reason: In one sentence, with the numbers.
+        session: Path of the session; empty for a rollback.
+        hash: Of the session; of its files where they are damaged.
+        taken: ISO time of the readings.
+        concluded: ISO time of the conclusion.
+        version: Current from now on; None before the first.
+        made: The version made from this session; None where none was.
+        agrees: Whether the session agreed with the version that was current; None where that could not be asked.
+        causes: That were named, as `diagnosis.json` holds them.
+        since: Time of the first session that no longer agreed, where a drift was found.
+        checks: The numbers behind the conclusion.
+        estimate: Value and standard deviation of every parameter from this session, within the widened prior.
+    """
+
+    conclusion: str
+    reason: str
+    session: str = ""
+    hash: str = ""
+    taken: str = ""
+    concluded: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    version: int | None = None
+    made: int | None = None
+    agrees: bool | None = None
+    causes: Sequence[Mapping[str, Any]] = ()
+    since: str | None = None
+    checks: Mapping[str, Any] = field(default_factory=dict)
+    estimate: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def line(self) -> str:
+        """As JSON."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+
+class Registry:
+    """The calibrations of one rig.
+
+    Examples:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     registry = Registry(folder)
+        ...     registry.versions, registry.current, registry.entries()
+        ((), None, [])
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+
+    @property
+    def versions(self) -> tuple[int, ...]:
+        """Numbers of all versions, oldest first."""
+        return tuple(sorted(int(path.name) for path in (self.folder / VERSIONS).glob("[0-9]*")))
+
+    @property
+    def current(self) -> int | None:
+        """Number of the version in use; None before the first."""
+        link = self.folder / CURRENT
+        return int(link.readlink().name) if link.is_symlink() else None
+
+    def entries(self) -> list[Entry]:
+        """The log, oldest line first.
+
+        Raises:
+            CorruptStore: A line is damaged; the last one may be cut off by a kill, and then does not count.
+        """
+        try:
+            lines = (self.folder / LOG).read_text(encoding="utf-8").splitlines(keepends=True)
+        except FileNotFoundError:
+            return []
+        try:
+            return [Entry(**json.loads(line)) for line in lines if line.endswith("\n")]
+        except (ValueError, TypeError) as error:
+            raise CorruptStore(
+                f"log must hold one JSON object per line; {self.folder / LOG}: {error}"
+            ) from error
+
+    def calibration(self, version: int | None = None) -> Calibration:
+        """One version; by default the current one.
+
+        Raises:
+            InvalidInput: There is no such version.
+            CorruptStore: It is damaged.
+        """
+        return Calibration.load(self._path(version))
+
+    def tree(self, version: int | None = None) -> xr.DataTree:
+        """Posterior of one version in ArviZ's groups; by default of the current one."""
+        return xr.open_datatree(self._path(version) / POSTERIOR, engine="zarr", consolidated=False)
+
+    def history(self) -> xr.Dataset:
+        """Median, sd and 90 % interval of every parameter of every version, in SI; NaN where a version has not got it.
+
+        Coordinates say when the readings of a version were taken, from which session, how it came about, and which parameters follow from
+        others.
+
+        Raises:
+            CorruptStore: The summary of a version is damaged.
+        """
+        made = {entry.made: entry for entry in self.entries() if entry.made is not None}
+        parameters = {version: self._record(version)["parameters"] for version in made}
+        names = list(dict.fromkeys(name for own in parameters.values() for name in own))
+        first = {name: next(own[name] for own in parameters.values() if name in own) for name in names}
+
+        def table(number: Any) -> tuple[tuple[str, str], np.ndarray]:
+            rows = [
+                [number(own[name]) if name in own else np.nan for name in names]
+                for own in parameters.values()
+            ]
+            return ("version", "parameter"), np.array(rows).reshape(len(made), len(names))
+
+        return xr.Dataset(
+            {
+                "median": table(lambda own: own["median"]),
+                "sd": table(lambda own: own["sd"]),
+                "lower90": table(lambda own: own["ci90"][0]),
+                "upper90": table(lambda own: own["ci90"][1]),
+            },
+            {
+                "version": list(made),
+                "parameter": names,
+                "unit": ("parameter", [first[name]["unit"] for name in names]),
+                "is_derived": ("parameter", [first[name]["is_derived"] for name in names]),
+                "taken": ("version", [entry.taken for entry in made.values()]),
+                "session": ("version", [entry.session for entry in made.values()]),
+                "conclusion": ("version", [entry.conclusion for entry in made.values()]),
+            },
+        )
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Hold the registry for one job, after completing what an interrupted one left.
+
+        Raises:
+            InvalidInput: Another job holds it, or the folder cannot be written.
+        """
+        import fcntl  # not there on Windows, where registries can be read
+
+        try:
+            (self.folder / VERSIONS).mkdir(parents=True, exist_ok=True)
+            file = (self.folder / LOCK).open("w")
+        except OSError as error:
+            raise InvalidInput(
+                f"registry must be a folder that can be written; {self.folder} is not: {reason(error)}"
+            ) from error
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InvalidInput(
+                    f"registry must be free; another recalibration is at work on {self.folder}"
+                ) from None
+            self._complete()
+            yield
+
+    def commit(
+        self,
+        entry: Entry,
+        calibration: Calibration | None = None,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> Entry:
+        """Log a conclusion; with a calibration, keep that as a new version and make it current. Only while writing.
+
+        Args:
+            entry: The conclusion.
+            calibration: To keep.
+            provenance: What else led to it, for its `provenance.json`.
+        Returns: The entry with the numbers of versions.
+        """
+        if calibration is None:
+            entry = replace(entry, version=self.current)
+        else:
+            number = max(self.versions, default=0) + 1
+            entry = replace(entry, version=number, made=number)
+            self._keep(entry, calibration, provenance or {})
+        self._log(entry)
+        self._point()
+        return entry
+
+    def tell(self, hear: Callable[[Entry], None]) -> list[Entry]:
+        """Have every conclusion heard of that nobody was told of; cut off meanwhile, it is told again. Only while writing.
+
+        Returns: The conclusions.
+        """
+        entries = self.entries()
+        told = int((self.folder / TOLD).read_text(encoding="utf-8"))
+        new = []
+        for number, entry in enumerate(entries[told:], start=told + 1):
+            if entry.hash:
+                hear(entry)
+                new.append(entry)
+            write_text(self.folder / TOLD, f"{number}\n")
+        return new
+
+    def roll_back(self, version: int) -> Entry:
+        """Make an earlier version current again. Only while writing.
+
+        Raises:
+            InvalidInput: There is no such version.
+            CorruptStore: It is damaged.
+        """
+        self.calibration(version)
+        entry = Entry(
+            ROLLED_BACK, f"version {self.current} replaced by version {version} on request", version=version
+        )
+        self._log(entry)
+        self._point()
+        return entry
+
+    def _path(self, version: int | None) -> Path:
+        version = self.current if version is None else version
+        if version not in self.versions:
+            held = ", ".join(map(str, self.versions)) or "none"
+            raise InvalidInput(
+                f"version must be one of the registry ({held}); received {version} ({self.folder})"
+            )
+        return self.folder / VERSIONS / f"{version:04d}"
+
+    def _record(self, version: int) -> Mapping[str, Any]:
+        path = self._path(version) / SUMMARY
+        try:
+            record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
+        return record
+
+    def _keep(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
+        partial = self.folder / VERSIONS / ".partial"
+        calibration.save(partial)
+        (partial / RIG).write_text(calibration.rig.text, encoding="utf-8")
+        own = {
+            "version": entry.made,
+            "previous": self.current,
+            "rig_hash": calibration.rig.hash,
+            "seed": calibration.record["seed"],
+            "versions": calibration.record["versions"],
+            **provenance,
+            "entry": asdict(entry),
+        }
+        write_text(partial / PROVENANCE, json.dumps(own, indent=2, allow_nan=False) + "\n")
+        partial.rename(self.folder / VERSIONS / f"{entry.made:04d}")
+
+    def _log(self, entry: Entry) -> None:
+        with (self.folder / LOG).open("a", encoding="utf-8") as file:
+            file.write(entry.line() + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _point(self) -> None:
+        """Make current what the last line of the log says."""
+        version = self.entries()[-1].version
+        if version is None or version == self.current:
+            return
+        link = self.folder / f"{CURRENT}.new"
+        link.unlink(missing_ok=True)
+        link.symlink_to(Path(VERSIONS) / f"{version:04d}")
+        link.replace(self.folder / CURRENT)
+
+    def _complete(self) -> None:
+        """Take away what is unfinished, and finish what was committed."""
+        shutil.rmtree(self.folder / VERSIONS / ".partial", ignore_errors=True)
+        log = self.folder / LOG
+        if log.exists() and not log.read_bytes().endswith(b"\n"):
+            os.truncate(log, log.read_bytes().rfind(b"\n") + 1)
+        entries = self.entries()
+        if not (self.folder / TOLD).exists():  # a new registry, or one from before lines were counted
+            write_text(self.folder / TOLD, f"{len(entries)}\n")
+        logged = {entry.made for entry in entries}
+        for version in self.versions:
+            if version not in logged:
+                path = self.folder / VERSIONS / f"{version:04d}" / PROVENANCE
+                self._log(Entry(**json.loads(path.read_text(encoding="utf-8"))["entry"]))
+        if self.entries():
+            self._point()

@@ -1,0 +1,50 @@
+"""Pictures of a calibration.
+
+Every function draws into the Axes it is given or into a figure of its own, returns it, and never shows or saves.
+"""
+
+from estimator.reporting.plots.corner import corner
+from estimator.reporting.plots.field_map import field_plane
+from estimator.reporting.plots.history import history
+from estimator.reporting.plots.hypotheses import evidence_bars, explained, ladder, structure_bars
+from estimator.reporting.plots.place_map import (
+    angular_deviation_map,
+    before_and_after_map,
+    relative_error_map,
+    residual_map,
+)
+from estimator.reporting.plots.posterior import interval_summary, trace, traces
+from estimator.reporting.plots.residuals import (
+    predicted_against_measured,
+    residual_against,
+    residual_by_sensor,
+    residual_histogram,
+)
+from estimator.reporting.plots.sensitivity import interaction, interactions, main_effect, main_effects
+from estimator.reporting.plots.sessions import across_sessions
+
+__all__ = [
+    "across_sessions",
+    "angular_deviation_map",
+    "before_and_after_map",
+    "corner",
+    "evidence_bars",
+    "explained",
+    "field_plane",
+    "history",
+    "interaction",
+    "interactions",
+    "interval_summary",
+    "ladder",
+    "main_effect",
+    "main_effects",
+    "predicted_against_measured",
+    "relative_error_map",
+    "residual_against",
+    "residual_by_sensor",
+    "residual_histogram",
+    "residual_map",
+    "structure_bars",
+    "trace",
+    "traces",
+]

@@ -1,0 +1,89 @@
+"""The calibrated field of one coil in the plane of its axis, and how well it is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Annulus, Rectangle
+from matplotlib.ticker import LogLocator, MaxNLocator
+
+from estimator.field.winding import Winding
+from estimator.reporting.plots.style import BLACK, ERROR_MAP, FIELD_MAP, WINDING, WINDING_EDGE, figure, styled
+
+
+@styled
+def field_plane(
+    x_m: Float[np.ndarray, " x"],
+    z_m: Float[np.ndarray, " z"],
+    field_T: Float[np.ndarray, "z x 3"],
+    relative_half_width: Float[np.ndarray, "z x"],
+    winding: Winding,
+    readings_m: Float[np.ndarray, "reading 3"] | None = None,
+    title: str = "",
+) -> Figure:
+    """Calibrated field in the plane y = 0 of the coil frame, and how well it is known.
+
+    Args:
+        x_m: Across the axis, evenly spaced, increasing.
+        z_m: Along the axis, likewise.
+        field_T: Field in the coil frame; what lies inside the winding is hidden.
+        relative_half_width: Half of the 90 % interval of |B| over |B|.
+        winding: The coil's, one value each.
+        readings_m: Places of the sensor in the coil frame; outside of them the model extrapolates.
+        title: Rig, date and the coil's current.
+    """
+    x_mm, z_mm = x_m * 1e3, z_m * 1e3
+    made = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
+    left, right = made.subplots(1, 2, sharex=True, sharey=True)
+    across_m = np.abs(x_m)[None, :]
+    inner_m = float(winding.radius_m - winding.thickness_m)
+    is_beside = (z_m > 0.0) | (z_m < -float(winding.length_m))
+    is_outside = (across_m < inner_m) | (across_m > float(winding.radius_m)) | is_beside[:, None]
+    size_mT = np.linalg.norm(field_T, axis=-1) * 1e3
+    is_known = is_outside & np.isfinite(size_mT)  # another coil's winding may reach into the plane
+    low, high = np.quantile(size_mT[is_known], (0.01, 0.995))
+    levels = np.geomspace(low, high, 13)
+    filled = left.contourf(
+        x_mm, z_mm, np.ma.masked_invalid(size_mT), levels, norm=LogNorm(), cmap=FIELD_MAP, extend="both"
+    )
+    across, along = field_T[..., 0], field_T[..., 2]
+    left.streamplot(x_mm, z_mm, across, along, color="white", linewidth=0.6, arrowsize=0.7, density=0.9)
+    ticks = LogLocator(subs=(1.0, 2.0, 5.0))
+    bar = made.colorbar(filled, ax=left, label="|B| (mT)", ticks=ticks, format="%g")
+    bar.ax.minorticks_off()
+    left.set_title("field and its lines, y = 0")
+    percent = 100.0 * relative_half_width
+    top = float(np.quantile(percent[is_known], 0.98))
+    steps = MaxNLocator(10).tick_values(0.0, top or 1.0)
+    filled = right.contourf(
+        x_mm, z_mm, np.ma.masked_invalid(percent), list(steps), cmap=ERROR_MAP, extend="max"
+    )
+    made.colorbar(filled, ax=right, label="half-width of the 90 % interval of |B| (%)")
+    right.set_title("how well |B| is known")
+    for ax in (left, right):
+        draw_winding(ax, winding, "z", zorder=3.0)
+        ax.set_facecolor(WINDING)  # shows where the model has no value: inside this winding or another coil's
+        ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
+    if readings_m is not None:
+        places = np.unique(np.round(readings_m[:, [0, 2]], 3), axis=0) * 1e3
+        right.plot(*places.T, "o", color="white", mec=BLACK, mew=0.5, ms=3, label="readings, all y", zorder=4)
+        right.legend(loc="upper right", frameon=True, framealpha=1.0, fontsize=8)
+    left.set_ylabel("z (mm)")
+    return made
+
+
+def draw_winding(ax: Axes, winding: Winding, up: str, zorder: float = 0.5) -> None:
+    """The winding's section in XZ (two rectangles), or its outline from the front in XY (a ring), in mm."""
+    sizes_m = (winding.radius_m, winding.thickness_m, winding.length_m)
+    radius, thickness, length = (1e3 * float(size_m) for size_m in sizes_m)
+    style: dict[str, Any] = {"facecolor": WINDING, "edgecolor": WINDING_EDGE, "lw": 0.8, "zorder": zorder}
+    if up == "y":
+        ax.add_patch(Annulus((0.0, 0.0), radius, min(thickness, 0.999 * radius), **style))
+    else:
+        ax.add_patch(Rectangle((radius - thickness, -length), thickness, length, **style))
+        ax.add_patch(Rectangle((-radius, -length), thickness, length, **style))

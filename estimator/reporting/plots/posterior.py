@@ -1,0 +1,165 @@
+"""What sampling gave: walkers over steps, and the posterior of every parameter beside its prior.
+
+Values come by parameter name in SI units; `estimator.reporting.plots.style.shown` shortens names and picks
+display units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Num
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from estimator.reporting.plots.style import (
+    BLACK,
+    DATA_AND_TOP,
+    GREY,
+    INSIDE_68,
+    INSIDE_95,
+    PALE,
+    POSTERIOR,
+    PRIOR,
+    QUANTILES_95_68_50,
+    SIDE_AND_DATA,
+    TRUTH,
+    Shown,
+    axes,
+    figure,
+    plain,
+    shown,
+    styled,
+    summary,
+)
+from estimator.rig.parameters import Prior
+
+MOST_BLOCKS = 300
+N_SINGLE_WALKERS = 3
+PRIOR_DRAWS = 20_000
+LEARNT_LITTLE = 1.5
+
+
+@styled
+def trace(
+    chain: Num[np.ndarray, "step walker"],
+    name: str,
+    burn_in: int = 0,
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Median and 68/95 % band over all walkers against the step, with three single walkers.
+
+    Long chains are pooled in blocks of neighbouring steps.
+
+    Args:
+        chain: One parameter of all walkers, SI, burn-in included.
+        name: Of the parameter.
+        burn_in: Steps that the results leave out.
+        ax: Place; a new figure by default.
+        title: Rig and date.
+    """
+    ax = axes(ax, 6.0, 2.2)
+    _trace(ax, chain, shown([name])[name], burn_in)
+    ax.set_xlabel("step")
+    ax.set_title(plain(title))
+    return ax
+
+
+@styled
+def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], burn_in: int = 0, title: str = "") -> Figure:
+    """`trace` of every parameter, in two columns."""
+    n_rows = (len(chains) + 1) // 2
+    made = figure(10.0, 0.8 + 1.25 * n_rows, title)
+    grid = made.subplots(n_rows, 2, squeeze=False, sharex=True)
+    for ax in grid.flat[len(chains) :]:
+        ax.set_axis_off()
+    for ax, (name, show) in zip(grid.flat, shown(list(chains)).items(), strict=False):
+        _trace(ax, chains[name], show, burn_in)
+    for ax in grid[-1]:
+        ax.set_xlabel("step")
+    made.align_ylabels()
+    return made
+
+
+@styled
+def interval_summary(
+    draws: Mapping[str, Num[np.ndarray, " draw"]],
+    prior: Mapping[str, Prior],
+    truth: Mapping[str, float] | None = None,
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Prior and posterior of every parameter on the prior's scale: a short bar was learnt from the readings.
+
+    Args:
+        draws: Posterior draws by parameter name, SI.
+        prior: By the same names; draws without a prior are left out.
+        truth: Values that a simulation used.
+        ax: Place; a new figure by default.
+        title: Rig and date.
+    """
+    names = {name: show for name, show in shown(list(draws)).items() if name in prior}
+    ax = axes(ax, 7.5, 1.4 + 0.38 * len(names))
+    for row, (name, show) in enumerate(names.items()):
+        centre, sd = prior[name].centre, prior[name].sd
+        values = np.asarray(draws[name], dtype=float)
+        prior_values = prior[name].sample(np.random.default_rng(0), PRIOR_DRAWS)
+        _bars(ax, row - 0.17, (prior_values - centre) / sd, (PALE, PRIOR))
+        _bars(ax, row + 0.17, (values - centre) / sd, (INSIDE_95, INSIDE_68))
+        ax.plot((np.median(values) - centre) / sd, row + 0.17, "|", color=POSTERIOR, ms=10, mew=2.2)
+        if truth and name in truth:
+            ax.plot((truth[name] - centre) / sd, row + 0.17, "x", color=TRUTH, ms=6, mew=1.6, zorder=3)
+        text = f"{summary(values * show.factor, show)}\n{_learnt(sd, float(values.std()))}"
+        ax.annotate(text, (1.01, row), xycoords=SIDE_AND_DATA, va="center", fontsize=8)
+    ax.axvline(0.0, color=BLACK, lw=0.6)
+    ax.set_yticks(range(len(names)), [show.words for show in names.values()])
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_xlabel("distance from the prior's centre (prior standard deviations)")
+    ax.set_title(plain(title), pad=24)
+    labels = ("prior 68 %", "prior 95 %", "posterior 68 %", "posterior 95 %")
+    colours = (PRIOR, PALE, INSIDE_68, INSIDE_95)
+    handles: list[Artist] = [Patch(color=c, label=label) for c, label in zip(colours, labels, strict=True)]
+    if truth:
+        handles.append(Line2D([], [], ls="none", marker="x", color=TRUTH, label="truth"))
+    ax.legend(handles=handles, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+    return ax
+
+
+def _trace(ax: Axes, chain: np.ndarray, show: Shown, burn_in: int) -> None:
+    values = np.asarray(chain, dtype=float) * show.factor
+    blocks = np.array_split(np.arange(len(values)), min(len(values), MOST_BLOCKS))
+    step = [block.mean() for block in blocks]
+    quantiles = np.array([np.quantile(values[block], QUANTILES_95_68_50) for block in blocks]).T
+    if burn_in:
+        ax.axvspan(0.0, burn_in, color=PALE, lw=0)
+        ax.annotate(
+            "burn-in", (0.5 * burn_in, 0.97), xycoords=DATA_AND_TOP, ha="center", va="top", fontsize=7
+        )
+    ax.fill_between(step, quantiles[0], quantiles[4], color=INSIDE_95, lw=0)
+    ax.fill_between(step, quantiles[1], quantiles[3], color=INSIDE_68, lw=0)
+    first = [block[0] for block in blocks]
+    for walker in np.linspace(0, values.shape[1] - 1, N_SINGLE_WALKERS).astype(int):
+        ax.plot(first, values[first, walker], color=GREY, lw=0.4)
+    ax.plot(step, quantiles[2], color=BLACK, lw=1.2)
+    ax.set_xlim(0.0, max(1.0, len(values) - 1.0))
+    ax.set_ylabel(show.label, fontsize=8)
+
+
+def _bars(ax: Axes, height: float, scaled: np.ndarray, colours: tuple[str, str]) -> None:
+    low95, low68, _, high68, high95 = np.quantile(scaled, QUANTILES_95_68_50)
+    ax.barh(height, high95 - low95, 0.3, left=low95, color=colours[0])
+    ax.barh(height, high68 - low68, 0.3, left=low68, color=colours[1])
+
+
+def _learnt(prior_sd: float, sd: float) -> str:
+    if sd == 0.0:
+        return "certain"
+    narrower = prior_sd / sd
+    if narrower < LEARNT_LITTLE:
+        return "little learnt"
+    return f"{narrower:.0f} times narrower" if narrower >= 10.0 else f"{narrower:.1f} times narrower"

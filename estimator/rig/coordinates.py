@@ -1,0 +1,259 @@
+"""Between the vector a sampler moves and the numbers of a rig.
+
+A sampler sees coordinates in which a coil's posterior is close to normal (DESIGN decision 3, docs/decisions/0007): positive numbers as
+logarithms, the external radius through the rms radius of the loops, the position of the front face through that of the winding's
+middle, and wire radius and loop counts through turns, length and thickness, which the data determine separately. With
+`integer_counts` the free loop counts stand unchanged in the last columns and are whole numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import jacfwd
+
+from estimator.frames import rotation_from_vector
+from estimator.rig.parameters import Parameter
+from estimator.rig.rig import Rig
+
+Values = Mapping[str, Tensor]
+_Resolve = Callable[[str], Tensor]
+
+
+class Coordinates:
+    """The free parameters of a rig as one vector, and back.
+
+    Examples:
+        >>> from estimator.rig_files.read import rig_from_text
+        >>> rig = rig_from_text('''
+        ... schema_version: 1
+        ... name: one loop
+        ... coils:
+        ...   coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1, world_from_coil: {z_mm:
+        ...     {prior: {normal: {mean: 0, sd: 2}}}}}
+        ... sensors: {hall: {noise_uT: 20}}
+        ... ''')
+        >>> coordinates = Coordinates(rig)
+        >>> coordinates.names
+        ('coil1.world_from_coil.z_m',)
+        >>> coordinates.values(torch.tensor([0.001]))["coil1.world_from_coil.z_m"]
+        tensor(0.0010)
+    """
+
+    def __init__(self, rig: Rig, integer_counts: bool = False) -> None:
+        self.rig = rig
+        self.integer_counts = integer_counts
+        free = rig.free
+        counts = [p for p in free if p.is_count] if integer_counts else []
+        self.parameters: tuple[Parameter, ...] = (*(p for p in free if p not in counts), *counts)
+        self.n_counts = len(counts)
+        self._column = {parameter.name: i for i, parameter in enumerate(self.parameters)}
+        self._is_log = [p.is_positive and p not in counts and not self._is_radius(p) for p in self.parameters]
+        self._axis = self._nominal_axes()
+        self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
+        self._mix = self._natural_mix()
+        self._unmix = np.linalg.inv(self._mix)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the columns."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def n(self) -> int:
+        """Length of the vector, counts included."""
+        return len(self.parameters)
+
+    @property
+    def n_continuous(self) -> int:
+        """Columns before the whole-numbered counts."""
+        return self.n - self.n_counts
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each column holds, in words."""
+        words = []
+        for i, parameter in enumerate(self.parameters):
+            coil, _, quantity = parameter.name.partition(".")
+            if self._is_radius(parameter):
+                words.append(f"{coil} rms radius")
+            elif parameter.name in self._axis:
+                words.append(f"{parameter.name} of the winding's middle")
+            elif self._mix[i].sum() > 1.5:
+                natural = {
+                    "wire_radius_m": "winding thickness",
+                    "axial_loops": "turns",
+                    "radial_loops": "winding length",
+                }
+                words.append(f"{coil} {natural[quantity]}")
+            else:
+                words.append(parameter.name)
+        return tuple(words)
+
+    def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
+        """Every number of the rig; fixed ones without a batch."""
+        unmix = torch.as_tensor(self._unmix, dtype=vector.dtype, device=vector.device)
+        elementary = vector @ unmix.T if self.n else vector
+        resolved: dict[str, Tensor] = {}
+
+        def resolve(name: str) -> Tensor:
+            if name not in resolved:
+                resolved[name] = self._value(name, elementary, resolve)
+            return resolved[name]
+
+        for name in self.rig.parameters:
+            resolve(name)
+        return resolved
+
+    def vector(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
+        """The coordinates of given values of the free parameters (and of what they need of the others)."""
+        nominal = self.rig.nominal_values()
+        get = {
+            name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64)
+            for name in self.rig.parameters
+        }
+        for name in self.rig.parameters:
+            get[name] = self._follow_tie(name, get)
+        columns = []
+        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+            value = get[parameter.name]
+            if self._is_radius(parameter):
+                coil = parameter.name.partition(".")[0]
+                half, spread = _layers(coil, get.__getitem__)
+                value = torch.sqrt((value - half) ** 2 + spread)
+            elif parameter.name in self._axis:
+                value = value - self._to_front(parameter.name, get.__getitem__)
+            columns.append(torch.log(value) if is_log else value)
+        if not columns:
+            return torch.zeros(0, dtype=torch.float64)
+        return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ torch.as_tensor(self._mix).T
+
+    def bounds(self) -> tuple[Float[Tensor, " coordinate"], Float[Tensor, " coordinate"]]:
+        """Smallest and largest value that the prior allows each free parameter, in the parameter's own unit."""
+        priors = [parameter.prior for parameter in self.parameters if parameter.prior]
+        lower, upper = ([getattr(prior, end) for prior in priors] for end in ("lower", "upper"))
+        return torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64)
+
+    def start(self) -> Float[Tensor, " coordinate"]:
+        """Coordinates of the nominal values."""
+        return self.vector({})
+
+    @cached_property
+    def scale(self) -> Float[Tensor, " coordinate"]:
+        """Prior standard deviation of every coordinate, to first order about the nominal values."""
+        nominal = self.rig.nominal_values()
+        at = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
+        if not self.n:
+            return at
+        slope = jacfwd(lambda values: self.vector(dict(zip(self.names, values, strict=True))))(at)
+        sd = torch.tensor([p.prior.sd for p in self.parameters if p.prior], dtype=torch.float64)
+        return torch.sqrt(slope**2 @ sd**2)
+
+    def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
+        """Log prior density of the coordinates (change of variables included), up to a constant."""
+        values = self.values(vector)
+        total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
+        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+            value = values[parameter.name]
+            assert parameter.prior is not None
+            total = total + parameter.prior.log_density(value)
+            if is_log:
+                total = total + torch.log(value)
+            elif self._is_radius(parameter):
+                half, spread = _layers(parameter.name.partition(".")[0], values.__getitem__)
+                total = total + 0.5 * torch.log1p(spread / (value - half) ** 2)
+        return total
+
+    def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
+        """Draws from the prior, as coordinates; whole numbers for counts where they are integer."""
+        draws: dict[str, Tensor] = {}
+        for parameter in self.parameters:
+            assert parameter.prior is not None
+            draw = parameter.prior.sample(rng, size)
+            draws[parameter.name] = torch.as_tensor(
+                np.maximum(np.round(draw), 1.0) if parameter.is_count else draw
+            )
+        return self.vector(draws)
+
+    def _value(self, name: str, elementary: Tensor, resolve: _Resolve) -> Tensor:
+        parameter = self.rig.parameters[name]
+        if parameter.tie is not None:
+            return parameter.tie.factor * resolve(parameter.tie.to)
+        column = self._column.get(name)
+        if column is None:
+            return torch.tensor(parameter.value, dtype=elementary.dtype, device=elementary.device)
+        value = elementary[..., column]
+        if self._is_radius(parameter):
+            half, spread = _layers(name.partition(".")[0], resolve)
+            return half + torch.sqrt(value**2 - spread)
+        if name in self._axis:
+            return value + self._to_front(name, resolve)
+        return torch.exp(value) if self._is_log[column] else value
+
+    def _follow_tie(self, name: str, values: Mapping[str, Tensor]) -> Tensor:
+        tie = self.rig.parameters[name].tie
+        return values[name] if tie is None else tie.factor * self._follow_tie(tie.to, values)
+
+    def _is_radius(self, parameter: Parameter) -> bool:
+        coil, _, quantity = parameter.name.partition(".")
+        return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
+
+    def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
+        """From the middle of the winding to its front face, along the nominal axis: what tilts add is linear enough."""
+        coil = name.partition(".")[0]
+        return 0.5 * self._axis[name] * resolve(f"{coil}.axial_pitch_m") * resolve(f"{coil}.axial_loops")
+
+    def _nominal_axes(self) -> dict[str, float]:
+        """Component of the coil's nominal axis along each free position of a coil whose length may change."""
+        nominal = self.rig.nominal_values()
+        axes: dict[str, float] = {}
+        for coil in self.rig.coils:
+            if not any(
+                self.rig.depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
+            ):
+                continue
+            for block in ("world_from_coil", "world_from_coil0", "flange_from_coil"):
+                prefix = f"{coil.name}.{block}"
+                if f"{prefix}.rx_rad" not in nominal:
+                    continue
+                turn, own = (
+                    rotation_from_vector(torch.tensor([nominal[f"{prefix}.{key}"] for key in keys]).double())
+                    for keys in (("rx_rad", "ry_rad", "rz_rad"), ("tilt_x_rad", "tilt_y_rad", "spin_rad"))
+                )
+                axis = (turn @ own)[:, 2].tolist()
+                names = [f"{prefix}.{key}" for key in ("x_m", "y_m", "z_m")]
+                axes |= {
+                    name: a
+                    for name, a in zip(names, axis, strict=True)
+                    if name in self._column and abs(a) > 1e-9
+                }
+        return axes
+
+    def _natural_mix(self) -> np.ndarray:
+        """Rows that turn (log R_w, log N_a, log N_r) into (log thickness, log turns, log length) where all three are free."""
+        mix = np.eye(self.n)
+        if self.integer_counts:
+            return mix
+        for coil in self.rig.coils:
+            names = [f"{coil.name}.{key}" for key in ("wire_radius_m", "axial_loops", "radial_loops")]
+            ties = [self.rig.parameters[f"{coil.name}.{pitch}_pitch_m"].tie for pitch in ("axial", "radial")]
+            if all(name in self._column for name in names) and all(
+                tie and tie.to == names[0] for tie in ties
+            ):
+                wire, axial, radial = (self._column[name] for name in names)
+                mix[wire, [wire, radial]] = 1.0
+                mix[axial, [axial, radial]] = 1.0
+                mix[radial] = 0.0
+                mix[radial, [wire, axial]] = 1.0
+        return mix
+
+
+def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:
+    """Half the thickness of a winding, and the variance of the radii of its loops."""
+    pitch_m, loops = resolve(f"{coil}.radial_pitch_m"), resolve(f"{coil}.radial_loops")
+    return 0.5 * pitch_m * loops, pitch_m**2 * (loops**2 - 1.0) / 12.0

@@ -1,0 +1,221 @@
+"""What stands in the laboratory: coils, sensors, and the movers that carry them, as frozen records.
+
+The records name things and say how they hang together; all numbers are `Parameter`s under dotted names such as
+`coil1.world_from_coil.x_m`. `estimator.rig_files` reads them from YAML; `estimator.model` predicts readings from them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from enum import StrEnum
+from typing import Any
+
+from estimator.errors import InvalidInput
+from estimator.rig.parameters import Parameter
+
+POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
+POSE_QUANTITIES = (
+    ("x", "length"),
+    ("y", "length"),
+    ("z", "length"),
+    ("rx", "angle"),
+    ("ry", "angle"),
+    ("rz", "angle"),
+    ("tilt_x", "angle"),
+    ("tilt_y", "angle"),
+    ("spin", "angle"),
+)
+
+
+class MotionKind(StrEnum):
+    """What a mover's column in the session says."""
+
+    POSE = "pose"  # base_from_flange as position and rotation vector
+    DISPLACEMENT = "displacement"  # position relative to a reference configuration
+    UR3 = "UR3"  # six joint angles
+    UR3E = "UR3e"
+
+
+class DisplacementFrame(StrEnum):
+    """Axes in which a displacement is reported."""
+
+    END_EFFECTOR = "end_effector"
+    BASE = "base"
+
+
+class FieldSum(StrEnum):
+    """How the fields of a winding's loops are added."""
+
+    VECTORS = "vectors"
+    SPHERICAL_COMPONENTS = "spherical_components"  # about different centres, as the paper's eq 13 has it: wrong, kept for comparison
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A robot or stage; `motion` says what its readings mean.
+
+    `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
+    controller reports in the base frame into the end-effector frame.
+    """
+
+    name: str
+    motion: MotionKind
+    displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
+    reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of this mover's columns in a readings table."""
+        if self.motion in (MotionKind.UR3, MotionKind.UR3E):
+            return tuple(f"{self.name}_q{i}_rad" for i in range(6))
+        return tuple(f"{self.name}_{axis}" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
+
+
+@dataclass(frozen=True)
+class Body:
+    """A coil or a sensor: fixed in the world, or carried by a mover."""
+
+    name: str
+    carried_by: str | None = None
+
+
+@dataclass(frozen=True)
+class Coil(Body):
+    """A circular multi-layer winding.
+
+    Attributes:
+        field_sum: How its simulation adds loops.
+        is_superconducting: Its wire may hold on to flux.
+    """
+
+    field_sum: FieldSum = FieldSum.VECTORS
+    is_superconducting: bool = False
+
+
+class Sensor(Body):
+    """A three-axis magnetometer; single components may be missing in its readings."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect that a rig is known or supposed to have; its numbers are parameters named `cause[place].quantity`."""
+
+    name: str
+    place: str
+
+    @property
+    def label(self) -> str:
+        """Cause and place, as in rig files."""
+        return f"{self.name}[{self.place}]"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A laboratory as the model sees it.
+
+    Attributes:
+        name: Shown in titles.
+        coils, sensors, movers: In the order of the session's columns.
+        parameters: Every number by its dotted name, in file order.
+        text: The YAML it was read from; its hash identifies the rig.
+        effects: What is known or supposed to be wrong with it.
+        devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
+    """
+
+    name: str
+    coils: tuple[Coil, ...]
+    sensors: tuple[Sensor, ...]
+    movers: tuple[Mover, ...]
+    parameters: Mapping[str, Parameter]
+    text: str = ""
+    effects: tuple[Cause, ...] = ()
+    devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that a fit may move."""
+        return tuple(p for p in self.parameters.values() if p.is_free)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over the structure and every parameter, not over the devices."""
+        lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.effects))]
+        lines += [repr(parameter) for parameter in self.parameters.values()]
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+    def mover(self, name: str) -> Mover:
+        """The mover of that name."""
+        return next(mover for mover in self.movers if mover.name == name)
+
+    def with_values(self, values: Mapping[str, float]) -> Rig:
+        """The same rig with other nominal values.
+
+        Raises:
+            InvalidInput: A name is not a parameter of the rig, or is tied to another.
+        """
+        parameters = dict(self.parameters)
+        for name, value in values.items():
+            if name not in parameters:
+                closest = get_close_matches(name, parameters, n=1, cutoff=0.0)
+                raise InvalidInput(
+                    f"rig {self.name!r} has no parameter {name!r}; the closest name is {' '.join(closest)}"
+                )
+            tie = parameters[name].tie
+            if tie is not None:
+                raise InvalidInput(f"{name} is tied to {tie.to} in rig {self.name!r}; set that one")
+            parameters[name] = replace(parameters[name], value=value)
+        return replace(self, parameters=parameters)
+
+    def depends_on_data(self, name: str) -> bool:
+        """Whether a parameter is free, or tied to one that is."""
+        parameter = self.parameters[name]
+        return self.depends_on_data(parameter.tie.to) if parameter.tie else parameter.is_free
+
+    def with_fixed(self, names: Iterable[str]) -> Rig:
+        """The same rig with some parameters fixed at their nominal values."""
+        fixed = {name: replace(self.parameters[name], prior=None) for name in names}
+        return replace(self, parameters={**self.parameters, **fixed})
+
+    def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
+        """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
+        more = {parameter.name: parameter for parameter in parameters}
+        return replace(self, parameters={**self.parameters, **more}, effects=(*self.effects, cause))
+
+    def without_cause(self, cause: Cause) -> Rig:
+        """The same rig without an effect."""
+        kept = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
+        return replace(self, parameters=kept, effects=tuple(c for c in self.effects if c != cause))
+
+    def broken_rule(self) -> tuple[str, str, str] | None:
+        """First nominal value that no rig can have: the parameter, the rule it breaks, and what it is; None where all are possible."""
+        values = self.nominal_values()
+        for name, value in values.items():
+            parameter = self.parameters[name]
+            if not math.isfinite(value):
+                return name, "must be finite", f"{value}"
+            if parameter.is_count and value < 1.0:
+                return name, "must be at least 1", f"{value:g}"
+            # A noise of 0 is fine in a simulation, a length of 0 is not.
+            if parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
+                return name, "must be > 0", f"{value:g} {parameter.unit}"
+        for coil in self.coils:
+            radius_m = values[f"{coil.name}.radius_m"]
+            thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
+            if radius_m <= thickness_m:
+                rule = (
+                    f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
+                )
+                return f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+        return None
+
+    def nominal_values(self) -> dict[str, float]:
+        """Nominal value of every parameter, ties resolved."""
+        return {name: self._nominal(name) for name in self.parameters}
+
+    def _nominal(self, name: str) -> float:
+        parameter = self.parameters[name]
+        return parameter.tie.factor * self._nominal(parameter.tie.to) if parameter.tie else parameter.value

@@ -1,0 +1,1 @@
+"""Several coils, each calibrated with the others off, as one field."""

@@ -1,0 +1,56 @@
+"""Time of a diagnosis of 512 readings with all causes in the race, without the final sampling; `make bench-diagnose` runs it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+from estimator import Session, diagnose, draw_truth, load_plan, load_rig, simulate
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+PLAN = """\
+schema_version: 1
+name: 512 readings
+poses:
+  calibration:
+    arm1: {x_mm: {from: -50, to: 50, count: 8}, y_mm: {from: -50, to: 50, count: 8}, z_mm: {from: -25, to: 25, count: 8}}
+currents_A: [{coil1: 3}]
+order: random
+settle_s: 0.5
+"""
+HIDDEN = ({}, {"axis_gain.x": 0.01}, {"cross_axis.xy": 0.01}, {"coil_heating": 0.02}, {"iron_plate": 0.5})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--threads", type=int, default=2)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    rig = load_rig(CONFIGS / "paper_simulation.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.yaml"
+        path.write_text(PLAN)
+        plan = load_plan(path, rig)
+    print(f"{options.threads} threads, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    for seed, hidden in enumerate(HIDDEN):
+        truth = draw_truth(rig, seed)
+        readings, others = (simulate(rig, plan, truth, seed=s, hidden=hidden) for s in (seed, 100 + seed))
+        begin, processor = time.perf_counter(), time.process_time()
+        found = diagnose(
+            Session(rig, readings, "simulated"), validation=Session(rig, others, "again"), seed=seed
+        )
+        print(
+            f"{len(readings)} readings, hidden {', '.join(hidden) or 'nothing'}: {found.verdict} "
+            f"{', '.join(found.label(one.cause) for one in found.causes)} in {time.perf_counter() - begin:.1f} s "
+            f"({time.process_time() - processor:.1f} processor seconds)",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

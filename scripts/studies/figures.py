@@ -1,0 +1,73 @@
+"""Pictures in docs/figures, from what `make` left behind: demo, real, diagnose-real, mice-filaments and paper."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+from estimator import Calibration
+from estimator.calibration.figures import pictures
+
+ROOT = Path(__file__).resolve().parents[2]
+WANTED = {
+    "demo/calibration": {
+        "demo_posterior": "Posterior",
+        "demo_field": "Field of coil1",
+        "demo_residual": "Residual around coil1",
+    },
+    "out/real/mice-run07": {
+        "mice_run07_residual": "Residual around M1",
+        "mice_run07_predicted": "Predicted against measured",
+        "mice_run07_sensors": "Residuals by sensor",
+        "mice_run07_learnt": "What the data taught",
+    },
+    "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
+}
+LADDER = "what_each_cause_brought"
+DIAGNOSED = {
+    "run01_ladder": f"out/diagnosis/mice-run01/{LADDER}.png",
+    "run03_ladder": f"out/diagnosis/mice-run03/{LADDER}.png",
+    "run03_left": "out/diagnosis/mice-run03/residual_around_e1_before_and_after.png",
+    "run07_ladder": f"out/diagnosis_with_plate/mice-run07/{LADDER}.png",
+    "run07_left": "out/diagnosis_with_plate/mice-run07/residual_around_m1_before_and_after.png",
+}
+PAPER = (
+    "interactions",
+    "valley",
+    "relative_error_start",
+    "relative_error_calibrated",
+    "angle_calibrated",
+    "twin_residual",
+    "twin_predicted_literal",
+    "twin_predicted_extended",
+)
+
+
+def main() -> None:
+    folder = ROOT / "docs/figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    for source, names in WANTED.items():
+        if not (ROOT / source / "summary.json").exists():
+            print(f"{source} holds no calibration; its figures stay as they are", file=sys.stderr)
+            continue
+        drawn = {picture.title: picture.figure for picture in pictures(Calibration.load(ROOT / source))}
+        for file, title in names.items():
+            drawn[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
+            print(folder / f"{file}.png")
+    copies = {f"paper_{name}": f"out/paper/{name}.png" for name in PAPER}
+    copies |= {f"mice_{name}": path for name, path in DIAGNOSED.items()}
+    copies["mice_run01_without_current"] = "out/mice_filaments/without_current.png"
+    for name, path in copies.items():
+        if (ROOT / path).exists():
+            print(shutil.copyfile(ROOT / path, folder / f"{name}.png"))
+        else:
+            print(f"{path} is not there; its copy stays as it is", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

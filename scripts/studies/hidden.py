@@ -1,0 +1,289 @@
+"""Hide effects in sessions of independent code and count how often the diagnosis finds them; `make hidden` runs it.
+
+Every case is appended to a file as it ends, so an interrupted study continues. Afterwards it prints the shares that matter and the
+confusion matrix.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import tempfile
+import time
+from collections import Counter
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+from estimator import diagnose, load_rig
+from estimator.diagnosis.diagnose import MORE_STARTS
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.readings.metrics import HALF_WIDTH_90
+from estimator.store.importers.readings_csv import read_readings_csv
+from tests.hidden.handed_in import HiddenSession
+from tests.hidden.study import KINDS, credible_sets, draw_case, label, true_quantities
+
+Row = dict[str, Any]
+LUCKY_SD = 3.09  # standard deviations that a normal number exceeds once in a thousand
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=300, help="of each kind")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--first-seed", type=int, default=30_000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("out/hidden.jsonl"))
+    options = parser.parse_args()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = read(options.out)
+    seeds = range(options.first_seed, options.first_seed + options.cases)
+    wanted = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
+    missing = [case for case in wanted if case not in rows]
+    with (
+        multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool,
+        options.out.open("a") as file,
+    ):
+        for i, row in enumerate(pool.imap_unordered(worker, missing), start=1):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            rows[row["kind"], row["seed"]] = row
+            print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
+    failed = [rows[case] for case in wanted if "error" in rows[case]]
+    for row in failed:
+        print(line(row))
+    print(f"{len(failed)} of {len(wanted)} diagnoses failed; they are in no share below")
+    show([rows[case] for case in wanted if "error" not in rows[case]])
+
+
+def one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def worker(case: tuple[str, int]) -> Row:
+    kind, seed = case
+    try:
+        return run_case(kind, seed)
+    except Exception as error:  # a case that fails is a result of the study
+        return {"kind": kind, "seed": seed, "error": f"{type(error).__name__}: {error}"}
+
+
+def run_case(kind: str, seed: int) -> dict[str, Any]:
+    """Hide, diagnose, and say what came out; the diagnosis sees the rig file and the table of readings only."""
+    hidden = draw_case(kind, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        hidden.write(Path(folder))
+        rig = load_rig(Path(folder) / "rig.yaml")
+        session = read_readings_csv(Path(folder) / "readings.csv", rig)
+    begin = time.perf_counter()
+    diagnosis = diagnose(session, seed=seed)
+    seconds = time.perf_counter() - begin
+    found, truth = diagnosis.record(), hidden.truth()
+    unflawed = fit_without_flaws(hidden, diagnosis.plain) if kind == "single" else None
+    noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
+    return {
+        "kind": kind,
+        "seed": seed,
+        "protocol": truth["protocol"],
+        "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
+        "noise_T": noise_T,
+        "verdict": found["verdict"],
+        "causes": found["causes"],
+        "twins": found["indistinguishable"],
+        "unexplained": found["unexplained"],
+        "steps": [
+            [(c["name"], c["log_bayes_factor"], c["probability"]) for c in step["considered"][:6]]
+            for step in found["steps"]
+        ],
+        "gain": found.get("gain"),
+        "coil": {
+            name: {
+                "truth": value,
+                "before": float(diagnosis.plain.values[name]),
+                "after": float(diagnosis.fit.values[name]),
+                "sd_before": diagnosis.plain.value_sd(name),
+                "sd_after": diagnosis.value_sd(name),
+                "unflawed": None if unflawed is None else float(unflawed.values[name]),
+            }
+            for name, value in truth["values"].items()
+            if name in diagnosis.plain.posterior.coordinates.names and not name.endswith("noise_T")
+        },
+        "n_unseen": None if diagnosis.gain is None else len(diagnosis.gain.after.log_density),
+        "seconds": seconds,
+    }
+
+
+def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
+    """What the rig as described would have been fitted to, had nothing been wrong: the same readings and noise without the flaw."""
+    with tempfile.TemporaryDirectory() as folder:
+        hidden.without_flaws().write(Path(folder))
+        session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
+    rules = plain.posterior.chain.rules
+    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, MORE_STARTS)
+
+
+def read(path: Path) -> dict[tuple[str, int], Row]:
+    if not path.exists():
+        return {}
+    return {(row["kind"], row["seed"]): row for row in map(json.loads, path.read_text().splitlines())}
+
+
+def line(row: Row) -> str:
+    if "error" in row:
+        return f"{row['kind']} {row['seed']}: {row['error']}"
+    truth = " + ".join(cause["label"] for cause in row["truth"]) or "nothing"
+    found = " + ".join(" or ".join(names) for names in credible_sets(row)) or "-"
+    return f"{row['kind']} {row['seed']} {row['protocol']}: {truth} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
+
+
+def show(rows: list[Row]) -> None:
+    by_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
+    for kind in ("single", "discrete"):
+        if by_kind[kind]:
+            show_single(kind, by_kind[kind])
+    if by_kind["clean"]:
+        alarms = [row for row in by_kind["clean"] if row["verdict"] != "nothing_found"]
+        print(
+            f"clean: {len(by_kind['clean'])} sessions, false alarm in {share(len(alarms), len(by_kind['clean']))}"
+        )
+    if by_kind["pair"]:
+        both = sum(found_all(row) for row in by_kind["pair"])
+        print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
+        show_coverage(by_kind["pair"])
+    if by_kind["outside"]:
+        show_outside(by_kind["outside"])
+    if rows:
+        seconds = sorted(row["seconds"] for row in rows)
+        print(f"time of a diagnosis: median {seconds[len(seconds) // 2]:.1f} s, longest {seconds[-1]:.1f} s")
+    print("confusion, truth -> first set of causes")
+    confusion = Counter(
+        (truth_of(row), found_of(row)) for row in rows if row["kind"] in ("single", "discrete", "outside")
+    )
+    for (truth, found), number in sorted(confusion.items()):
+        print(f"  {truth:24} {found:60} {number}")
+
+
+def show_single(kind: str, rows: list[Row]) -> None:
+    first = [credible_sets(row)[0] if row["causes"] else [] for row in rows]
+    truth = [row["truth"][0]["label"] for row in rows]
+    holds = sum(t in names for t, names in zip(truth, first, strict=True))
+    sizes = [len(names) for names in first if names]
+    named = [(t, row) for t, row in zip(truth, rows, strict=True) if row["verdict"] == "named"]
+    right = sum(len(row["causes"]) == 1 and credible_sets(row)[0][0] == t for t, row in named)
+    print(
+        f"{kind}: {len(rows)} sessions, truth in the credible set of the first cause in {share(holds, len(rows))}, mean size of the set "
+        f"{sum(sizes) / max(len(sizes), 1):.2f}, right where one cause is named in {share(right, len(named))}; verdicts "
+        f"{dict(Counter(row['verdict'] for row in rows))}"
+    )
+    several = [row for row, names in zip(rows, first, strict=True) if len(names) > 1]
+    if several:
+        explained = sum(is_explained(row["causes"][0]) for row in several)
+        print(
+            f"  sets of several causes that what the readings can tell apart explains: {share(explained, len(several))}"
+        )
+    if kind == "single":
+        show_sizes(rows)
+        show_coverage(rows)
+
+
+def is_explained(cause: dict[str, Any]) -> bool:
+    """Whether every other member had a chance of one in a thousand, at least, to stay in the credible set: some are lucky in 300 sessions.
+
+    The log evidence of one hypothesis against another scatters by the root of twice its expected value.
+    """
+    expected = [other["expected_log_evidence"] for other in cause["alternatives"]]
+    return all(e is not None and e - LUCKY_SD * math.sqrt(2.0 * e) < math.log(20.0) for e in expected)
+
+
+def show_sizes(rows: list[Row]) -> None:
+    """True sizes inside 90 % intervals, unseen readings against the noise, and the coil's numbers, where one right cause was found."""
+    inside = []
+    ratio, coils = [], []
+    for row in rows:
+        sets = credible_sets(row)
+        if len(sets) != 1 or sets[0][0] != truth_of(row):
+            continue
+        found = row["causes"][0]["parameters"]
+        for key, value in true_quantities(row["truth"][0]).items():
+            if key in found:
+                low, high = found[key]["ci90"]
+                inside.append(low <= value <= high)
+        if row["gain"]:
+            noise_T = math.sqrt(3.0 * sum(v**2 for v in row["noise_T"].values()) / len(row["noise_T"]))
+            ratio.append((row["gain"]["after"]["vector_T"] / noise_T) ** 2)
+        coils.append([in_sd(numbers) for numbers in row["coil"].values()])
+    if inside:
+        print(f"  true sizes inside their 90 % intervals: {share(sum(inside), len(inside))}")
+        print(
+            f"  error on unseen readings over the noise, rms over sessions: {math.sqrt(sum(ratio) / len(ratio)):.3f}"
+        )
+        show_coils(coils)
+
+
+def in_sd(numbers: dict[str, float]) -> tuple[float, float, float]:
+    """Error of one parameter of the coil before and after the extension and without the flaw, in sd of the fit before."""
+    before, after, unflawed = (
+        (numbers[k] - numbers["truth"]) / numbers["sd_before"] for k in ("before", "after", "unflawed")
+    )
+    return before, after, unflawed
+
+
+def show_coils(coils: list[list[tuple[float, float, float]]]) -> None:
+    """How often the extension brings the coil closer to the truth, by how far the flaw had moved it, and how often no flaw would."""
+    for least_sd in (1.0, 2.0, 3.0, 4.0):
+        biased = [c for c in coils if max(abs(before - unflawed) for before, _, unflawed in c) > least_sd]
+        norms = [tuple(math.hypot(*errors) for errors in zip(*c, strict=True)) for c in biased]
+        closer = sum(after < before for before, after, _ in norms)
+        at_best = sum(unflawed < before for before, _, unflawed in norms)
+        print(
+            f"  coil closer to the truth, of those that the flaw had moved by more than {least_sd:g} sd: {share(closer, len(biased))}; "
+            f"a fit of the same readings without the flaw is closer in {share(at_best, len(biased))}"
+        )
+
+
+def show_coverage(rows: list[Row]) -> None:
+    """How many of the coil's true numbers lie in the 90 % intervals of the extended rig."""
+    numbers = [one for row in rows for one in row["coil"].values() if "sd_after" in one]
+    inside = sum(abs(one["after"] - one["truth"]) < HALF_WIDTH_90 * one["sd_after"] for one in numbers)
+    print(f"  the coil's true numbers inside their 90 % intervals: {share(inside, len(numbers))}")
+
+
+def show_outside(rows: list[Row]) -> None:
+    unexplained = sum(row["verdict"] == "unexplained" for row in rows)
+    wrong = sum(bool(row["causes"]) and row["verdict"] != "unexplained" for row in rows)
+    print(
+        f"outside the library: {len(rows)} sessions, unexplained in {share(unexplained, len(rows))}, a wrong name in "
+        f"{share(wrong, len(rows))}"
+    )
+    show_coverage(rows)
+
+
+def found_all(row: Row) -> bool:
+    """Whether every true cause stands in a set of its own."""
+    sets, true = credible_sets(row), [cause["label"] for cause in row["truth"]]
+    return any(
+        all(name in names for name, names in zip(true, chosen, strict=True))
+        for chosen in permutations(sets, len(true))
+    )
+
+
+def truth_of(row: Row) -> str:
+    return " + ".join(cause["label"] for cause in row["truth"])
+
+
+def found_of(row: Row) -> str:
+    names = " or ".join(credible_sets(row)[0]) if row["causes"] else "-"
+    return f"{row['verdict']}: {names}"
+
+
+def share(part: int, whole: int) -> str:
+    return f"{part / max(whole, 1):.1%} ({part} of {whole})"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,500 @@
+"""Stops are visited in order, written down before anybody is told, and no current flows afterwards, however it ends."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import random
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from drivers.errors import DeviceFault
+from drivers.guarded import GuardedSource
+from drivers.interlock import Interlock
+from drivers.protocols import ReadingFlag
+from drivers.safety import CurrentLimits
+from estimator.acquisition.acquire import Progress, acquire, references_of
+from estimator.acquisition.averages import is_settled
+from estimator.acquisition.pace import FEWEST_READINGS, Pace, digest_of, stops_of
+from estimator.errors import InvalidInput
+from estimator.readings.observations import Observations
+from estimator.readings.plan import load_plan
+from estimator.rig.rig import Rig
+from estimator.store.growing import StopRecord, load_so_far, new_header, observations_of
+from estimator.store.journal import Journal, read_journal
+from estimator.store.session import load_session, seal
+from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
+
+PACE = Pace(0.0, 6, 0.05, {"arm1": 10.0}, {"coil1": 100.0})
+PLAN = """\
+schema_version: 1
+name: three stops
+settle_s: 0.01
+stops:
+- {arm1: {x_mm: 10}, current_A: {coil1: 3}}
+- {arm1: {x_mm: 10}, current_A: {coil1: -3}}
+- {arm1: {x_mm: 10, y_mm: -20}, current_A: {coil1: -3}}
+"""
+
+
+class Scripted(MemorySensor):
+    """Says what a list holds, the last for ever."""
+
+    def __init__(self, *values: Any) -> None:
+        super().__init__()
+        self.values = list(values)
+
+    def read_field_T(self, *, timeout_s: float) -> Any:
+        self.obey("read", timeout_s=timeout_s)
+        value = self.values.pop(0) if len(self.values) > 1 else self.values[0]
+        return self.counter.reading(*value) if isinstance(value[0], tuple) else self.counter.reading(value)
+
+
+def rig_of_devices(sensor: MemorySensor | None = None) -> Any:
+    return SimpleNamespace(
+        sensors={"hall": sensor or MemorySensor()},
+        sources={"coil1": MemorySource()},
+        arms={"arm1": MemoryArm()},
+        thermometers={},
+    )
+
+
+@pytest.fixture
+def stops(small_rig: Rig, tmp_path: Path) -> Observations:
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    return stops_of(load_plan(path, small_rig), small_rig, seed=0)
+
+
+def begun(folder: Path, rig: Rig, stops: Observations, devices: Any) -> Journal:
+    return Journal.create(folder, new_header(rig, "a test", digest_of(stops), references_of(rig, devices)))
+
+
+def test_a_plan_is_visited_and_nothing_is_sent_twice(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    folder = tmp_path / "session.zarr"
+    told: list[Progress] = []
+
+    def on_stop(progress: Progress) -> None:
+        assert len(read_journal(folder)[1]) == progress.n_done  # on the disk before it is said
+        told.append(progress)
+
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, on_stop)
+        seal(folder)
+    x_m, y_m, z_m = HOME.position_m
+    ways = [(x_m + 0.01, y_m, z_m), (x_m + 0.01, y_m - 0.02, z_m), (x_m, y_m, z_m)]
+    moves = [command[1] for command in devices.arms["arm1"].told]
+    assert moves == [pytest.approx(way) for way in ways]
+    assert devices.sources["coil1"].told == [("set", 3.0), ("set", -3.0), ("off",)]
+    readings = load_session(folder).observations
+    assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
+    assert torch.allclose(readings.motion["arm1"], stops.motion["arm1"], atol=1e-12)
+    assert bool((readings.time_s.diff() > 0.0).all())
+    assert [(p.n_done, p.n_stops) for p in told] == [(1, 3), (2, 3), (3, 3)]
+    assert told[-1].left_s == 0.0 < told[0].left_s
+
+
+def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_its_stop(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = journal.records
+    assert 0.0 <= first["begin_s"] < first["end_s"] == second["begin_s"] < second["end_s"] < third["begin_s"]
+    for record in (first, second, third):
+        assert record["begin_s"] < record["time_s"] < record["measured_s"]["coil1"] < record["end_s"]
+    spells = load_so_far(read_journal(folder)[1], ["coil1"], third["end_s"])["coil1"]
+    assert sum(duration_s for duration_s, _ in spells) == pytest.approx(third["end_s"])
+
+
+@pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])
+def test_however_it_ends_the_current_goes_off_and_the_next_run_goes_on(
+    tmp_path: Path, small_rig: Rig, stops: Observations, error: BaseException
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def fail(progress: Progress) -> None:
+        if progress.n_done == 2:
+            raise error
+
+    with begun(folder, small_rig, stops, devices) as journal, pytest.raises(type(error)):
+        acquire(stops, small_rig, devices, journal, PACE, fail)
+    assert devices.sources["coil1"].current_A == 0.0
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    again = rig_of_devices()
+    again.arms["arm1"].pose = devices.arms["arm1"].pose  # it was left where it stood
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, again, journal, PACE)
+    readings = load_session(folder).observations
+    assert torch.allclose(readings.motion["arm1"], stops.motion["arm1"], atol=1e-12)
+    assert bool((readings.time_s.diff() > 0.0).all())
+    assert again.sources["coil1"].told == [("set", -3.0), ("off",)]
+
+
+def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not_on_it(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def fill_disk(progress: Progress) -> None:
+        assert progress.n_done == 1  # nobody hears of the second
+        monkeypatch.setattr(os, "pwrite", full)
+
+    with (
+        begun(folder, small_rig, stops, devices) as journal,
+        pytest.raises(InvalidInput, match="No space left on device"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE, fill_disk)
+    monkeypatch.undo()
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    assert len(load_session(folder).observations) == 1
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_times_go_on_whatever_is_done_to_the_clock_of_the_computer(
+    tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() + step_s)
+    with Journal.resume(folder) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+    time_s = load_session(folder).observations.time_s
+    assert bool((time_s.diff() > 0.0).all())
+
+
+def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
+    tmp_path: Path, small_rig: Rig, stops: Observations, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Stuck(MemorySource):
+        def output_off(self, *, timeout_s: float) -> None:
+            raise DeviceFault("stuck")
+
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Stuck()
+    with (
+        begun(tmp_path / "a", small_rig, stops, devices) as journal,
+        pytest.raises(DeviceFault, match="stuck"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE)
+    devices.sensors["hall"].fault = "dead"
+    with (
+        begun(tmp_path / "b", small_rig, stops, devices) as journal,
+        pytest.raises(DeviceFault, match="dead"),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE)
+    assert caplog.text.count("coil1 is not known to be off: stuck") == 2
+
+
+class Tripping(MemorySource):
+    """Says at the second stop, where the current stays, that something is wrong."""
+
+    n_read = 0
+    wrong: Any = (3.0, ReadingFlag.NONE)
+
+    def read_current_A(self, *, timeout_s: float) -> Any:
+        self.n_read += 1
+        return (
+            self.counter.reading(*self.wrong)
+            if self.n_read > 1
+            else super().read_current_A(timeout_s=timeout_s)
+        )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ((2.1, ReadingFlag.OVER_RANGE), "must carry 3 A; its supply has reached a limit and measures 2.1 A"),
+        ((3.0, ReadingFlag.STALE), "must carry 3 A; its supply does not measure what it carries now"),
+        ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply does not measure what it carries now"),
+    ],
+)
+def test_a_stop_whose_current_is_not_known_to_be_what_was_asked_for_is_not_written_down(
+    tmp_path: Path, small_rig: Rig, stops: Observations, wrong: Any, words: str
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripping()
+    devices.sources["coil1"].wrong = wrong
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match=words):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert devices.sources["coil1"].told == [("set", 3.0), ("off",)]
+    assert len(load_session(folder).observations) == 1
+
+
+def test_a_supply_is_looked_at_at_every_stop_also_where_its_current_stays(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Tripped(Tripping):
+        """What a guarded supply does once it is off by itself."""
+
+        def read_current_A(self, *, timeout_s: float) -> Any:
+            if self.n_read:
+                raise DeviceFault("coil1 must carry 3 A; it measures 0 A")
+            return super().read_current_A(timeout_s=timeout_s)
+
+    devices = rig_of_devices()
+    devices.sources["coil1"] = Tripped()
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, same, devices) as journal, pytest.raises(DeviceFault, match="measures 0 A"):
+        acquire(same, small_rig, devices, journal, PACE)
+    assert len(load_session(folder).observations) == 1
+
+
+def test_the_current_that_was_measured_is_part_of_the_session(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices = rig_of_devices()
+    devices.sources["coil1"].share = 0.999
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        seal(folder)
+    readings = load_session(folder).observations
+    assert readings.current_measured_A is not None
+    assert readings.current_measured_A.flatten().tolist() == pytest.approx([2.997, -2.997, -2.997])
+    assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
+
+
+def first_record(
+    tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 6
+) -> dict[str, Any]:
+    devices = rig_of_devices(sensor)
+    with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0])), rig, devices, journal, replace(PACE, n_readings=n_readings))
+        return journal.records[0]
+
+
+def test_temperatures_are_recorded_with_every_reading(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Warming:
+        """A kelvin more at each look; the second time it has no number."""
+
+        n_read = 0
+
+        def read_temperature_K(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            value_K = math.nan if self.n_read == 2 else 293.15 + self.n_read
+            return MemorySensor().counter.reading(value_K)
+
+    devices = rig_of_devices()
+    devices.thermometers["coil1"] = Warming()
+    folder = tmp_path / "session.zarr"
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops.rows(torch.tensor([0, 1, 2])), small_rig, devices, journal, PACE)
+        growing = load_session(folder).observations
+        seal(folder)
+    for readings in (growing, load_session(folder).observations):
+        assert list(readings.temperature_C) == ["coil1"]
+        assert readings.temperature_C["coil1"].tolist() == pytest.approx([21.0, math.nan, 23.0], nan_ok=True)
+
+
+def test_a_thermometer_added_while_a_session_is_interrupted_knows_nothing_of_before(
+    small_rig: Rig,
+) -> None:
+    records = [
+        StopRecord(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).record()
+        for i in range(2)
+    ]
+    del records[0]["temperature_C"]  # as in journals of earlier versions
+    records[1]["temperature_C"] = {"coil1": 25.0}
+    warmth_C = observations_of(records, small_rig).temperature_C["coil1"]
+    assert warmth_C.tolist() == pytest.approx([math.nan, 25.0], nan_ok=True)
+
+
+def test_readings_are_averaged_without_those_that_repeat(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    values = [
+        (0.0, 0.0, 1e-3),
+        (0.0, 0.0, 3e-3),
+        ((9.0, 9.0, 9.0), ReadingFlag.STALE),
+        *[(0.0, 0.0, 1e-3), (0.0, 0.0, 3e-3)] * 2,
+    ]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*values))
+    assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
+    assert record["sd_T"]["hall"][2] == pytest.approx(1e-3 * math.sqrt(6 / 5))
+    assert record["is_settled"]
+
+
+def test_a_stop_is_dated_by_the_clock_of_its_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Late(MemorySensor):
+        """Hands its readings over 20 ms after it took them, but the first at once; its clock runs since 1970."""
+
+        n_read = 0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            now_s = time.monotonic()
+            taken_s = now_s if self.n_read == 1 else now_s - 0.02
+            return self.counter.reading((0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=taken_s + 1e9)
+
+    record = first_record(tmp_path, small_rig, stops, Late(), n_readings=10)
+    assert record["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
+    again = first_record(tmp_path / "again", small_rig, stops, MemorySensor())
+    assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
+
+
+def test_how_old_a_reading_may_be_is_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    class Slow(MemorySensor):
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            time.sleep(0.05)
+            return super().read_field_T(timeout_s=timeout_s)
+
+    record = first_record(tmp_path, small_rig, stops, Slow())
+    assert sorted(record["answer_s"]) == ["arm1", "coil1", "hall"]
+    assert record["answer_s"]["hall"] >= 0.05
+    assert 0.0 < record["answer_s"]["coil1"] < record["end_s"] - record["begin_s"]
+
+
+@pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
+def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_s: float
+) -> None:
+    class Set(MemorySensor):
+        """Its clock is set before the second stop."""
+
+        step_s = 0.0
+
+        def read_field_T(self, *, timeout_s: float) -> Any:
+            now_s = time.monotonic()
+            return self.counter.reading(
+                (0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=now_s + self.step_s
+            )
+
+    devices = rig_of_devices(Set())
+
+    def set_clock(_: Progress) -> None:
+        devices.sensors["hall"].step_s = step_s
+
+    begin_s = time.monotonic()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, set_clock)
+        times_s = [record["time_s"] for record in journal.records]
+    assert times_s == sorted(times_s)
+    assert 0.0 < times_s[-1] < time.monotonic() - begin_s
+
+
+@pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
+def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
+    tmp_path: Path, small_rig: Rig, stops: Observations, step_m: float, is_same: bool
+) -> None:
+    class Trembling(MemoryArm):
+        n_read = 0
+
+        def read_pose(self, *, timeout_s: float) -> Any:
+            self.n_read += 1
+            x_m, y_m, z_m = self.pose.position_m
+            return self.counter.reading(replace(self.pose, position_m=(x_m + step_m * self.n_read, y_m, z_m)))
+
+    devices = rig_of_devices()
+    devices.arms["arm1"] = Trembling()
+    with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        first, second, third = (record["motion"]["arm1"] for record in journal.records)
+    assert (first == second) is is_same
+    assert second != third
+
+
+def test_a_field_that_settles_late_is_waited_for(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    falling = [(0.0, 0.0, 1e-3 * 2.0**-i) for i in range(20)]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*falling, (0.0, 0.0, 0.0)), 12)
+    assert record["is_settled"]
+    assert record["field_T"]["hall"][2] < 1e-8
+
+
+def test_a_field_that_never_settles_is_marked(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    rising = [(0.0, 0.0, 1e-6 * i) for i in range(200000)]
+    assert not first_record(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
+
+
+@pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_field_that_changes_steadily_has_not_settled_however_few_readings_there_are(
+    tmp_path: Path, small_rig: Rig, stops: Observations, n_readings: int, noise: float
+) -> None:
+    draw = random.Random(3)
+    rising = [(0.0, 0.0, 1e-6 * (i + draw.gauss(0.0, noise))) for i in range(100_000)]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*rising), n_readings)
+    assert not record["is_settled"]
+
+
+def test_noise_alone_is_taken_for_a_change_at_few_stops() -> None:
+    draw = torch.Generator().manual_seed(5)
+    field_T = torch.randn(2000, FEWEST_READINGS, 3, generator=draw, dtype=torch.float64)
+    n_changing = sum(not is_settled(one) for one in field_T)
+    assert n_changing < 0.03 * len(field_T)
+
+
+def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
+    over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
+    record = first_record(tmp_path, small_rig, stops, Scripted(over))
+    assert record["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
+
+
+def test_what_an_instrument_lost_is_counted_in_the_journal(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    one = (0.0, 0.0, 1e-3)
+    lossy = [one, one, (one, ReadingFlag.DROPPED), (one, ReadingFlag.DROPPED | ReadingFlag.STALE), one]
+    record = first_record(tmp_path, small_rig, stops, Scripted(*lossy))
+    assert record["n_gaps"] == {"hall": 2}
+    again = first_record(tmp_path / "again", small_rig, stops, Scripted((one, ReadingFlag.DROPPED), one))
+    assert again["n_gaps"] == {"hall": 0}  # what came before the first reading was not wanted
+
+
+def test_an_overload_without_a_component_takes_all_three(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    record = first_record(tmp_path, small_rig, stops, Scripted(((1e-3, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)))
+    assert record["field_T"]["hall"] == [None, None, None]
+
+
+def test_a_supply_that_tripped_by_itself_is_seen_at_the_next_stop_though_its_current_stays(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    supply, interlock = MemorySource(), Interlock()
+    limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=5.0, thermal_time_constant_s=100.0)
+    devices = rig_of_devices()
+    devices.sources["coil1"] = GuardedSource(supply, limits, interlock, name="coil1", tolerance_A=0.01)
+
+    def trip(_: Progress) -> None:
+        supply.current_A = 0.0
+
+    same = stops.rows(torch.tensor([0, 0]))
+    folder = tmp_path / "session.zarr"
+    with (
+        begun(folder, small_rig, same, devices) as journal,
+        pytest.raises(DeviceFault, match="delivers 0 A where 3 A were set"),
+    ):
+        acquire(same, small_rig, devices, journal, PACE, trip)
+    assert len(load_session(folder).observations) == 1

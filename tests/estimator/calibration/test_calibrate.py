@@ -1,0 +1,401 @@
+"""The main job: it finds the truth, writes what DESIGN section 5 promises, stops, continues and refuses as it says."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.calibration.calibrate import Stage, calibrate
+from estimator.calibration.result import Calibration
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.inference.ensemble import SamplerSettings
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
+from estimator.store.emcee_backend import ZarrBackend
+from estimator.store.session import Session
+
+ERRORS = {"paper_metric_T", "vector_T", "component_T", "max_T", "relative", "angular_deviation_rad"}
+DISTANCE = "coil1.world_from_coil0.z_m"
+FREE = ["coil1.radius_m", "coil1.world_from_coil0.z_m", "coil1.axial_loops"]
+QUICK = SamplerSettings(n_walkers=8, target_ess=100.0, largest_rhat=1.1, check_every=20)
+
+
+@pytest.fixture(scope="module")
+def tiny(small_rig: Rig) -> Rig:
+    """Of the small rig, only the distance of the coil is unknown: a second for a calibration."""
+    return small_rig.with_values({"coil1.radius_m": 0.0518, "coil1.axial_loops": 13.0}).with_fixed(
+        ["coil1.radius_m", "coil1.axial_loops"]
+    )
+
+
+@pytest.fixture(scope="module")
+def told() -> list[Stage]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def tiny_calibration(small_session: Session, tiny: Rig, told: list[Stage]) -> Calibration:
+    return calibrate(small_session, tiny, settings=QUICK, on_stage=told.append)
+
+
+def test_the_truth_is_found_within_its_intervals(
+    small_calibration: Calibration, small_truth: dict[str, float]
+) -> None:
+    parameters = small_calibration.summary()["parameters"]
+    for name in ("coil1.radius_m", "coil1.world_from_coil0.z_m"):
+        found = parameters[name]
+        assert abs(found["median"] - small_truth[name]) < 4 * found["sd"]
+        assert (
+            found["sd"] < 0.1 * small_calibration.rig.parameters[name].prior.sd
+        )  # the data did it, not the prior
+        low, high = found["ci90"]
+        assert low < found["median"] < high
+        assert (high - low) == pytest.approx(2 * 1.645 * found["sd"], rel=0.2)
+    assert parameters["coil1.axial_loops"]["median"] == small_truth["coil1.axial_loops"]
+
+
+def test_best_values_are_near_the_medians_with_whole_loops(small_calibration: Calibration) -> None:
+    parameters = small_calibration.summary()["parameters"]
+    assert set(small_calibration.best) == set(small_calibration.rig.parameters)
+    for name in FREE:
+        assert abs(small_calibration.best[name] - parameters[name]["median"]) <= parameters[name]["sd"]
+    assert small_calibration.best["coil1.axial_loops"] == 13.0
+
+
+def test_the_summary_has_the_keys_that_other_peoples_scripts_read(small_calibration: Calibration) -> None:
+    record = small_calibration.summary()
+    promised = {
+        "parameters", "loop_counts", "rmse", "coverage90", "seed", "versions", "session_hash", "rig_hash",
+    }  # fmt: skip
+    more = {
+        "best", "has_integer_counts", "is_converged", "point_estimate", "prior_tension", "rig_name", "rmse_by_sensor", "rmse_nominal",
+        "sampling", "session_created", "session_source", "truth", "undetermined",
+    }  # fmt: skip
+    assert set(record) == promised | more
+    derived = ["turns", "length_m", "thickness_m", "rms_radius_m"]
+    assert set(record["parameters"]) == {*FREE, *(f"coil1.{name}" for name in derived)}
+    for name, entry in record["parameters"].items():
+        assert set(entry) == {"median", "sd", "ci90", "unit", "ess_bulk", "ess_tail", "rhat", "is_derived"}
+        assert entry["unit"] == ("m" if name.endswith("_m") else "1")
+        assert entry["is_derived"] == (name not in FREE)
+        assert len(entry["ci90"]) == 2
+    assert record["loop_counts"]
+    for entry in record["loop_counts"]:
+        assert set(entry) == {"coil", "axial", "radial", "probability"}
+        assert (entry["coil"], entry["radial"], type(entry["axial"])) == ("coil1", 3, int)
+    assert sum(entry["probability"] for entry in record["loop_counts"]) == pytest.approx(1.0)
+    assert set(record["rmse"]) == set(record["coverage90"]) == {"calibration", "validation"}
+    assert set(record["rmse"]["validation"]) == set(record["rmse"]["calibration"]) == ERRORS
+    assert {"python", "torch", "emcee", "numpy", "scipy", "zarr", "coilcal"} == set(record["versions"])
+
+
+def test_the_summary_names_its_origin(small_calibration: Calibration, small_session: Session) -> None:
+    record = small_calibration.summary()
+    assert record["session_hash"] == small_session.hash
+    assert record["rig_hash"] == small_session.rig.hash
+    assert record["truth"] == dict(small_session.truth)
+    assert (record["seed"], record["rig_name"], record["session_source"]) == (1, "small", "simulated")
+
+
+def test_derived_quantities_follow_from_the_draws(small_calibration: Calibration) -> None:
+    parameters, draws = small_calibration.summary()["parameters"], small_calibration.draws
+    pitch_m = 2 * 0.00098
+    expected = {
+        "coil1.turns": 3 * draws["coil1.axial_loops"],
+        "coil1.length_m": pitch_m * draws["coil1.axial_loops"],
+        "coil1.thickness_m": np.full_like(draws["coil1.axial_loops"], 3 * pitch_m),
+        "coil1.rms_radius_m": np.sqrt(
+            np.mean([(draws["coil1.radius_m"] - (n + 0.5) * pitch_m) ** 2 for n in range(3)], axis=0)
+        ),
+    }
+    for name, values in expected.items():
+        assert parameters[name]["median"] == pytest.approx(np.median(values))
+        assert parameters[name]["sd"] == pytest.approx(values.std(), abs=1e-12)
+
+
+def test_errors_are_at_the_noise_and_the_nominal_model_is_worse(small_calibration: Calibration) -> None:
+    record = small_calibration.summary()
+    for role, n in (("calibration", 27), ("validation", 9)):
+        errors, nominal = record["rmse"][role], record["rmse_nominal"][role]
+        assert errors["component_T"] == pytest.approx(5e-6, rel=4 / math.sqrt(2 * 3 * n))
+        assert errors["vector_T"] == pytest.approx(math.sqrt(3) * errors["component_T"])
+        assert errors["paper_metric_T"] == 0.5 * errors["vector_T"]
+        assert nominal["vector_T"] > 1.5 * errors["vector_T"]
+        assert record["rmse_by_sensor"][role] == {"hall": errors}
+        assert record["coverage90"][role] == pytest.approx(0.9, abs=4 * math.sqrt(0.09 / (3 * n)))
+
+
+def test_the_summary_is_json_without_nan(small_calibration: Calibration) -> None:
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    text = json.dumps(small_calibration.summary(), allow_nan=False)
+    assert json.loads(text, parse_constant=refuse) == small_calibration.summary()
+    count = small_calibration.summary()["parameters"]["coil1.thickness_m"]  # it never moves
+    assert (count["sd"], count["ess_bulk"], count["rhat"]) == (pytest.approx(0.0, abs=1e-15), None, None)
+
+
+def test_validation_readings_do_not_touch_the_fit_and_may_be_absent(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration
+) -> None:
+    session = replace(small_session, observations=small_session.observations.calibration)
+    record, with_validation = calibrate(session, tiny, settings=QUICK).summary(), tiny_calibration.summary()
+    for key in ("rmse", "rmse_nominal", "coverage90"):
+        assert record[key]["validation"] is None
+        assert record[key]["calibration"] == with_validation[key]["calibration"]
+        assert with_validation[key]["validation"] is not None
+    assert record["parameters"] == with_validation["parameters"]
+
+
+def test_the_same_seed_gives_the_same_draws(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration
+) -> None:
+    again = calibrate(small_session, tiny, settings=QUICK)
+    assert np.array_equal(again.draws[DISTANCE], tiny_calibration.draws[DISTANCE])
+    assert again.summary() == tiny_calibration.summary()
+
+
+def test_real_valued_loops_are_asked_for_by_name(small_session: Session, small_rig: Rig) -> None:
+    rig = small_rig.with_values({"coil1.radius_m": 0.0518}).with_fixed(["coil1.radius_m"])
+    calibration = calibrate(small_session, rig, settings=QUICK, has_integer_counts=False)
+    loops = calibration.draws["coil1.axial_loops"]
+    assert not (loops == np.round(loops)).any()
+    record = calibration.summary()
+    assert record["loop_counts"] == []
+    assert (
+        abs(record["parameters"]["coil1.axial_loops"]["median"] - 13.0)
+        < 4 * record["parameters"]["coil1.axial_loops"]["sd"]
+    )
+
+
+def test_noise_alone_can_be_calibrated(rig_text: str, small_session: Session) -> None:
+    text = rig_text.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 20, relative_sd: 1}}}")
+    values = {"coil1.radius_m": 0.0518, "coil1.axial_loops": 13.0, "coil1.world_from_coil0.z_m": -0.0425}
+    rig = rig_from_text(text).with_values(values).with_fixed(values)
+    found = calibrate(small_session, rig, settings=QUICK).summary()["parameters"]["hall.noise_T"]
+    assert abs(found["median"] - 5e-6) < 4 * found["sd"]
+    assert found["sd"] == pytest.approx(5e-6 / math.sqrt(2 * 81), rel=0.35)
+
+
+def test_stages_are_told_in_order(tiny_calibration: Calibration, told: list[Stage]) -> None:
+    names = [stage.name.split()[0] for stage in told]
+    assert names == ["point", "Laplace", *["posterior"] * (len(names) - 3), "errors,"]
+    looks = [stage.sampling for stage in told if stage.sampling]
+    assert [look.step for look in looks] == [20 * (i + 1) for i in range(len(looks))]
+    assert looks[-1].step == tiny_calibration.summary()["sampling"]["steps"]
+    assert looks[-1].smallest_ess >= QUICK.target_ess
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(
+    small_session: Session, tiny: Rig, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Path]:
+    """60 steps whose targets are never met."""
+    folder = tmp_path_factory.mktemp("whole") / "result"
+    calibrate(small_session, tiny, out=folder, settings=replace(QUICK, target_ess=1e9, max_steps=60))
+    return folder
+
+
+def chain_of(folder: Path) -> np.ndarray:
+    return np.asarray(ZarrBackend.open(folder / "chain.zarr").get_chain())
+
+
+def test_a_run_that_ends_early_says_so_and_continues_when_more_steps_are_allowed(
+    small_session: Session, tiny: Rig, uninterrupted: Path, tmp_path: Path
+) -> None:
+    never = replace(QUICK, target_ess=1e9)
+    short = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=30))
+    assert short.summary()["is_converged"] is False
+    assert Calibration.load(tmp_path).summary()["sampling"]["steps"] == 30
+    whole = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=60))
+    assert np.array_equal(chain_of(tmp_path), chain_of(uninterrupted))
+    assert (
+        Calibration.load(tmp_path).summary() == Calibration.load(uninterrupted).summary() == whole.summary()
+    )
+    fewer = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=20))
+    assert fewer.summary()["sampling"]["steps"] == 60  # steps that exist are not thrown away
+
+
+class Killed(BaseException):
+    """Stands for kill -9 in the middle of sampling; tests/estimator/cli/test_kill.py does it in earnest."""
+
+
+def test_a_run_that_was_stopped_while_sampling_gives_the_same_result(
+    small_session: Session, tiny: Rig, uninterrupted: Path, tmp_path: Path
+) -> None:
+    def stop(stage: Stage) -> None:
+        if stage.sampling and stage.sampling.step >= 40:
+            raise Killed
+
+    settings = replace(QUICK, target_ess=1e9, max_steps=60)
+    with pytest.raises(Killed):
+        calibrate(small_session, tiny, out=tmp_path, settings=settings, on_stage=stop)
+    assert [path.name for path in tmp_path.iterdir()] == ["chain.zarr"]
+    assert len(chain_of(tmp_path)) == 40
+    calibrate(small_session, tiny, out=tmp_path, settings=settings)
+    assert np.array_equal(chain_of(tmp_path), chain_of(uninterrupted))
+    assert Calibration.load(tmp_path).summary() == Calibration.load(uninterrupted).summary()
+
+
+def test_an_unfinished_run_of_something_else_is_kept(
+    small_session: Session, tiny: Rig, uninterrupted: Path
+) -> None:
+    before = chain_of(uninterrupted)
+    never = replace(QUICK, target_ess=1e9)
+    for changed in (
+        {"seed": 3},
+        {"settings": replace(never, n_walkers=12)},
+        {"rig": tiny.with_values({"hall.noise_T": 4e-6})},
+    ):
+        arguments = {"rig": tiny, "settings": never, **changed}
+        with pytest.raises(
+            InvalidInput,
+            match="output must be free, hold an unfinished calibration of the same session, rig, seed",
+        ):
+            calibrate(small_session, out=uninterrupted, **arguments)
+    assert np.array_equal(chain_of(uninterrupted), before)
+
+
+def test_a_finished_calibration_is_replaced_only_when_asked(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration, tmp_path: Path
+) -> None:
+    tiny_calibration.save(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InvalidInput, match="output must not hold a finished calibration, or be replaced"):
+        calibrate(small_session, tiny, out=tmp_path, settings=QUICK, seed=1)
+    few = replace(QUICK, n_walkers=2)
+    with pytest.raises(
+        InvalidInput, match="walkers must be at least"
+    ):  # nothing is deleted for a run that cannot start
+        calibrate(small_session, tiny, out=tmp_path, overwrite=True, settings=few, seed=1)
+    assert Calibration.load(tmp_path).summary() == json.loads(json.dumps(tiny_calibration.summary()))
+    calibrate(small_session, tiny, out=tmp_path, overwrite=True, settings=QUICK, seed=1)
+    other = Calibration.load(tmp_path)
+    assert other.summary()["seed"] == 1
+    assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
+    # Another seed gives other draws of the same posterior.
+    assert not np.array_equal(other.draws[DISTANCE], tiny_calibration.draws[DISTANCE])
+    one, two = (c.summary()["parameters"][DISTANCE] for c in (tiny_calibration, other))
+    assert abs(one["median"] - two["median"]) < 5 * 1.25 * one["sd"] * math.sqrt(2 / QUICK.target_ess)
+
+
+def test_a_damaged_chain_is_not_continued(
+    small_session: Session, tiny: Rig, uninterrupted: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(uninterrupted, folder)
+    chunk = next(path for path in (folder / "chain.zarr" / "chain" / "c").rglob("*") if path.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    with pytest.raises(CorruptStore, match="chain store"):
+        calibrate(small_session, tiny, out=folder, settings=replace(QUICK, target_ess=1e9))
+
+
+def test_another_rig_is_judged_against_the_same_session(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration
+) -> None:
+    record = tiny_calibration.summary()
+    assert (record["session_hash"], record["rig_hash"]) == (small_session.hash, tiny.hash)
+    assert tiny.hash != small_session.rig.hash
+
+
+def fixed(text: str) -> str:
+    for prior, value in (("mean: 51, sd: 1", "51"), ("mean: -40, sd: 3", "-40")):
+        text = text.replace(f"{{prior: {{normal: {{{prior}}}}}}}", value)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "message"),
+    [
+        (
+            lambda text: text.replace("arm1", "arm2"),
+            {},
+            r"movers of the rig must be those of the session \(arm1 \(displacement\)\)",
+        ),
+        (
+            lambda text: (
+                text.replace("motion: displacement", "motion: pose")
+                .replace("coil0", "coil")
+                .replace("world_from", "flange_from")
+            ),
+            {},
+            "movers of the rig must be those of the session",
+        ),
+        (
+            lambda text: fixed(text).replace("{prior: {normal: {mean: 12, sd: 1, lower: 1}}}", "12"),
+            {},
+            r"rig must have at least one free parameter \(a prior\); rig 'small' has none",
+        ),
+        (fixed, {}, "rig must have a free parameter besides loop counts"),
+        (
+            str,
+            {"settings": SamplerSettings(n_walkers=5)},
+            "walkers must be at least 6 for 3 free parameters; received 5",
+        ),
+        (str, {"seed": -1}, "seed must be a whole number from 0 to 4294967295; received -1"),
+        (str, {"seed": 2**32}, "seed must be a whole number from 0 to 4294967295; received 4294967296"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(
+    small_session: Session, rig_text: str, tmp_path: Path, change, arguments: dict, message: str
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        calibrate(small_session, rig_from_text(change(rig_text)), out=tmp_path / "out", **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("target_ess", 0.0),
+        ("target_ess", float("nan")),
+        ("largest_rhat", -1.0),
+        ("max_steps", 0),
+        ("check_every", -1),
+    ],
+)
+def test_senseless_settings_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InvalidInput, match=f"sampler settings: {name} must be > 0; received"):
+        SamplerSettings(**{name: value})
+
+
+def test_readings_in_another_unit_or_too_few_are_refused(small_session: Session, tmp_path: Path) -> None:
+    o = small_session.observations
+    for observations, message in (
+        (o.with_field(1e3 * o.field_sensor_T), r"fields look like mT .*\(simulated\)"),
+        (o.rows(torch.arange(1)), "received a single reading"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            calibrate(replace(small_session, observations=observations), out=tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_validation_sensor_inside_the_winding_is_refused_before_the_work(
+    small_session: Session, tmp_path: Path
+) -> None:
+    o = small_session.observations
+    motion = o.motion["arm1"].clone()
+    motion[30, :3] = torch.tensor([0.048, 0.0, 0.05])
+    session = replace(small_session, observations=replace(o, motion={"arm1": motion}))
+    with pytest.raises(
+        InvalidInput, match=r"sensors must lie outside the winding of coil1; .* the first at reading 30"
+    ):
+        calibrate(session, out=tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_below_a_file_is_refused_before_the_work(small_session: Session, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    stages: list[Stage] = []
+    for out in (tmp_path / "file", tmp_path / "file" / "out"):
+        with pytest.raises(InvalidInput, match=r"output must be a folder that can be written; .* is not: "):
+            calibrate(small_session, out=out, on_stage=stages.append)
+    assert not stages

@@ -1,0 +1,59 @@
+"""Pictures of a calibration: the ones a report needs, in an order that does not depend on where the calibration comes from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.calibration.figures import pictures
+from estimator.calibration.result import Calibration
+
+
+def titled(calibration: Calibration) -> dict:
+    return {picture.title: picture.figure for picture in pictures(calibration)}
+
+
+@pytest.fixture(scope="module")
+def drawn(small_calibration: Calibration) -> dict:
+    return titled(small_calibration)
+
+
+def test_a_calibration_of_one_coil_has_these_pictures(drawn: dict) -> None:
+    assert list(drawn) == [
+        "Predicted against measured",
+        "Whitened residuals",
+        "Residual around coil1",
+        "Relative error around coil1",
+        "Angular deviation around coil1",
+        "Field of coil1",
+        "What the data taught",
+        "Posterior",
+        "Trace",
+    ]
+
+
+def test_parameters_come_in_the_order_of_the_rig_file(small_calibration: Calibration, tmp_path: Path) -> None:
+    """The store gives them back in whatever order the disk does."""
+    small_calibration.save(tmp_path)
+    loaded = Calibration.load(tmp_path)
+    for order in (sorted, lambda names: sorted(names, reverse=True)):
+        shuffled = replace(loaded, draws={name: loaded.draws[name] for name in order(loaded.draws)})
+        (ax,) = titled(shuffled)["What the data taught"].axes
+        assert [label.get_text() for label in ax.get_yticklabels()] == ["radius", "axial loops", "z"]
+
+
+def test_plane_of_the_field_follows_the_readings_but_not_to_where_the_field_is_a_dipoles(
+    small_calibration: Calibration, drawn: dict
+) -> None:
+    low_mm, high_mm = drawn["Field of coil1"].axes[0].get_ylim()
+    assert 50.0 < high_mm < 80.0  # the sensor is at most 6.5 cm in front of the coil
+    far = small_calibration.observations.motion["arm1"].clone()
+    far[:, 2] *= 50.0
+    observations = replace(small_calibration.observations, motion={"arm1": far})
+    ax = titled(replace(small_calibration, observations=observations))["Field of coil1"].axes[0]
+    width_mm, (low_mm, high_mm) = np.ptp(ax.get_xlim()), ax.get_ylim()
+    assert high_mm == pytest.approx(width_mm)
+    assert low_mm > -1.2 * width_mm

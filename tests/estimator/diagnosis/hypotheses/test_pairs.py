@@ -1,0 +1,79 @@
+"""Two causes asked together: the algebra of the batch, and a pair in which one hides the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
+from estimator.diagnosis.hypotheses.linear import log_bayes_factor
+from estimator.diagnosis.hypotheses.pairs import pairs
+from estimator.diagnosis.hypotheses.screening import linear_evidence
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of
+
+ASKED = [Cause("axis_gain", "hall"), Cause("sensor_offset", "hall"), Cause("cross_axis", "hall")]
+
+
+@pytest.fixture(scope="module")
+def base(small_rig: Rig, small_session: Session) -> Fit:
+    return fit_of(small_rig, small_session.observations.calibration)
+
+
+@pytest.fixture(scope="module")
+def pool(base: Fit) -> list[Candidate]:
+    return candidates(base, ASKED)
+
+
+def with_residual(fit: Fit, residual: torch.Tensor) -> Fit:
+    """The fit with other whitened residuals, beside what it can follow."""
+    copy = Fit(fit.posterior, fit.polished)
+    projector = fit.projector
+    followed = projector.factor @ (projector.factor.T @ (fit.jacobian.T @ residual))
+    copy.__dict__.update(projector=projector, residual=residual - fit.jacobian @ followed)
+    return copy
+
+
+def test_pair_has_the_evidence_of_its_columns_side_by_side(base, pool):
+    for value, one, other in pairs(base, pool):
+        columns = torch.cat((one.columns, other.columns), dim=1)
+        direct = log_bayes_factor(
+            base.projector.gram(columns, columns),
+            columns.T @ base.residual,
+            torch.cat((one.prior_sd, other.prior_sd)),
+            base.free_noise,
+        )
+        assert value == pytest.approx(float(direct), abs=1e-6)
+
+
+def test_every_two_causes_are_asked_once_and_no_cause_with_itself(base, pool):
+    asked = [{one.cause, other.cause} for _, one, other in pairs(base, [*pool, *pool])]
+    assert all(len(two) == 2 for two in asked)
+    assert len(asked) == 4 * len(pairs(base, pool))
+
+
+def test_two_causes_that_hide_each_other_are_found_together(base, pool):
+    first = next(c for c in pool if c.cause.name == "axis_gain")
+    u = first.columns[:, :1]
+    size = float(base.projector.gram(u, u).sqrt())
+    v = 0.995 * u / size + 0.1 * torch.nn.functional.normalize(
+        torch.randn(len(u), 1, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), dim=0
+    )
+    one = replace(
+        first, keys=("x",), units=("1",), columns=u / size, prior_sd=torch.full((1,), 100.0).double()
+    )
+    other = replace(one, cause=ASKED[1], columns=v)
+    difference = (u / size - v)[:, 0]
+    noisy = with_residual(base, base.residual + 80.0 * difference)
+    together = pairs(noisy, [one, other])[0][0]
+    alone = max(linear_evidence(noisy, candidate) for candidate in (one, other))
+    assert together > 20.0
+    assert together > alone + 15.0
+
+
+def test_one_cause_alone_makes_no_pair(base, pool):
+    assert pairs(base, pool[:1]) == []

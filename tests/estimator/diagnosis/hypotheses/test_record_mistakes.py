@@ -1,0 +1,49 @@
+"""Mistakes of the record are not invented where something else is wrong."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from estimator.diagnosis.hypotheses import record_mistakes as record
+from estimator.diagnosis.hypotheses.record_mistakes import without_faults
+from estimator.effects import EFFECTS
+from estimator.effects.record import DisplacementFrameError
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+
+def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
+    fit = fit_of(small_rig, small_session.observations.calibration)
+    assert without_faults(fit) == (fit, [])
+
+
+def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
+    small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
+):
+    """From one of the rotations alone: the whole search takes half a minute."""
+    monkeypatch.setattr(record, "RECORD", ("displacement_frame",))
+    monkeypatch.setattr(record, "MOST_FAULTS", 1)
+    turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
+    monkeypatch.setattr(DisplacementFrameError, "starts", lambda *_: (turned,))
+    truth_rig = small_rig.with_values(small_truth)
+    cause = Cause("sensor_offset", "hall")
+    readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
+    _, faults = without_faults(fit_of(small_rig, readings))
+    assert [fault.cause.name for fault in faults] == []
+
+
+@pytest.mark.parametrize("name", record.RECORD)
+def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
+    small_rig: Rig, small_session: Session, name: str
+):
+    base = fit_of(small_rig, small_session.observations.calibration)
+    scene = base.posterior.chain.scene
+    (place,) = EFFECTS[name].places(small_rig)
+    starts = EFFECTS[name].starts(scene, place)[:20]
+    cause, few = Cause(name, place), base.observations
+    one_by_one = [value for start in starts for value in record._coarse(base, cause, [start], few)]
+    assert record._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
+    assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

@@ -1,0 +1,72 @@
+"""What causes would change weighs, at every step of a search, what the readings weigh there; and where a search ends."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.diagnosis.hypotheses import search
+from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.step import take_step
+from estimator.diagnosis.structure.discrepancy import discrepancy, families
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+GAIN, OFFSET = Cause("axis_gain", "hall"), Cause("sensor_offset", "hall")
+
+
+@pytest.fixture(scope="module")
+def noisy_and_quiet(small_rig: Rig, small_session: Session):
+    """The same readings fitted with the noise as it is, 5 uT, and with a quarter of it."""
+    readings = small_session.observations.calibration
+    return [fit_of(small_rig.with_values({"hall.noise_T": noise_T}), readings) for noise_T in (5e-6, 1.25e-6)]
+
+
+def test_columns_taken_at_one_fit_and_weighed_for_another_are_those_of_the_other(noisy_and_quiet):
+    noisy, quiet = noisy_and_quiet
+    (ours,), (theirs,) = (candidates(fit, [GAIN]) for fit in noisy_and_quiet)
+    weighed = ours.weighed(quiet.weight_over(noisy))
+    assert weighed.columns.norm() == pytest.approx(4.0 * float(ours.columns.norm()), rel=1e-9)
+    torch.testing.assert_close(
+        weighed.columns, theirs.columns, rtol=0.01, atol=0.01 * float(theirs.columns.max())
+    )
+
+
+def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypatch):
+    noisy, quiet = noisy_and_quiet
+    pool = candidates(noisy, [GAIN])
+    given = []
+
+    def spy(fit, pool, smooth, block):
+        given.append((pool, smooth))
+        return take_step(fit, pool, smooth, block)
+
+    monkeypatch.setattr(search, "take_step", spy)
+    smooth = families(noisy)
+    search._Trail(noisy, pool, smooth, lambda words: None, search.MOST_CAUSES).step(quiet)
+    ((columns,), curves) = given[0]
+    torch.testing.assert_close(columns.columns, 4.0 * pool[0].columns)
+    for before, after in zip(smooth, curves, strict=True):  # amplitudes stay in units of the noise
+        torch.testing.assert_close(after.columns, before.columns)
+
+
+def test_a_curve_keeps_its_size_in_units_of_the_noise(noisy_and_quiet):
+    noisy, quiet = noisy_and_quiet
+    whole = discrepancy(noisy, families(noisy))
+    torch.testing.assert_close(whole.weighed(quiet.weight_over(noisy)).columns, whole.columns)
+
+
+def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
+    small_rig, small_session, small_truth
+):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
+    readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
+    told = []
+    found = search.search(fit_of(small_rig, readings.calibration), told.append, most_causes=1)
+    taken = [step.taken for step in found.steps]
+    assert taken[-1] is None
+    assert tuple(taken[:-1]) == found.final.rig.effects
+    assert len(found.final.rig.effects) == 1
+    assert told[-1].endswith("would earn a place too, but 1 causes are the most")

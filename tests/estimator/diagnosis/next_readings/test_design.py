@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from estimator import InvalidInput, design, load_plan
+from tests.estimator.diagnosis.sessions import RIG, session_with
+
+OFFSET = (("sensor_offset.z_T", 60e-6), ("sensor_offset.x_T", 50e-6))
+TWINS = ("background_field", "sensor_offset")
+
+
+def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_else_does() -> None:
+    found = design(session_with(OFFSET, (3.0,), 1), split=TWINS, n_readings=5)
+    assert found.so_far == pytest.approx(0.0, abs=0.1)
+    for one in found.actions:
+        brings = one.expected_log_evidence
+        assert (brings > 5.0) if "turned" in one.action.words else (brings < 0.1)
+    assert max(found.reached) < 0.1
+
+
+def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
+    found = design(session_with((), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=8)
+    reached = torch.tensor([found.so_far, *found.reached])
+    gains = torch.diff(reached)
+    assert bool((gains > -1e-6).all())
+    assert float(gains[:4].mean()) > float(gains[4:].mean())
+    # No field, nothing of either: that the readings so far tell them apart already is no merit of what comes next.
+    dark = next(one for one in found.actions if "without current" in one.action.words)
+    assert found.so_far > 3.0
+    assert dark.expected_log_evidence == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
+    hidden = (("core_saturation.share", 0.1), ("core_saturation.loss_per_A2", 5e-3))
+    found = design(session_with(hidden, (3.0,), 1), split=("iron_core", "core_saturation"), n_readings=6)
+    strengths = found.readings.current_A.abs().squeeze(1)
+    assert bool((strengths < 2.0).any())
+
+
+def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path: Path) -> None:
+    from estimator import Session, simulate
+    from estimator.diagnosis.fitting import fit_rig
+    from estimator.model.measurement_model import Chain
+    from estimator.readings.observations import Observations
+    from tests.estimator.diagnosis.sessions import TRUTH
+
+    session = session_with((), (3.0,), 1)
+    found = design(session, shrink="coil1.radius_m", n_readings=20)
+    path = tmp_path / "plan.yaml"
+    path.write_text(found.plan)
+    more = simulate(RIG, load_plan(path, RIG), TRUTH, 5)
+    assert len(more) == 20
+
+    def both(name: str) -> torch.Tensor:
+        return torch.cat((getattr(session.observations, name), getattr(more, name)))
+
+    together = Observations(
+        torch.cat((session.observations.time_s, 1e4 + more.time_s)),
+        both("sensor"),
+        both("current_A"),
+        {"arm1": torch.cat((session.observations.motion["arm1"], more.motion["arm1"]))},
+        both("field_sensor_T"),
+        both("is_validation"),
+        both("repeat"),
+        {},
+    )
+    fit = fit_rig(RIG, together, TRUTH, Chain.build(RIG, together).rules)
+    assert found.reached[-1] < 0.97 * found.so_far
+    assert fit.value_sd("coil1.radius_m") == pytest.approx(found.reached[-1], rel=0.15)
+    assert Session(RIG, together, "both").observations.time_s.max() > 1e4
+
+
+@pytest.mark.parametrize(
+    ("goals", "words"),
+    [
+        ({}, "must split two or more causes, or shrink one parameter"),
+        ({"split": ("axis_gain",)}, "must split two or more causes"),
+        ({"split": TWINS, "shrink": "coil1.radius_m"}, "must split two or more causes"),
+        ({"split": ("axis_gain", "axis_gian")}, "the closest is axis_gain"),
+        ({"split": ("axis_gain[probe]", "cross_axis")}, "must say where, one of hall"),
+        ({"split": ("current_gain", "cross_axis")}, "the fit follows it wholly"),
+        ({"shrink": "hall.world_from_sensor.x_m"}, "must name a parameter that the fit may change"),
+    ],
+)
+def test_goals_that_make_no_sense_are_refused(goals: dict[str, object], words: str) -> None:
+    with pytest.raises(InvalidInput, match=words.replace("[", r"\[")):
+        design(session_with((), (3.0,), 1), **goals)  # type: ignore[arg-type]

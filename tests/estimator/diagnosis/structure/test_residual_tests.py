@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.structure.residual_tests import lack_of_fit, structure
+from tests.estimator.diagnosis.sessions import plain_fit
+
+
+def with_noise(fit: Fit, seed: int) -> Fit:
+    """The same fit whose residual is what is left of pure noise."""
+    generator = torch.Generator().manual_seed(seed)
+    noise = torch.randn(len(fit.residual), 1, generator=generator, dtype=torch.float64)
+    copy = Fit(fit.posterior, fit.polished)
+    copy.__dict__["residual"] = fit.projector.rest(noise)[:, 0]
+    return copy
+
+
+def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
+    fit = plain_fit()
+    assert min(one.p_value for one in structure(fit)) > 0.01
+    assert lack_of_fit(fit).p_value > 0.05
+
+
+@pytest.mark.parametrize(
+    ("hidden", "along"),
+    [
+        ((("offset_drift.x_T_per_h", 2e-3),), "time"),
+        ((("cubic_response.z_per_T2", -60.0),), "field in the sensor frame, z"),
+        ((("sensor_offset.z_T", 60e-6),), "nothing: a constant"),
+        ((("axis_gain.x", 0.02),), "field in the sensor frame, x"),
+    ],
+)
+def test_the_residual_of_a_cause_has_structure_along_what_the_cause_depends_on(
+    hidden: tuple[tuple[str, float], ...], along: str
+) -> None:
+    found = structure(plain_fit(hidden))
+    by_name = {one.covariate.name: one for one in found}
+    assert by_name[along].p_value < 0.001
+    assert by_name[along].share > 3.0 * by_name[along].expected_share
+    assert along in [one.covariate.name for one in found[:2]]
+
+
+def test_noise_is_taken_from_repeats_where_there_are_any() -> None:
+    once = plain_fit()
+    assert lack_of_fit(once).noise_from == "specification"
+    twice = plain_fit(currents_A=(3.0, 3.0, -3.0))
+    size = lack_of_fit(twice)
+    assert size.noise_from == "repeats"
+    assert size.noise_T == pytest.approx(20e-6, rel=0.2)
+
+
+def test_lack_of_fit_is_seen_against_repeats() -> None:
+    hidden = (("sensor_offset.z_T", 60e-6),)
+    assert lack_of_fit(plain_fit(hidden, (3.0, 3.0, -3.0))).p_value < 1e-6
+
+
+def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
+    fit = with_noise(plain_fit(), 3)
+    louder = Fit(fit.posterior, fit.polished)
+    louder.__dict__["residual"] = 7.0 * fit.residual
+    assert [one.p_value for one in structure(louder)] == [one.p_value for one in structure(fit)]
+
+
+@pytest.mark.slow
+def test_structure_is_seen_in_pure_noise_as_often_as_it_says() -> None:
+    n = 200
+    least = torch.tensor(
+        [min(one.p_value for one in structure(with_noise(plain_fit(), s))) for s in range(n)]
+    )
+    for level in (0.05, 0.2, 0.5):
+        expected, sd = level, (level * (1.0 - level) / n) ** 0.5
+        assert abs(float((least <= level).double().mean()) - expected) < 3.0 * sd
+
+
+def test_a_probability_over_all_covariates_is_larger_than_each_by_itself() -> None:
+    for one in structure(with_noise(plain_fit(), 5)):
+        assert one.p_value >= min(one.by_component)

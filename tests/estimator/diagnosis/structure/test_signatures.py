@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import pytest
+
+from estimator.diagnosis.structure.signatures import leading, signatures, words
+from tests.estimator.diagnosis.sessions import plain_fit
+
+Hidden = tuple[tuple[str, float], ...]
+
+
+def test_pure_noise_has_no_signature() -> None:
+    found = signatures(plain_fit())
+    assert [leading(one) for one in (found.stays_with, found.current, found.field_equations)] == [[], [], []]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "current"),
+    [
+        ((("sensor_offset.z_T", 200e-6),), "independent"),
+        ((("axis_gain.x", 0.02),), "odd"),
+        ((("planar_hall.z_per_T", 3.0),), "even"),
+        ((("core_saturation.share", 0.1), ("core_saturation.loss_per_A2", 5e-3)), "cubic"),
+    ],
+)
+def test_parity_in_the_current_is_that_of_the_cause(hidden: Hidden, current: str) -> None:
+    assert leading(signatures(plain_fit(hidden)).current) == [current]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "answer"),
+    [
+        ((("coil_ovality.cos2", 0.02),), "a magnetic field"),
+        ((("iron_core.share", 0.1),), "a magnetic field"),
+        ((("axis_gain.x", 0.02),), "no magnetic field"),
+        ((("cross_axis.xy", 0.02),), "no magnetic field"),
+    ],
+)
+def test_only_sources_obey_the_field_equations(hidden: Hidden, answer: str) -> None:
+    assert leading(signatures(plain_fit(hidden)).field_equations) == [answer]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "answer"),
+    [
+        ((("cubic_response.z_per_T2", -100.0),), "sensor"),
+        ((("offset_drift.x_T_per_h", 4e-3),), "clock"),
+        ((("sensor_offset.z_T", 60e-6),), "constant"),
+        ((("iron_core.share", 0.1),), "coil1"),
+    ],
+)
+def test_the_residual_stays_with_what_is_wrong(hidden: Hidden, answer: str) -> None:
+    assert answer in leading(signatures(plain_fit(hidden)).stays_with)
+    assert "path" not in leading(signatures(plain_fit(hidden)).stays_with)
+
+
+def test_with_one_current_parity_is_not_asked() -> None:
+    assert signatures(plain_fit(currents_A=(3.0,))).current is None
+
+
+def test_every_answer_has_words() -> None:
+    found = signatures(plain_fit())
+    for evidence in (found.stays_with, found.current, found.field_equations):
+        assert evidence
+        assert all(len(words(answer)) > len(answer) for answer in evidence)

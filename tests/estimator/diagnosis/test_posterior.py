@@ -1,0 +1,68 @@
+"""The posterior of an extended rig is as wide as what remains unexplained asks for, in memory and on disk."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from estimator.calibration.report import calibration_report
+from estimator.calibration.result import Calibration
+from estimator.diagnosis.posterior import extended_posterior
+from estimator.diagnosis.widening import Widening
+from estimator.inference.ensemble import SamplerSettings
+from estimator.rig.rig import Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of
+
+RADIUS, HEIGHT, COUNT = "coil1.radius_m", "coil1.world_from_coil0.z_m", "coil1.axial_loops"
+POINTS_M = torch.tensor([[0.01, 0.01, 0.02], [0.02, -0.01, 0.03]], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("calibration")
+
+
+@pytest.fixture(scope="module")
+def widened(
+    small_session: Session, small_rig: Rig, folder: Path, small_settings: SamplerSettings
+) -> Calibration:
+    """Something is left that asks for intervals of three times the width."""
+    fit = fit_of(small_rig, small_session.observations.calibration)
+    wider = Widening(fit, 9.0 * fit.covariance)
+    return extended_posterior(small_session, small_rig, wider, out=folder, seed=1, settings=small_settings)
+
+
+def test_draws_are_wider_and_counts_are_not(small_calibration: Calibration, widened: Calibration):
+    factors = widened.record["widening"]
+    for name in (RADIUS, HEIGHT):
+        assert widened.draws[name].std() == pytest.approx(factors[name] * small_calibration.draws[name].std())
+        assert factors[name] == pytest.approx(3.0, rel=0.1)
+    assert (widened.draws[COUNT] == small_calibration.draws[COUNT]).all()
+    assert "widening" not in small_calibration.record
+
+
+def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calibration, widened: Calibration):
+    """Numbers that the readings tie to each other stay tied: spread one by one they would open the field far more."""
+    widths = [
+        torch.diff(torch.stack(one.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
+        for one in (small_calibration, widened)
+    ]
+    assert (widths[1] / widths[0]).numpy() == pytest.approx(3.0, rel=0.15)
+
+
+def test_summary_and_page_say_the_wider_intervals(widened: Calibration):
+    low, high = widened.record["parameters"][RADIUS]["ci90"]
+    assert high - low == pytest.approx(2.0 * 1.645 * widened.draws[RADIUS].std(), rel=0.1)
+    assert re.search(
+        r"up to (2\.\d+|3|3\.\d+) times", calibration_report(widened, "coilcal diagnose session.zarr")
+    )
+
+
+def test_what_lies_on_disk_is_the_wide_posterior(widened: Calibration, folder: Path):
+    stored = Calibration.load(folder)
+    assert (stored.draws[RADIUS] == widened.draws[RADIUS]).all()
+    assert stored.record["widening"] == widened.record["widening"]

@@ -1,0 +1,133 @@
+"""The page of a diagnosis: sentences and tables a reader can take at their word."""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import replace
+
+import pytest
+
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.figures import pictures
+from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.hypotheses.search import Stage
+from estimator.diagnosis.report import diagnosis_report
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
+from estimator.diagnosis.widening import Widening
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import with_wrong
+
+OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
+OFFSET_T = 2e-4
+RADIUS = "coil1.radius_m"
+
+
+@pytest.fixture(scope="module")
+def diagnosis(small_rig: Rig, small_session: Session) -> Diagnosis:
+    """Of the small rig with an offset that a fixed sensor cannot tell from a field of the room."""
+    flawed = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": OFFSET_T})
+    return diagnose(replace(small_session, observations=flawed), seed=1)
+
+
+@pytest.fixture(scope="module")
+def text(diagnosis: Diagnosis) -> str:
+    return as_text(diagnosis)
+
+
+def as_text(diagnosis: Diagnosis) -> str:
+    """The page without its pictures and tags."""
+    page = re.sub(r"<img[^>]*>", "", diagnosis_report(diagnosis, "coilcal diagnose session.zarr"))
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
+
+
+def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
+    assert re.search(r"Found, but not down to one cause: (sensor_offset|background_field) \(", text)
+    assert re.search(
+        r"could as well be .*these readings tell the two apart by (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
+    )
+
+
+def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
+    value, sd = re.search(r"x_T (−?\d+\.?\d*) ± (\d+\.?\d*)", text).groups()
+    assert float(value) == pytest.approx(1e6 * OFFSET_T, abs=4.0 * float(sd))
+
+
+def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
+    """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
+    fit = diagnosis.fit
+    rig = with_effect(fit.rig, HEATING, fit.observations, {})
+    heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.chain.rules))
+    assert set(heated.parameters(HEATING)) == {"loss_per_A2", "tau_h"}
+
+
+def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
+    cause = diagnosis.causes[0].cause
+    key = next(iter(diagnosis.parameters(cause)))
+    wide = replace(diagnosis, widening=Widening(diagnosis.fit, 9.0 * diagnosis.fit.covariance))
+    for known, wider in (
+        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS]),
+        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key]),
+    ):
+        assert wider["median"] == known["median"]
+        assert wider["sd"] == pytest.approx(3.0 * known["sd"])
+        low, high = (end - known["median"] for end in wider["ci90"])
+        assert high == pytest.approx(1.645 * 3.0 * known["sd"], rel=1e-3)
+        assert low == pytest.approx(-high)
+
+
+def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
+    before, after = (1e6 * judged.errors.vector_T for judged in (diagnosis.gain.before, diagnosis.gain.after))
+    assert f"the error falls from {before:.4g} µT to {after:.4g} µT" in text
+    assert after < 0.2 * before
+
+
+def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
+    assert "Who was considered, step 1" in text
+    assert re.search(r"explains less: \d+\.\d behind", text)
+    assert re.search(r"explains nothing: \d+\.\d behind", text)
+
+
+def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
+    several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
+    found = replace(diagnosis, causes=several, verdict=Verdict.NAMED, next_measurements=())
+    said = diagnosis_report(found, "")
+    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in said
+
+
+def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
+    other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
+    (one,) = diagnosis.causes
+    found = as_text(replace(diagnosis, causes=(replace(one, alternatives=(other,)),)))
+    assert "could as well be axis_gain (25%)." in found
+
+
+def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
+    (one,) = diagnosis.causes
+    said = as_text(replace(diagnosis, causes=(), stand_ins=(one.cause,), verdict=Verdict.UNEXPLAINED))
+    label = diagnosis.label(one.cause)
+    assert (
+        f"The extended rig also has {label}: needed here, but something unknown may look like them." in said
+    )
+    assert f"{label} (stands in) x_T" in said
+    assert f"{label} (" not in said.partition("The extended rig")[0]
+
+
+def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
+    """Taken, dropped, and taken again when others had been found."""
+    first, *rest = diagnosis.search.stages
+    again = replace(diagnosis.search, stages=(first, first, *rest))
+    (ladder,) = [
+        p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
+    ]
+    labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
+    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_stage(first)}"
+
+
+def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
+    causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
+    stage = Stage(tuple(causes), diagnosis.fit)
+    assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"

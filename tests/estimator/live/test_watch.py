@@ -1,0 +1,70 @@
+"""Alarms: soon where something changed, with the reading since when; next to none in noise."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.inference.running import Innovation
+from estimator.live.watch import ALONG, Alarm, Watch
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+
+SIGMA_T = 5e-6
+N = 400
+
+
+def watched(rig: Rig, change: torch.Tensor, seed: int, expected_T: torch.Tensor | None = None) -> list[Alarm]:
+    """Alarms about noise with a change added, in units of sigma, reading by component."""
+    watch = Watch(rig)
+    noise = torch.randn(N, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) + change
+    for number in range(N):
+        field_T = torch.zeros(1, 3, dtype=torch.float64)
+        readings = Observations(
+            torch.zeros(1, dtype=torch.float64),
+            torch.zeros(1, dtype=torch.int64),
+            torch.zeros(1, 1, dtype=torch.float64),
+            {"arm1": torch.zeros(1, 6, dtype=torch.float64)},
+            field_T,
+            torch.zeros(1, dtype=torch.bool),
+            torch.zeros(1, dtype=torch.int64),
+            {},
+        )
+        here_T = field_T if expected_T is None else expected_T[number][None]
+        spread_T2 = SIGMA_T**2 * torch.eye(3, dtype=torch.float64)
+        watch.look(Innovation(SIGMA_T * noise[number], spread_T2, here_T), readings, number + 1)
+    return watch.alarms
+
+
+def test_noise_raises_no_alarm(small_rig: Rig) -> None:
+    assert [alarm for seed in range(5) for alarm in watched(small_rig, torch.zeros(N, 3), seed)] == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_shift_is_found_soon_and_dated(small_rig: Rig, seed: int) -> None:
+    change = torch.zeros(N, 3)
+    change[209:, 1] = -1.5
+    (alarm, *_) = watched(small_rig, change, seed)
+    assert (alarm.sensor, alarm.what) == ("hall", "y")
+    assert alarm.since == pytest.approx(210, abs=15)
+    assert alarm.since < alarm.at < 240
+    assert alarm.size_sigma == pytest.approx(-1.5, abs=0.9)
+
+
+def test_a_field_that_weakens_is_told_from_a_component_that_is_off(small_rig: Rig) -> None:
+    """The field points another way at each reading, so that only its strength is off the same way."""
+    direction = torch.randn(N, 3, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    direction = direction / direction.norm(dim=1, keepdim=True)
+    change = torch.zeros(N, 3, dtype=torch.float64)
+    change[100:] = -2.0 * direction[100:]
+    alarms = watched(small_rig, change, 1, 1e-3 * direction)
+    assert [alarm.what for alarm in alarms] == [ALONG]
+    assert alarms[0].since == pytest.approx(101, abs=8)
+
+
+def test_one_improbable_reading_is_one_alarm(small_rig: Rig) -> None:
+    change = torch.zeros(N, 3)
+    change[49, 2] = 9.0
+    (alarm,) = watched(small_rig, change, 3)
+    assert (alarm.since, alarm.at) == (50, 50)
+    assert "reading 50 is improbable" in alarm.words

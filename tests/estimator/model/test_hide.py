@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from estimator import InvalidInput, simulate
+from estimator.model.hide import cause_of, full_names
+from tests.estimator.diagnosis.sessions import RIG, TRUTH, session_with
+
+SILENT = {**TRUTH, "hall.noise_T": 0.0}
+
+
+def readings(hidden: dict[str, float], truth: dict[str, float] | None = None) -> torch.Tensor:
+    from tests.estimator.diagnosis.sessions import PLAN, Path, _folder, load_plan
+
+    path = Path(_folder()) / "hide.yaml"
+    path.write_text(PLAN.replace("CURRENTS", "[{coil1: 3}, {coil1: -3}]"))
+    return simulate(RIG, load_plan(path, RIG), truth or SILENT, 3, hidden).field_sensor_T
+
+
+def test_a_hidden_gain_multiplies_the_component_it_names() -> None:
+    ratio = readings({"axis_gain[hall].y": 0.02}) / readings({})
+    assert ratio.mean(0).tolist() == pytest.approx([1.0, 1.02, 1.0])
+
+
+def test_without_quantity_the_first_is_meant_and_without_place_the_only_one() -> None:
+    assert full_names(RIG, {"axis_gain": 0.01}) == {"axis_gain[hall].x": 0.01}
+    assert torch.equal(readings({"axis_gain": 0.01}), readings({"axis_gain[hall].x": 0.01}))
+    assert cause_of("iron_plate", RIG).label == "iron_plate[room]"
+
+
+def test_a_cause_at_its_null_hides_nothing() -> None:
+    assert torch.equal(readings({"axis_gain": 0.0, "current_offset": 0.0}), readings({}))
+
+
+def test_the_noise_is_the_same_whatever_is_hidden() -> None:
+    noise = readings({}, TRUTH) - readings({})
+    with_offset = readings({"sensor_offset.z_T": 1e-4}, TRUTH) - readings({"sensor_offset.z_T": 1e-4})
+    assert with_offset.flatten().tolist() == pytest.approx(noise.flatten().tolist(), abs=1e-12)
+
+
+def test_outliers_scatter_as_often_and_as_far_as_they_are_said_to() -> None:
+    plain = (readings({}, TRUTH) - readings({})) / 20e-6
+    wild = (readings({"outliers.share": 0.2, "outliers.ratio": 100.0}, TRUTH) - readings({})) / 20e-6
+    share = float((wild.abs() > 8.0).double().mean())
+    n = wild.numel()
+    # A component of 100 sigma is beyond 8 with probability 0.936.
+    assert share == pytest.approx(0.2 * 0.936, abs=4.0 * math.sqrt(0.2 * 0.8 / n))
+    assert float(plain.abs().max()) < 5.0
+
+
+def test_a_mover_that_scatters_disturbs_the_readings_by_its_distance_times_the_gradient() -> None:
+    from estimator.model.measurement_model import Chain
+
+    observations = session_with((), (3.0, -3.0), 1).observations
+    gradient = Chain.build(RIG.with_values(TRUTH), observations).gradient_T_per_m("arm1")
+    expected_T = 1e-4 * float(gradient.square().sum(-1).mean().sqrt())
+    off_T = readings({"position_jitter": 1e-4}) - readings({})
+    assert float(off_T.square().mean().sqrt()) == pytest.approx(expected_T, rel=0.15)
+
+
+def test_fields_in_another_unit_take_their_noise_along() -> None:
+    found = readings({"unit_error.field_factor": 1e3}, TRUTH)
+    assert found.flatten().tolist() == pytest.approx((1e3 * readings({}, TRUTH)).flatten().tolist())
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("axis gain", "must look like cause"),
+        ("axis_gian", "the closest is axis_gain"),
+        ("axis_gain[probe]", "must say where, one of hall"),
+        ("axis_gain.q", "must be given by one of x, y, z"),
+    ],
+)
+def test_causes_that_do_not_exist_are_refused(text: str, words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        readings({text: 1.0})

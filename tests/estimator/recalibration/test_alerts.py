@@ -1,0 +1,67 @@
+"""Alerts arrive as JSON, and one that fails is a sentence, never an exception."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimator.errors import InvalidInput
+from estimator.recalibration.alerts import post, run_command, senders
+
+MESSAGE = {"conclusion": "drifted", "reason": "axis_gain (x 0.01)"}
+
+
+def test_command_gets_the_message_on_its_standard_input(tmp_path: Path) -> None:
+    kept = tmp_path / "kept file.json"
+    program = "import sys, pathlib; pathlib.Path(sys.argv[1]).write_text(sys.stdin.read())"
+    assert run_command(f'{sys.executable} -c "{program}" "{kept}"', MESSAGE) is None
+    assert json.loads(kept.read_text(encoding="utf-8")) == MESSAGE
+
+
+@pytest.mark.parametrize(
+    "command", ["no-such-command", f"{sys.executable} -c 'raise SystemExit(3)'", "'", ""]
+)
+def test_a_command_that_fails_is_told_in_one_sentence(command: str) -> None:
+    problem = run_command(command, MESSAGE)
+    assert problem is not None
+    assert problem.startswith("alert command ")
+
+
+def test_webhook_gets_the_message_and_a_dead_one_is_told() -> None:
+    received: list[Any] = []
+
+    class Hook(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            received.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Hook)
+    url = f"http://127.0.0.1:{server.server_port}/"
+    thread = threading.Thread(target=server.handle_request)
+    thread.start()
+    assert post(url, MESSAGE) is None
+    thread.join(10)
+    server.server_close()
+    assert received == [MESSAGE]
+    problem = post(url, MESSAGE)
+    assert problem is not None
+    assert problem.startswith(f"alert to {url} failed: ")
+
+
+def test_only_what_was_asked_for_is_sent_and_other_addresses_are_refused() -> None:
+    assert senders(None, None) == []
+    assert len(senders("true", "http://127.0.0.1/")) == 2
+    with pytest.raises(
+        InvalidInput, match="webhook must be an http or https address; received 'file:///tmp'"
+    ):
+        senders(None, "file:///tmp")

@@ -1,0 +1,181 @@
+"""The registry keeps every version, swaps the current one whole, and completes what a kill left."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.calibration.result import Calibration
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.recalibration.registry import Entry, Registry
+
+KILLS = """
+import json, os, signal, sys, shutil
+from pathlib import Path
+from estimator.calibration.result import Calibration
+from estimator.recalibration.registry import Entry, Registry
+
+kept, work = Path(sys.argv[1]), Path(sys.argv[2])
+successor = Calibration.load(kept / "versions/0001")
+
+def die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def torn(self, entry):
+    with (self.folder / "log.jsonl").open("a") as file:
+        file.write(entry.line()[:40])
+    die()
+
+def after(method):
+    def run(self, *arguments):
+        method(self, *arguments)
+        die()
+    return run
+
+replaced = {
+    "before keeping": ("_keep", die),
+    "after keeping": ("_keep", after(Registry._keep)),
+    "in the log": ("_log", torn),
+    "after the log": ("_log", after(Registry._log)),
+    "after all": ("_point", after(Registry._point)),
+}
+for name, (method, how) in replaced.items():
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(kept, work, symlinks=True)
+    child = os.fork()
+    if child == 0:
+        registry = Registry(work)
+        with registry.writing():
+            setattr(Registry, method, how)
+            registry.commit(Entry("updated", "again", "b.zarr", "hash b"), successor)
+    _, status = os.waitpid(child, 0)
+    registry = Registry(work)
+    left = registry.calibration().record["seed"]
+    with registry.writing():
+        pass
+    entries = registry.entries()
+    print(json.dumps([name, os.WTERMSIG(status), left, registry.versions, registry.current, [e.hash for e in entries]]))
+"""
+
+
+@pytest.fixture(scope="module")
+def kept(small_calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("registry") / "kept"
+    registry = Registry(folder)
+    with registry.writing():
+        registry.commit(
+            Entry("updated", "first", "a.zarr", "hash a", "2026-01-01T00:00:00+00:00"), small_calibration
+        )
+    return folder
+
+
+@pytest.fixture
+def registry(kept: Path, tmp_path: Path) -> Registry:
+    return Registry(shutil.copytree(kept, tmp_path / "kept", symlinks=True))
+
+
+def test_a_version_is_whole_with_its_rig_and_provenance(
+    registry: Registry, small_calibration: Calibration
+) -> None:
+    folder = registry.folder / "current"
+    assert folder.readlink() == Path("versions/0001")
+    assert np.array_equal(
+        registry.calibration().draws["coil1.radius_m"], small_calibration.draws["coil1.radius_m"]
+    )
+    assert (folder / "rig.yaml").read_text(encoding="utf-8") == small_calibration.rig.text
+    provenance = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    assert provenance["previous"] is None
+    assert provenance["rig_hash"] == small_calibration.rig.hash
+    assert provenance["entry"]["session"] == "a.zarr"
+    assert "posterior" in registry.tree().children
+
+
+def test_a_conclusion_without_a_calibration_leaves_the_current_version(registry: Registry) -> None:
+    with registry.writing():
+        entry = registry.commit(Entry("rejected", "bad", "b.zarr", "hash b"))
+    assert (entry.version, entry.made) == (1, None)
+    assert registry.versions == (1,)
+    assert [one.hash for one in registry.entries()] == ["hash a", "hash b"]
+
+
+def test_rolling_back_keeps_later_versions_and_their_numbers(
+    registry: Registry, small_calibration: Calibration
+) -> None:
+    with registry.writing():
+        registry.commit(Entry("updated", "second", "b.zarr", "hash b"), small_calibration)
+        assert registry.current == 2
+        registry.roll_back(1)
+    assert (registry.current, registry.versions) == (1, (1, 2))
+    with registry.writing():
+        assert registry.current == 1
+        assert registry.commit(Entry("updated", "third", "c.zarr", "hash c"), small_calibration).made == 3
+    assert [entry.conclusion for entry in registry.entries()] == [
+        "updated",
+        "updated",
+        "rolled_back",
+        "updated",
+    ]
+    with (
+        registry.writing(),
+        pytest.raises(InvalidInput, match=r"must be one of the registry \(1, 2, 3\); received 9"),
+    ):
+        registry.roll_back(9)
+
+
+def test_history_is_a_dataset_of_versions_and_parameters(
+    registry: Registry, small_calibration: Calibration
+) -> None:
+    history = registry.history()
+    own = small_calibration.record["parameters"]["coil1.radius_m"]
+    radius = history.sel(version=1, parameter="coil1.radius_m")
+    assert float(radius["median"]) == own["median"]
+    assert [float(radius["lower90"]), float(radius["upper90"])] == own["ci90"]
+    assert radius["unit"].item() == "m"
+    assert not radius["is_derived"].item()
+
+
+def test_a_second_job_is_refused_while_one_is_at_work(registry: Registry) -> None:
+    with (
+        registry.writing(),
+        pytest.raises(InvalidInput, match="must be free; another recalibration"),
+        Registry(registry.folder).writing(),
+    ):
+        pass
+    with registry.writing():
+        pass
+
+
+def test_a_damaged_line_of_the_log_is_refused(registry: Registry) -> None:
+    with (registry.folder / "log.jsonl").open("a", encoding="utf-8") as file:
+        file.write('{"conclusion": \n')
+    with pytest.raises(CorruptStore, match="one JSON object per line"):
+        registry.entries()
+
+
+def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
+    kept: Path, tmp_path: Path, small_calibration: Calibration
+) -> None:
+    found = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", KILLS, kept, tmp_path / "work"],
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+    seed = small_calibration.record["seed"]
+    first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]
+    assert [json.loads(line) for line in found.stdout.splitlines()] == [
+        ["before keeping", 9, seed, *first],
+        ["after keeping", 9, seed, *both],
+        ["in the log", 9, seed, *both],
+        ["after the log", 9, seed, *both],
+        ["after all", 9, seed, *both],
+    ]

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimator.reporting.plots import interval_summary, trace, traces
+from estimator.rig.parameters import Normal
+
+
+def chain(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.05, 1e-4, (700, 8))
+
+
+def test_trace_shows_unit_step_and_burn_in(words: Callable[[Axes | Figure], str]) -> None:
+    ax = trace(chain(), "coil1.radius_m", burn_in=70, title="rig, 2026-01-01")
+    text = words(ax)
+    assert all(word in text for word in ("radius (mm)", "step", "burn-in", "rig, 2026-01-01"))
+    assert "burn-in" not in words(trace(chain(), "coil1.radius_m"))
+
+
+def test_trace_bands_are_the_quantiles_over_walkers() -> None:
+    ax = trace(chain(), "coil1.radius_m")
+    outer, inner = (np.ptp(band.get_paths()[0].vertices[:, 1]) for band in ax.collections)
+    assert outer > inner > 0.0
+    median = ax.lines[-1].get_ydata()
+    assert np.mean(median) == pytest.approx(50.0, abs=0.02)
+
+
+def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], str]) -> None:
+    made = traces({f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, burn_in=10)
+    text = words(made)
+    assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)"))
+
+
+def test_interval_summary_says_what_was_learnt_and_what_was_not(
+    words: Callable[[Axes | Figure], str],
+) -> None:
+    rng = np.random.default_rng(0)
+    draws = {
+        "coil1.radius_m": rng.normal(0.051, 1e-4, 4000),
+        "coil1.spin_rad": rng.normal(0.0, 0.03, 4000),
+        "derived.length_m": rng.normal(0.047, 1e-5, 4000),
+    }
+    prior = {"coil1.radius_m": Normal(0.048, 3e-3), "coil1.spin_rad": Normal(0.0, 0.03)}
+    ax = interval_summary(draws, prior, truth={"coil1.radius_m": 0.051}, title="rig, 2026-01-01")
+    text = words(ax)
+    assert "51.00 ± 0.10 mm\n30 times narrower" in text
+    assert "mrad\nlittle learnt" in text
+    assert "prior standard deviations" in text
+    assert "length" not in text
+
+
+def test_interval_summary_scales_by_the_prior() -> None:
+    draws = {"c.radius_m": np.random.default_rng(0).normal(0.051, 1e-3, 50_000)}
+    ax = interval_summary(draws, {"c.radius_m": Normal(0.048, 2e-3)})
+    posterior_95 = ax.patches[2]
+    assert posterior_95.get_x() == pytest.approx(1.5 - 0.98, abs=0.02)
+    assert posterior_95.get_width() == pytest.approx(2 * 0.98, abs=0.04)

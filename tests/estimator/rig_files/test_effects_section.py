@@ -1,0 +1,254 @@
+"""The `effects:` section of a rig file: what it holds, and every mistake in it named by place, rule, value, file and line."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
+from estimator.errors import InvalidInput
+from estimator.rig.parameters import Normal
+from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import rig_from_text
+
+RIG = """\
+schema_version: 1
+name: small
+movers: {arm: {motion: displacement}, ur: {motion: UR3e}}
+coils:
+  coil: {carried_by: arm, radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 6, radial_loops: 4, superconducting: true}
+sensors:
+  probe: {noise_uT: 5}
+"""  # the effects follow in line 8
+
+
+def rig_with(effects: str) -> Rig:
+    return rig_from_text(RIG + effects, "rig.yaml")
+
+
+def refusal(effects: str) -> str:
+    with pytest.raises(InvalidInput) as caught:
+        rig_with(effects)
+    return str(caught.value)
+
+
+REFUSALS = {
+    "nothing": ("effects:", "effects must hold keys and values; received None", 8),
+    "list": (
+        "effects: [axis_gain]",
+        "effects must hold keys and values; received ['axis_gain']",
+        8,
+    ),
+    "word": (
+        "effects: axis_gain",
+        "effects must hold keys and values; received 'axis_gain'",
+        8,
+    ),
+    "unknown cause": (
+        "effects:\n  axis_gian[probe]: {x: 0, y: 0, z: 0}",
+        "effects.axis_gian[probe] must be a cause that coilcal knows, such as axis_gain; received 'axis_gian'",
+        9,
+    ),
+    "cause in other words": (
+        "effects:\n  earth_field[room]: {x_T: 0, y_T: 0, z_T: 0}",
+        "effects.earth_field[room] must be a cause that coilcal knows, such as background_field; received 'earth_field'",
+        9,
+    ),
+    "no place": (
+        "effects:\n  axis_gain: {x: 0, y: 0, z: 0}",
+        "effects.axis_gain must be written as cause[place], such as axis_gain[hall]; received 'axis_gain'",
+        9,
+    ),
+    "empty place": (
+        "effects:\n  axis_gain[]: {x: 0, y: 0, z: 0}",
+        "effects.axis_gain[] must be written as cause[place], such as axis_gain[hall]; received 'axis_gain[]'",
+        9,
+    ),
+    "space before the place": (
+        "effects:\n  axis_gain [probe]: {x: 0, y: 0, z: 0}",
+        "effects.axis_gain [probe] must be written as cause[place], such as axis_gain[hall]; received 'axis_gain [probe]'",
+        9,
+    ),
+    "unknown place": (
+        "effects:\n  axis_gain[hall]: {x: 0, y: 0, z: 0}",
+        "effects.axis_gain[hall] must name one of probe; received 'hall'",
+        9,
+    ),
+    "place of another kind": (
+        "effects:\n  axis_gain[coil]: {x: 0, y: 0, z: 0}",
+        "effects.axis_gain[coil] must name one of probe; received 'coil'",
+        9,
+    ),
+    "room at a coil": (
+        "effects:\n  background_field[coil]: {x_T: 0, y_T: 0, z_T: 0}",
+        "effects.background_field[coil] must name one of room; received 'coil'",
+        9,
+    ),
+    "displacements of joint angles": (
+        "effects:\n  displacement_frame[ur]: {rx_rad: 0, ry_rad: 0, rz_rad: 0}",
+        "effects.displacement_frame[ur] must name one of arm; received 'ur'",
+        9,
+    ),
+    "unknown quantity": (
+        "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0, w: 1}",
+        "effects.axis_gain[probe].w is not a key that is known here",
+        9,
+    ),
+    "missing quantity": (
+        "effects:\n  axis_gain[probe]: {x: 0, y: 0}",
+        "effects.axis_gain[probe].z is missing",
+        9,
+    ),
+    "word for a number": (
+        "effects:\n  axis_gain[probe]: {x: big, y: 0, z: 0}",
+        "effects.axis_gain[probe].x must be a finite number; received 'big'",
+        9,
+    ),
+    "comma in a number": (
+        "effects:\n  axis_gain[probe]:\n    x: 0,1\n    y: 0\n    z: 0",
+        "effects.axis_gain[probe].x must be a finite number; received '0,1'",
+        10,
+    ),
+    "NaN": (
+        "effects:\n  axis_gain[probe]: {x: .nan, y: 0, z: 0}",
+        "effects.axis_gain[probe].x must be a finite number; received nan",
+        9,
+    ),
+    "infinite": (
+        "effects:\n  axis_gain[probe]: {x: 0, y: .inf, z: 0}",
+        "effects.axis_gain[probe].y must be a finite number; received inf",
+        9,
+    ),
+    "list for a number": (
+        "effects:\n  axis_gain[probe]: {x: [1], y: 0, z: 0}",
+        "effects.axis_gain[probe].x must be a finite number; received [1]",
+        9,
+    ),
+    "yes for a number": (
+        "effects:\n  axis_gain[probe]: {x: yes, y: 0, z: 0}",
+        "effects.axis_gain[probe].x must be a finite number; received True",
+        9,
+    ),
+    "number for quantities": (
+        "effects:\n  axis_gain[probe]: 0.01",
+        "effects.axis_gain[probe] must hold keys and values; received 0.01",
+        9,
+    ),
+    "nothing for quantities": (
+        "effects:\n  axis_gain[probe]:",
+        "effects.axis_gain[probe] must hold keys and values; received None",
+        9,
+    ),
+    "same cause twice": (
+        "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0}\n  axis_gain[probe]: {x: 1, y: 0, z: 0}",
+        "effects.axis_gain[probe] must be given once; received it in lines 9 and 10",
+        None,
+    ),
+    "same quantity twice": (
+        "effects:\n  axis_gain[probe]:\n    x: 0\n    x: 1",
+        "effects.axis_gain[probe].x must be given once; received it in lines 10 and 11",
+        None,
+    ),
+    "same section twice": (
+        "effects: {}\neffects: {}",
+        "effects must be given once; received it in lines 8 and 9",
+        None,
+    ),
+    "scatter of no size": (
+        "effects:\n  position_jitter[arm]: {sd_m: 0}",
+        "effects.position_jitter[arm].sd_m must be > 0; received 0",
+        9,
+    ),
+    "time before the beginning": (
+        "effects:\n  coil_heating[coil]: {loss_per_K: 0, loss_per_A2: 0.1, tau_h: -1}",
+        "effects.coil_heating[coil].tau_h must be > 0; received -1",
+        9,
+    ),
+    "value outside its prior": (
+        "effects:\n  range_clipping[probe]: {limit_T: {value: 5, prior: {uniform: {lower: 0, upper: 1}}}}",
+        "effects.range_clipping[probe].limit_T must lie within its prior (0 to 1); received 5",
+        9,
+    ),
+    "unknown prior": (
+        "effects:\n  axis_gain[probe]: {x: {prior: {gauss: {mean: 0, sd: 1}}}, y: 0, z: 0}",
+        "effects.axis_gain[probe].x.prior must be one of normal, log_normal, uniform; received gauss",
+        9,
+    ),
+    "tie to another unit": (
+        "effects:\n  axis_gain[probe]: {x: {tied_to: coil.radius_m}, y: 0, z: 0}",
+        "effects.axis_gain[probe].x must be tied to a parameter in 1; received coil.radius_m in m",
+        9,
+    ),
+}
+
+
+@pytest.mark.parametrize(("effects", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+def test_a_mistake_is_named_by_place_rule_value_file_and_line(effects, message, line):
+    assert refusal(effects) == f"{message} (rig.yaml{f', line {line}' if line else ''})"
+
+
+def test_a_neighbour_is_refused_where_there_is_none():
+    message = refusal("effects:\n  neighbour_coil[coil]: {share: 0.1}")
+    assert message.startswith("effects.neighbour_coil[coil] ")
+    assert "none in this rig" in message
+    assert message.endswith("received 'coil' (rig.yaml, line 9)")
+
+
+@pytest.mark.parametrize("key", ["x", "x_uT"])
+def test_key_with_a_missing_or_other_unit_is_named_as_it_is_written(key):
+    message = refusal(f"effects:\n  background_field[room]: {{{key}: 20, y_T: 0, z_T: 0}}")
+    assert f".{key} " in message
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "axes_swapped[probe]: {x_reads: 0, y_reads: 7, z_reads: 3}",
+        "outliers[probe]: {share: 1.5, ratio: 3}",
+        "unit_error[record]: {field_factor: 1, current_factor: 0}",
+        "current_sign[coil]: {sign: 2}",
+    ],
+)
+def test_a_value_that_the_cause_cannot_have_is_refused(effect):
+    assert "; received " in refusal(f"effects:\n  {effect}")
+
+
+def test_empty_section_is_a_rig_without_effects():
+    assert rig_with("effects: {}").effects == ()
+
+
+def test_effects_are_kept_in_file_order_with_values_and_priors_in_si():
+    rig = rig_with(
+        "effects:\n  sensor_offset[probe]: {x_T: 1e-5, y_T: 0, z_T: {prior: {normal: {mean: 0, sd: 5e-5}}}}\n"
+        "  current_gain[coil]: {excess: -0.01}"
+    )
+    assert rig.effects == (Cause("sensor_offset", "probe"), Cause("current_gain", "coil"))
+    assert rig.parameters["sensor_offset[probe].x_T"].value == 1e-5
+    assert rig.parameters["current_gain[coil].excess"].value == -0.01
+    free = rig.parameters["sensor_offset[probe].z_T"]
+    assert (free.prior, free.unit, free.value) == (Normal(0.0, 5e-5), "T", 0.0)
+    assert [parameter.name for parameter in rig.free] == ["sensor_offset[probe].z_T"]
+
+
+def test_an_effect_may_be_tied_to_another_number_of_the_rig():
+    rig = rig_with(
+        "effects:\n  axis_gain[probe]: {x: 0.02, y: {tied_to: 'axis_gain[probe].x', factor: -1}, z: 0}"
+    )
+    assert rig.nominal_values()["axis_gain[probe].y"] == -0.02
+
+
+def test_effects_change_the_hash_of_the_rig():
+    one, other = (rig_with(f"effects:\n  current_gain[coil]: {{excess: {value}}}") for value in (0.01, 0.02))
+    assert len({one.hash, other.hash, rig_with("").hash}) == 3
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "neighbour_coil"])
+def test_every_cause_can_be_written_at_its_place(name):
+    effect = EFFECTS[name]
+    places = effect.places(rig_with(""))
+    quantities = {q.key: q.prior.centre if q.is_positive else q.null for q in effect.quantities(Extent())}
+    entries = ", ".join(f"{key}: {value!r}" for key, value in quantities.items())
+    rig = rig_with(f"effects:\n  {name}[{places[0]}]: {{{entries}}}")
+    assert rig.effects == (Cause(name, places[0]),)
+    units = {key: rig.parameters[f"{name}[{places[0]}].{key}"].unit for key in quantities}
+    assert units == {q.key: q.unit for q in effect.quantities(Extent())}

@@ -1,0 +1,313 @@
+"""Every mistake in a rig file is named by place, rule, value, file and line."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimator.errors import InvalidInput
+from estimator.rig_files.read import rig_from_text
+
+
+def refusal(text: str, old: str, new: str) -> str:
+    assert text.count(old) == 1, old
+    with pytest.raises(InvalidInput) as caught:
+        rig_from_text(text.replace(old, new), "rig.yaml")
+    return str(caught.value)
+
+
+UNITS_OF_LENGTH = "wire_radius_m or wire_radius_cm or wire_radius_mm or wire_radius_um"
+WIRE = "wire_radius_mm: 0.49"
+PRIOR = "normal: {mean: 50, sd: 3, lower: 40}"
+REFUSALS = {
+    "unknown key": (
+        WIRE,
+        f"{WIRE}\n    current_gian: 1",
+        "coils.coil1.current_gian is not a key that is known here",
+        11,
+    ),
+    "unknown key at the top": (
+        "sensors:",
+        "robots: {}\nsensors:",
+        "robots is not a key that is known here",
+        21,
+    ),
+    "pose of a body that is carried": (
+        "  hall:",
+        "  hall:\n    carried_by: arm2\n    world_from_sensor: {}",
+        "sensors.hall.world_from_sensor is not a key that is known here",
+        24,
+    ),
+    "unknown sum": (
+        WIRE,
+        f"{WIRE}\n    field_sum: sum",
+        "coils.coil1.field_sum must be one of vectors, spherical_components; received 'sum'",
+        11,
+    ),
+    "no truth": (
+        WIRE,
+        f"{WIRE}\n    superconducting: 4.2",
+        "coils.coil1.superconducting must be true or false; received 4.2",
+        11,
+    ),
+    "missing key": ("    radial_loops: 22\n", "", "coils.coil1.radial_loops is missing", 8),
+    "missing wire": (f"    {WIRE}\n", "", "coils.coil1.wire_radius_m is missing", 8),
+    "missing version": ("schema_version: 1\n", "", "schema_version is missing", 1),
+    "other version": ("schema_version: 1", "schema_version: 2", "schema_version must be 1; received 2", 1),
+    "missing unit": (
+        WIRE,
+        "wire_radius: 0.49",
+        f"coils.coil1.wire_radius must carry its unit: write {UNITS_OF_LENGTH}; received 0.49",
+        10,
+    ),
+    "unknown unit": (
+        WIRE,
+        "wire_radius_inch: 0.49",
+        f"coils.coil1.wire_radius_inch must carry its unit: write {UNITS_OF_LENGTH}; received 0.49",
+        10,
+    ),
+    "wrong dimension": (
+        WIRE,
+        "wire_radius_deg: 0.49",
+        "coils.coil1.wire_radius_deg must be in a unit of length (m, cm, mm, um); received 0.49 in deg",
+        10,
+    ),
+    "same key twice": (
+        WIRE,
+        f"{WIRE}\n    {WIRE}",
+        "coils.coil1.wire_radius_mm must be given once; received it in lines 10 and 11",
+        None,
+    ),
+    "same quantity in two units": (
+        WIRE,
+        f"{WIRE}\n    wire_radius_m: 0.1",
+        "coils.coil1.wire_radius_m must be given in one unit; received wire_radius_mm and wire_radius_m",
+        11,
+    ),
+    "no bore": (
+        "radial_loops: 22",
+        "radial_loops: 60",
+        "coils.coil1.radius_mm must exceed radial_pitch x radial_loops = 58.8 mm (no bore is left); received 48 mm",
+        9,
+    ),
+    "no bore through a tie": (
+        "factor: 1.5",
+        "factor: 0.5",
+        "coils.coil2.radius_mm must exceed radial_pitch x radial_loops = 33 mm (no bore is left); received 24 mm",
+        16,
+    ),
+    "zero": (WIRE, "wire_radius_mm: 0", "coils.coil1.wire_radius_mm must be > 0; received 0", 10),
+    "negative": (WIRE, "wire_radius_mm: -0.49", "coils.coil1.wire_radius_mm must be > 0; received -0.49", 10),
+    "negative through a tie": (
+        "factor: 1.5",
+        "factor: -1.5",
+        "coils.coil2.radius_mm must be > 0; received -0.072 m",
+        16,
+    ),
+    "less than one loop": (
+        "radial_loops: 22",
+        "radial_loops: 0.5",
+        "coils.coil1.radial_loops must be at least 1; received 0.5",
+        12,
+    ),
+    "less than one loop through a tie": (
+        "{tied_to: coil1.axial_loops}",
+        "{tied_to: coil1.axial_loops, factor: 0.01}",
+        "coils.coil2.axial_loops must be at least 1; received 0.45",
+        19,
+    ),
+    "value outside its prior": (
+        "value: 48",
+        "value: 39",
+        "coils.coil1.radius_mm must lie within its prior (40 to inf); received 39",
+        9,
+    ),
+    "unknown mover": (
+        "    carried_by: arm1",
+        "    carried_by: arm3",
+        "coils.coil1.carried_by must name a mover (arm1, arm2); received 'arm3'",
+        8,
+    ),
+    "base frame without its rotation": (
+        "{motion: displacement",
+        "{motion: displacement, displacement_frame: base",
+        "movers.arm1.displacement_frame base needs the rotation base_from_flange0 {rx, ry, rz}; received none",
+        4,
+    ),
+    "unknown motion": (
+        "motion: UR3e",
+        "motion: UR5",
+        "movers.arm2.motion must be one of pose, displacement, UR3, UR3e; received 'UR5'",
+        5,
+    ),
+    "tie to nothing": (
+        "tied_to: coil1.radius_m",
+        "tied_to: coil1.radius_mm",
+        "coils.coil2.radius_mm must be tied to a parameter of the rig, by its name in SI; received 'coil1.radius_mm'",
+        16,
+    ),
+    "tie to itself": (
+        "tied_to: coil1.radius_m",
+        "tied_to: coil2.radius_m",
+        "coils.coil2.radius_mm must not be tied in a circle; received coil2.radius_m -> coil2.radius_m",
+        16,
+    ),
+    "tie in a circle": (
+        WIRE,
+        "wire_radius_mm: {tied_to: coil1.axial_pitch_m}",
+        "coils.coil1.wire_radius_mm must not be tied in a circle; "
+        "received coil1.wire_radius_m -> coil1.axial_pitch_m -> coil1.wire_radius_m",
+        10,
+    ),
+    "tie to another dimension": (
+        "tied_to: coil1.radius_m",
+        "tied_to: coil1.radial_loops",
+        "coils.coil2.radius_mm must be tied to a parameter in m; received coil1.radial_loops in 1",
+        16,
+    ),
+    "unknown prior": (
+        PRIOR,
+        "gaussian: {mean: 50, sd: 3}",
+        "coils.coil1.radius_mm.prior must be one of normal, log_normal, uniform; received gaussian",
+        9,
+    ),
+    "two priors": (
+        PRIOR,
+        "normal: {mean: 50, sd: 3}, uniform: {lower: 1, upper: 2}",
+        "coils.coil1.radius_mm.prior must be one of normal, log_normal, uniform; received normal and uniform",
+        9,
+    ),
+    "empty prior": (
+        f"{{{PRIOR}}}",
+        "{}",
+        "coils.coil1.radius_mm.prior must be one of normal, log_normal, uniform; received nothing",
+        9,
+    ),
+    "prior in a word": (
+        f"{{{PRIOR}}}",
+        "normal",
+        "coils.coil1.radius_mm.prior must hold keys and values; received 'normal'",
+        9,
+    ),
+    "prior without width": (
+        PRIOR,
+        "normal: {mean: 50}",
+        "coils.coil1.radius_mm.prior.normal.sd is missing",
+        9,
+    ),
+    "prior of another kind's key": (
+        PRIOR,
+        "normal: {mean: 50, sd: 3, median: 1}",
+        "coils.coil1.radius_mm.prior.normal.median is not a key that is known here",
+        9,
+    ),
+    "prior of negative width": (
+        PRIOR,
+        "normal: {mean: 50, sd: -3}",
+        "coils.coil1.radius_mm.prior.normal.sd must be > 0; received -3.0",
+        9,
+    ),
+    "prior of NaN": (
+        PRIOR,
+        "normal: {mean: .nan, sd: 3}",
+        "coils.coil1.radius_mm.prior.normal.mean must be a finite number; received nan",
+        9,
+    ),
+    "prior of crossed bounds": (
+        "lower: 40, upper: 50",
+        "lower: 50, upper: 40",
+        "coils.coil1.axial_loops.prior.uniform.lower must be below upper; received (50.0, 40.0)",
+        11,
+    ),
+    "log-normal of median 0": (
+        "median: 0.2",
+        "median: 0",
+        "sensors.hall.noise_G.prior.log_normal.median must be > 0; received 0.0",
+        23,
+    ),
+    "log-normal of no width": (
+        "relative_sd: 0.5",
+        "relative_sd: 0",
+        "sensors.hall.noise_G.prior.log_normal.relative_sd must be > 0; received 0.0",
+        23,
+    ),
+    "negative bound of a positive number": (
+        PRIOR,
+        "normal: {mean: 50, sd: 3, lower: -1}",
+        "coils.coil1.radius_mm.prior.normal.lower must be at least 0, as the quantity is positive; received -1",
+        9,
+    ),
+    "negative mean of a positive number": (
+        PRIOR,
+        "normal: {mean: -50, sd: 3}",
+        "coils.coil1.radius_mm.prior.normal.mean must be at least 0, as the quantity is positive; received -50",
+        9,
+    ),
+    "NaN": (
+        WIRE,
+        "wire_radius_mm: .nan",
+        "coils.coil1.wire_radius_mm must be a finite number; received nan",
+        10,
+    ),
+    "text": (
+        WIRE,
+        "wire_radius_mm: 0,49",
+        "coils.coil1.wire_radius_mm must be a finite number; received '0,49'",
+        10,
+    ),
+    "nothing": (
+        WIRE,
+        "wire_radius_mm:",
+        "coils.coil1.wire_radius_mm must be a finite number; received None",
+        10,
+    ),
+    "yes": (
+        "radial_loops: 22",
+        "radial_loops: yes",
+        "coils.coil1.radial_loops must be a finite number; received True",
+        12,
+    ),
+    "number instead of keys": (
+        "{motion: displacement}",
+        "3",
+        "movers.arm1 must hold keys and values; received 3",
+        4,
+    ),
+    "name with a slash": (
+        "  hall:",
+        "  hall/1:",
+        "sensors.hall/1 must be named by letters, digits, _ and - only; received 'hall/1'",
+        22,
+    ),
+    "name of two things": (
+        "  hall:",
+        "  coil1:",
+        "sensors.coil1 must have a name of its own; received 'coil1', which is taken",
+        22,
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+def test_a_mistake_is_named_by_place_rule_value_file_and_line(
+    two_coils_text: str, old: str, new: str, message: str, line: int | None
+) -> None:
+    assert refusal(two_coils_text, old, new) == f"{message} (rig.yaml{f', line {line}' if line else ''})"
+
+
+@pytest.mark.parametrize("kind", ["coils", "sensors"])
+def test_a_rig_has_coils_and_sensors(kind: str) -> None:
+    text = f"schema_version: 1\nname: nothing\n{kind}: {{}}\n"
+    other = (
+        "sensors: {hall: {noise_uT: 5}}"
+        if kind == "coils"
+        else ("coils: {coil1: {radius_mm: 9, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1}}")
+    )
+    with pytest.raises(InvalidInput) as caught:
+        rig_from_text(text + other, "rig.yaml")
+    assert str(caught.value) == f"{kind} must name at least one; received none (rig.yaml, line 3)"
+
+
+def test_a_carrier_is_refused_where_the_rig_has_no_movers() -> None:
+    text = "schema_version: 1\nname: a\ncoils: {c: {carried_by: arm, radius_mm: 9, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1}}"
+    with pytest.raises(InvalidInput, match=r"must name a mover \(the rig has none\); received 'arm'"):
+        rig_from_text(text)

@@ -1,0 +1,69 @@
+"""How a year is counted: by name, by name and place, by needless updates; and every version is made current again."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimator.recalibration.registry import Registry
+from scripts.studies import recalibrate_years as years
+
+
+def year(cause: str, *named: str, updates: tuple[int, ...] = ()) -> dict[str, Any]:
+    weeks = [
+        {"conclusion": "updated" if i in (1, *updates) else "unchanged", "named": []} for i in range(1, 20)
+    ]
+    return {"cause": cause, "weeks": [*weeks, {"conclusion": "drifted", "named": [list(named)]}]}
+
+
+@pytest.mark.parametrize(
+    ("cause", "named", "is_right", "is_strict"),
+    [
+        ("sensor_misplaced[turned]", ("sensor_misplaced[hall]", "sensor_misplaced[turned]"), True, True),
+        ("sensor_misplaced[turned]", ("sensor_misplaced[hall]",), True, False),
+        ("mount_tilt[coil1]", ("mount_tilt",), True, True),
+        ("robot_scale", ("axis_gain[hall]",), False, False),
+    ],
+)
+def test_a_cause_at_another_sensor_is_not_strictly_right(
+    cause: str, named: tuple[str, ...], is_right: bool, is_strict: bool
+) -> None:
+    row = year(cause, *named)
+    assert (years.is_right(row), years.is_strict(row)) == (is_right, is_strict)
+
+
+def test_updates_that_nothing_called_for_are_counted_and_the_first_calibration_is_none() -> None:
+    assert years.needless(year("robot_scale", "robot_scale", updates=(8, 12))) == [8, 12]
+    assert years.needless(year("robot_scale", "robot_scale")) == []
+    assert not years.alarms(year("robot_scale", "robot_scale", updates=(8,)))
+
+
+def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    current: list[int] = [2]
+
+    class Kept(Registry):
+        versions = (1, 2)
+
+        def writing(self) -> Any:
+            return nullcontext()
+
+        @property
+        def current(self) -> int:
+            return current[-1]
+
+        def roll_back(self, version: int) -> None:  # type: ignore[override]
+            current.append(version)
+
+        def calibration(self, version: int | None = None) -> Any:
+            return type("Whole", (), {"record": {"version": version or self.current}})
+
+    years.check_versions(Kept(tmp_path))
+    assert current == [2, 1, 2, 2]
+    monkeypatch.setattr(Kept, "roll_back", lambda *_: None)
+    with pytest.raises(RuntimeError, match="version 1 must be current again"):
+        years.check_versions(Kept(tmp_path))

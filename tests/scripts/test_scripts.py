@@ -1,0 +1,61 @@
+"""Scripts are not part of the package, so nothing else notices when a name they use is gone."""
+
+from __future__ import annotations
+
+import importlib
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from estimator.store.session import Session
+from tests.estimator.conftest import rig_text, small_plan, small_rig, small_session
+
+__all__ = ["rig_text", "small_plan", "small_rig", "small_session"]  # fixtures
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+# JAX, an optional dependency of the one left out, changes how the process that imports it may fork.
+NAMES = sorted(
+    ".".join(path.relative_to(SCRIPTS.parent).with_suffix("").parts) for path in SCRIPTS.rglob("*.py")
+)
+NAMES.remove("scripts.benchmarks.nuts")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_script_finds_what_it_imports(name: str) -> None:
+    importlib.import_module(name)
+
+
+def run(name: str, *arguments: str) -> None:
+    """As from the command line."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "argv", [name, *arguments])
+        runpy.run_module(f"scripts.{name}", run_name="__main__")
+
+
+def test_recalibrate_judges_what_lies_in_the_inbox(
+    small_session: Session,
+    rig_text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
+    small_session.save(tmp_path / "inbox" / "first.zarr")
+    monkeypatch.chdir(tmp_path)
+    run("recalibrate")
+    said = capsys.readouterr().out
+    assert "first.zarr: updated, first calibration" in said
+    assert "coil1.radius_m" in said
+    assert "version 1 is in use" in said
+
+
+@pytest.mark.slow
+def test_batch_posteriors_calibrates_days_and_opens_the_results(tmp_path: Path) -> None:
+    command = [sys.executable, SCRIPTS / "batch_posteriors.py", "--days", "1", "--out", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
+    assert "day000-plain" in done.stdout
+    assert "effective samples" in done.stdout
+    assert (tmp_path / "summary.parquet").exists()
