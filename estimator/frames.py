@@ -1,6 +1,6 @@
 """Rigid transforms between the frames of a rig: world, base, flange, coil, sensor.
 
-First link of the chain: poses of robots and mounts become one `Transform`, which carries sensor positions
+First link of the model: poses of robots and mounts become one `Transform`, which carries sensor positions
 into a coil's frame and fields back out of it. `a_from_b` maps coordinates in frame b to coordinates in frame
 a, so neighbours match: ``world_from_coil = world_from_flange @ flange_from_coil``. Everything broadcasts over
 leading axes, keeps dtype and device, and is differentiable, also at zero rotation, where fits start and where
@@ -55,7 +55,7 @@ class Transform:
         return cls(rotation.expand(*translation_m.shape, 3), translation_m)
 
     def __matmul__(self, other: Transform) -> Transform:
-        """Chain ``a_from_b @ b_from_c = a_from_c``."""
+        """MeasurementModel ``a_from_b @ b_from_c = a_from_c``."""
         return Transform(self.rotation @ other.rotation, self.apply(other.translation_m))
 
     def inverse(self) -> Transform:

@@ -13,7 +13,7 @@ from estimator.batching.stacked import settings_hash
 from estimator.calibration.calibrate import versions
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.errors import CoilcalError, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.hide import cause_of
@@ -137,7 +137,7 @@ def _with_cause(rig: Rig, observations: Observations, text: str) -> Rig:
     cause = cause_of(text, rig)
     if cause in rig.effects:
         raise InvalidInput(f"hypothesis {text!r} must not be in the rig already")
-    shapes = effect_of(cause.name).starts(Scene(rig, observations), cause.place)[0]
+    shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]
     return with_effect(rig, cause, observations, shapes)
 
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from estimator.effects.circumstances import Scene
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.effects.circumstances import Circumstances
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -41,7 +41,7 @@ def settings_hash(rig: Rig, observations: Observations) -> str:
 
 def stacked_fits(
     rig: Rig, sessions: Sequence[Observations], seeds: Sequence[int], more_starts: int
-) -> list[tuple[LogPosterior, Polished]]:
+) -> list[tuple[LogPosterior, Optimum]]:
     """The maximum of the posterior of each session, by Levenberg-Marquardt from the nominal values and from draws of the prior.
 
     All starts climb some steps, then the highest of each session climbs to its top.
@@ -53,10 +53,12 @@ def stacked_fits(
         more_starts: Draws of the prior beside the nominal values.
     Returns: Per session its own density and the highest maximum found.
     """
-    chain = Chain.build(rig, sessions[0])
+    model = MeasurementModel.build(rig, sessions[0])
     coordinates = Coordinates(rig)
     own = [
-        LogPosterior(coordinates, replace(chain, scene=Scene(rig, observations)), observations)
+        LogPosterior(
+            coordinates, replace(model, circumstances=Circumstances(rig, observations)), observations
+        )
         for observations in sessions
     ]
     n_starts = 1 + more_starts
@@ -65,9 +67,9 @@ def stacked_fits(
     starts = torch.cat([_starts(coordinates, seed, more_starts) for seed in seeds])
     possible = torch.isfinite(together(starts))
     starts = torch.where(possible[:, None], starts, coordinates.start())
-    first = polish(together, starts, FIRST_ITERATIONS, TOLERANCE)
+    first = levenberg_marquardt(together, starts, FIRST_ITERATIONS, TOLERANCE)
     top = first.log_posterior.reshape(len(own), n_starts).argmax(1) + n_starts * torch.arange(len(own))
-    fits = polish(together.at(top), first.vector[top], tolerance=TOLERANCE)
+    fits = levenberg_marquardt(together.at(top), first.vector[top], tolerance=TOLERANCE)
     return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(own)]
 
 

@@ -21,7 +21,7 @@ from estimator.code_version import code_version
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.metrics import HALF_WIDTH_90, errors
 from estimator.readings.observations import Observations
@@ -86,7 +86,7 @@ def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
         )
     except Exception as error:
         return [error] if len(ready) == 1 else [_fits([one])[0] for one in ready]
-    return [Fit(posterior, polished) for posterior, polished in found]
+    return [Fit(posterior, optimum) for posterior, optimum in found]
 
 
 def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
@@ -155,7 +155,7 @@ def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
         **asdict(job),
         "parameters": parameters,
         "log_evidence": fit.log_evidence,
-        "is_converged": bool(fit.polished.is_converged[0]),
+        "is_converged": bool(fit.optimum.is_converged[0]),
         "vector_rmse_T": rmse,
         "versions": versions(),
         "code": code_version(),
@@ -164,7 +164,7 @@ def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
 
 def _vector_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
-        chain = replace(Chain.unruled(fit.rig, observations), rules=fit.posterior.chain.rules)
+        chain = replace(MeasurementModel.unruled(fit.rig, observations), rules=fit.posterior.model.rules)
         predicted_T = chain.predict(fit.values).expand(len(observations), 3)
     return errors(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 

@@ -25,7 +25,7 @@ from estimator.inference.laplace import OpenDirection, open_directions
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import PointEstimate, point_estimate
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings, check_units
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -102,32 +102,32 @@ def calibrate(
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     check_units(rig, observations, session.source)
-    Chain.build(
+    MeasurementModel.build(
         rig, session.observations
     )  # sensors inside a winding are refused now, those of validation too
     if folder is not None:
         _make(folder)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
-    chain = Chain.build(rig, observations)
+    model = MeasurementModel.build(rig, observations)
     coordinates = Coordinates(rig)
-    posterior = LogPosterior(coordinates, chain, observations)
+    posterior = LogPosterior(coordinates, model, observations)
     estimate = point_estimate(posterior, observations, seed)
-    chain = chain.with_rules(_values(coordinates, estimate.vector))
-    posterior = LogPosterior(coordinates, chain, observations)
+    model = model.with_rules(_values(coordinates, estimate.vector))
+    posterior = LogPosterior(coordinates, model, observations)
     undetermined = tuple(open_directions(coordinates, estimate.fit))
 
     tell(Stage("Laplace approximation over loop counts", open_directions=undetermined))
     rng = np.random.default_rng(seed)
-    lattice = LogPosterior(Coordinates(rig, has_integer_counts), chain, observations)
+    lattice = LogPosterior(Coordinates(rig, has_integer_counts), model, observations)
     mixture = count_mixture(posterior, lattice, estimate.fit, rng)
     if mixture is None:
         tell(Stage("loop counts are hardly determined and are sampled as real numbers"))
-        lattice = LogPosterior(coordinates, chain, observations)
+        lattice = LogPosterior(coordinates, model, observations)
         mixture = count_mixture(posterior, lattice, estimate.fit, rng)
         assert mixture is not None
-    if chain.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
-        lattice = LogPosterior(lattice.coordinates, replace(chain, mode=SumMode.COMPILED), observations)
+    if model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
+        lattice = LogPosterior(lattice.coordinates, replace(model, mode=SumMode.COMPILED), observations)
 
     tell(Stage("posterior sampling with emcee"))
     if backend is None:

@@ -13,7 +13,7 @@ from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import winding_of, world_from_body
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
@@ -34,9 +34,9 @@ def pictures(calibration: Calibration) -> list[Picture]:
 def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
     observations = calibration.observations.calibration
     best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
-    chain = Chain.build(calibration.rig, observations)
+    model = MeasurementModel.build(calibration.rig, observations)
     measured_T = observations.field_sensor_T.numpy()
-    predicted_T = chain.predict(best).numpy()
+    predicted_T = model.predict(best).numpy()
     residual_T = measured_T - predicted_T
     sensor = observations.sensor.numpy()
     by_sensor_T = np.array([calibration.best[f"{s.name}.noise_T"] for s in calibration.rig.sensors])
@@ -61,7 +61,7 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
             "A sensor or component that stands out has a fault of its own; where the noise was fitted, a sensor's components average to 1.",
             _figure(plots.residual_by_sensor(residual_T, sensor, names, sigma_T, title=title)),
         )
-    for coil, positions_m, winding in _places(calibration, chain, best):
+    for coil, positions_m, winding in _places(calibration, model, best):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
         yield from _plane(calibration, coil, positions_m, best, winding, title)
 
@@ -124,17 +124,17 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
 
 
 def _places(
-    calibration: Calibration, chain: Chain, best: Mapping[str, torch.Tensor]
+    calibration: Calibration, model: MeasurementModel, best: Mapping[str, torch.Tensor]
 ) -> Iterator[tuple[Coil, np.ndarray, Winding]]:
     """Per coil that carried current the sensor's position in its frame for every reading; NaN where it was off."""
     for coil in calibration.rig.coils[:MOST_COILS]:
-        rows = chain.powered[coil.name]
+        rows = model.powered[coil.name]
         if not len(rows):
             continue
-        points, _ = chain.sensor_in_coil(coil, rows, best)
-        everywhere = np.full((len(chain.sensor), 3), np.nan)
+        points, _ = model.sensor_in_coil(coil, rows, best)
+        everywhere = np.full((len(model.sensor), 3), np.nan)
         everywhere[rows.numpy()] = points.numpy()
-        yield coil, everywhere[chain.place.numpy()], winding_of(calibration.rig, coil, best)
+        yield coil, everywhere[model.place.numpy()], winding_of(calibration.rig, coil, best)
 
 
 def _plane(

@@ -11,7 +11,7 @@ import torch
 
 from estimator.calibration.result import Calibration
 from estimator.inference.convergence import convergence
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -144,21 +144,21 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         if not len(observations):
             result["rmse"][role] = result["rmse_nominal"][role] = result["coverage90"][role] = None
             continue
-        chain = Chain.build(calibration.rig, observations)
+        model = MeasurementModel.build(calibration.rig, observations)
         measured = observations.field_sensor_T.numpy()
-        predicted = chain.predict(best).expand(len(observations), 3).numpy()
+        predicted = model.predict(best).expand(len(observations), 3).numpy()
         result["rmse"][role] = _record(errors(measured, predicted))
-        result["rmse_nominal"][role] = _record(errors(measured, chain.predict(nominal).numpy()))
+        result["rmse_nominal"][role] = _record(errors(measured, model.predict(nominal).numpy()))
         result["rmse_by_sensor"][role] = {
             sensor.name: _record(errors(measured[mine], predicted[mine]))
             for i, sensor in enumerate(calibration.rig.sensors)
             if (mine := observations.sensor.numpy() == i).any()
         }
-        result["coverage90"][role] = _coverage(calibration, chain, observations)
+        result["coverage90"][role] = _coverage(calibration, model, observations)
     return result
 
 
-def _coverage(calibration: Calibration, chain: Chain, observations: Observations) -> float:
+def _coverage(calibration: Calibration, model: MeasurementModel, observations: Observations) -> float:
     """Share of measured components inside the central 90 % of the posterior predictive distribution."""
     values = calibration.draw_values(COVERAGE_DRAWS)
     n_draws = min(COVERAGE_DRAWS, calibration.log_prob.size)
@@ -166,7 +166,7 @@ def _coverage(calibration: Calibration, chain: Chain, observations: Observations
         [values[f"{s.name}.noise_T"].expand(n_draws) for s in calibration.rig.sensors], dim=-1
     )
     with torch.no_grad():
-        predicted = chain.predict(values).expand(
+        predicted = model.predict(values).expand(
             n_draws, len(observations), 3
         )  # no batch where only noise is free
     generator = torch.Generator().manual_seed(0)

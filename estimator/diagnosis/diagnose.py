@@ -29,7 +29,7 @@ from estimator.diagnosis.verdict import (
 )
 from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
@@ -80,8 +80,8 @@ def diagnose(
     few = thinned(seen, MOST_SEARCHED, seed)
 
     tell("fit of the rig as it is described")
-    chain = Chain.build(rig, few)
-    plain = fit_rig(rig, few, {}, chain.rules, MORE_STARTS)
+    model = MeasurementModel.build(rig, few)
+    plain = fit_rig(rig, few, {}, model.rules, MORE_STARTS)
     tell("mistakes of the record")
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
@@ -101,7 +101,7 @@ def diagnose(
     before, after = plain, extended
     if len(seen) > len(few):
         many = thinned(seen, MOST_FITTED, seed)
-        before, after = (fit_rig(fit.rig, many, fit.values, chain.rules) for fit in (plain, extended))
+        before, after = (fit_rig(fit.rig, many, fit.values, model.rules) for fit in (plain, extended))
     judged = gain(before, after, thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
@@ -157,7 +157,7 @@ def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
         rig = rig.without_cause(fault.cause)
     if not rig.effects:
         return False
-    rules = final.posterior.chain.rules
+    rules = final.posterior.model.rules
     as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence
 

@@ -18,9 +18,9 @@ from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
-from estimator.inference.levenberg_marquardt import Polished, polish, solve
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt, solve
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import LogNormal, Parameter
@@ -37,26 +37,26 @@ class Fit:
 
     Attributes:
         posterior: The density, with continuous loop counts.
-        polished: The maximum and its curvature; one start.
+        optimum: The maximum and its curvature; one start.
     """
 
     posterior: LogPosterior
-    polished: Polished
+    optimum: Optimum
 
     @property
     def rig(self) -> Rig:
         """The rig with its effects."""
-        return self.posterior.chain.rig
+        return self.posterior.model.rig
 
     @property
     def vector(self) -> Float[Tensor, " coordinate"]:
         """Coordinates of the maximum."""
-        return self.polished.vector[0]
+        return self.optimum.vector[0]
 
     @cached_property
     def log_evidence(self) -> float:
         """Laplace estimate, with normalised priors of the effects and a constant common to all rigs that differ only in effects."""
-        return float(log_evidence(self.polished)[0]) + sum(_log_normaliser(p) for p in _of_effects(self.rig))
+        return float(log_evidence(self.optimum)[0]) + sum(_log_normaliser(p) for p in _of_effects(self.rig))
 
     @cached_property
     def values(self) -> dict[str, Tensor]:
@@ -67,7 +67,7 @@ class Fit:
     @property
     def observations(self) -> Observations:
         """The readings that were fitted."""
-        return self.posterior.chain.scene.observations
+        return self.posterior.model.circumstances.observations
 
     def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
         """Values to start another rig from: those of this fit, and what the other rig has beyond it at its nominal values."""
@@ -98,7 +98,7 @@ class Fit:
             here = (self.posterior.measured_T - self.posterior.predicted(self.vector)) * self.whitening_per_T
         free = ~self._is_at_bound
         gradient = self.jacobian.T @ here + jacrev(self.posterior.coordinates.log_prior)(self.vector)
-        step = solve(self.polished.precision[0][free][:, free], gradient[free])
+        step = solve(self.optimum.precision[0][free][:, free], gradient[free])
         left: Tensor = here - self.jacobian[:, free] @ step
         return left
 
@@ -120,13 +120,13 @@ class Fit:
     @cached_property
     def projector(self) -> Projector:
         """What the fit can follow."""
-        prior = (self.polished.precision - self.polished.information)[0]
+        prior = (self.optimum.precision - self.optimum.information)[0]
         return Projector.of(self.jacobian, prior)
 
     @cached_property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
         """Of the coordinates, by Laplace."""
-        return covariance(self.polished.precision)[0]
+        return covariance(self.optimum.precision)[0]
 
     def covariance_beside(
         self, columns: Float[Tensor, "component column"]
@@ -135,7 +135,7 @@ class Fit:
         across = self.jacobian.T @ columns
         own = columns.T @ columns + torch.eye(columns.shape[1], dtype=torch.float64)
         lost = across @ torch.linalg.solve(own, across.T)
-        return covariance((self.polished.precision[0] - lost)[None])[0]
+        return covariance((self.optimum.precision[0] - lost)[None])[0]
 
     def value_sd(self, name: str, covariance: Tensor | None = None) -> float:
         """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed.
@@ -166,7 +166,7 @@ class Fit:
         """
         quantities = {
             f"{cause.label}.{q.key}": q
-            for q in EFFECTS[cause.name].quantities(self.posterior.chain.scene.extent)
+            for q in EFFECTS[cause.name].quantities(self.posterior.model.circumstances.extent)
             if not q.is_shape
         }
         names = [name for name in quantities if name in self.posterior.coordinates.names]
@@ -191,11 +191,13 @@ class Fit:
     def still_has(self, cause: Cause) -> bool:
         """Whether one of the rig's causes still is itself at the values that were fitted."""
         effect = EFFECTS[cause.name]
-        return effect.is_itself(Use(effect, cause.place).theta(self.values), self.posterior.chain.scene)
+        return effect.is_itself(
+            Use(effect, cause.place).theta(self.values), self.posterior.model.circumstances
+        )
 
     def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
         """The fit in another linear model about it, as far as evidence of more columns goes: that takes these two."""
-        copy = Fit(self.posterior, self.polished)
+        copy = Fit(self.posterior, self.optimum)
         copy.__dict__.update(projector=projector, residual=residual)
         return copy
 
@@ -241,18 +243,18 @@ def fit_rig(
         more_starts: Draws of the prior.
         tolerance: In log density, of what a further step would gain.
     """
-    chain = replace(Chain.unruled(rig, observations), rules=dict(rules))
+    model = replace(MeasurementModel.unruled(rig, observations), rules=dict(rules))
     coordinates = Coordinates(rig)
-    posterior = LogPosterior(coordinates, chain, observations)
+    posterior = LogPosterior(coordinates, model, observations)
     vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})[None]
     if more_starts:
         vector = torch.cat(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
-    polished = polish(posterior, vector, tolerance=tolerance)
-    top = int(polished.log_posterior.argmax())
-    return Fit(posterior, polished.rows(slice(top, top + 1)))
+    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance)
+    top = int(optimum.log_posterior.argmax())
+    return Fit(posterior, optimum.rows(slice(top, top + 1)))
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:

@@ -14,7 +14,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.effects.noise import Outliers
 from estimator.effects.use import uses_of
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
 from estimator.readings.observations import Observations
 
@@ -88,10 +88,10 @@ def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
 
 def judged(fit: Fit, unseen: Observations) -> Judged:
     """Predictive errors, density and coverage, with the uncertainty of the parameters by Laplace."""
-    chain = replace(Chain.unruled(fit.rig, unseen), rules=fit.posterior.chain.rules)
-    posterior = LogPosterior(fit.posterior.coordinates, chain, unseen)
+    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
+    posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():
-        predicted_T = chain.predict(fit.values).expand(len(unseen), 3)
+        predicted_T = model.predict(fit.values).expand(len(unseen), 3)
         mean_T = posterior.measured_components(predicted_T)
         noise_T = posterior.component_sigma_T(fit.vector)
         slope: Tensor = posterior.slope(fit.vector)

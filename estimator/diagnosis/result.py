@@ -155,7 +155,7 @@ class Diagnosis:
     def parameters(self, cause: Cause) -> dict[str, dict[str, Any]]:
         """Median, width and interval of each quantity of a cause that the session can see."""
         prefix = f"{cause.label}."
-        unseen = EFFECTS[cause.name].unseen(self.fit.posterior.chain.scene, cause.place)
+        unseen = EFFECTS[cause.name].unseen(self.fit.posterior.model.circumstances, cause.place)
         keys = [name.removeprefix(prefix) for name in self.fit.rig.parameters if name.startswith(prefix)]
         return {key: self._interval(prefix + key) for key in keys if key not in unseen}
 

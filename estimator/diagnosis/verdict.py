@@ -126,7 +126,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     kept = []
     for one in named:
         without = fit_rig(
-            final.rig.without_cause(one.cause), final.observations, final.values, final.posterior.chain.rules
+            final.rig.without_cause(one.cause), final.observations, final.values, final.posterior.model.rules
         )
         smooth = _with_columns(without, columns)
         evidence = max(
@@ -155,7 +155,7 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
     """The fit as if curves with standard normal coefficients had been fitted too."""
     jacobian = torch.cat((fit.jacobian, columns), dim=1)
     prior = torch.block_diag(
-        (fit.polished.precision - fit.polished.information)[0],
+        (fit.optimum.precision - fit.optimum.information)[0],
         torch.eye(columns.shape[1], dtype=torch.float64),
     )
     projector = Projector.of(jacobian, prior)

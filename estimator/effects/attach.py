@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from estimator.effects import EFFECTS
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.readings.observations import Observations
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Cause, Rig
@@ -23,8 +23,8 @@ def with_effect(
         values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation.
         is_free: A fit may change them.
     """
-    scene, effect = Scene(rig, observations), EFFECTS[cause.name]
-    unseen = effect.unseen(scene, cause.place)
+    circumstances, effect = Circumstances(rig, observations), EFFECTS[cause.name]
+    unseen = effect.unseen(circumstances, cause.place)
     parameters = [
         Parameter(
             f"{cause.label}.{quantity.key}",
@@ -33,6 +33,6 @@ def with_effect(
             None if quantity.is_fixed or quantity.key in unseen or not is_free else quantity.prior,
             is_positive=quantity.is_positive,
         )
-        for quantity in effect.quantities(scene.extent)
+        for quantity in effect.quantities(circumstances.extent)
     ]
     return rig.with_cause(cause, parameters)

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.field.magnetised import Rings
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
@@ -84,7 +84,7 @@ def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = Fals
 
 
 class Effect(ABC):
-    """A cause. Subclasses say at which link of the chain they act.
+    """A cause. Subclasses say at which stage of the measurement model they act.
 
     Attributes:
         name: Stable name of the cause, as in `diagnosis.json`.
@@ -102,7 +102,7 @@ class Effect(ABC):
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Its numbers, in a session like this."""
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Shapes to start fits from; none needed where the effect has no shapes."""
         return ({},)
 
@@ -117,11 +117,11 @@ class Effect(ABC):
         }
         return tuple(body.name for body in bodies[self.kind])
 
-    def concerns(self, scene: Scene, place: str) -> bool:
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the session could show it at all; what needs a temperature is not asked without a thermometer."""
         return True
 
-    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """Keys of quantities that the session cannot show, or not beside the others: they keep their value."""
         return frozenset()
 
@@ -134,7 +134,7 @@ class Effect(ABC):
                 return quantity.key, f"must lie between {low:g} and {high:g}"
         return None
 
-    def is_itself(self, theta: Theta, scene: Scene) -> bool:
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """Whether what was fitted still is what the cause says, and not a small correction or the limit of something else."""
         return True
 
@@ -144,7 +144,11 @@ class CurrentEffect(Effect):
 
     @abstractmethod
     def apply(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
 
@@ -221,7 +225,9 @@ class RoomEffect(Effect):
         """Field in the world frame that is there without current."""
         return None
 
-    def drifting_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"] | None:
+    def drifting_T(
+        self, theta: Theta, circumstances: Circumstances
+    ) -> Float[Tensor, "*#batch reading 3"] | None:
         """Field in the world frame that comes and goes with time, everywhere the same."""
         return None
 
@@ -237,9 +243,9 @@ class MotionEffect(Effect):
 
     kind = Kind.MOVER
 
-    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose."""
-        return torch.zeros(len(scene), 0, dtype=torch.float64)
+        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
 
     @abstractmethod
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
@@ -255,9 +261,11 @@ class MountEffect(Effect):
 
     is_at_reference: ClassVar[bool]
 
-    def columns(self, scene: Scene, theta: Mapping[str, float]) -> Float[Tensor, "reading column"]:
+    def columns(
+        self, circumstances: Circumstances, theta: Mapping[str, float]
+    ) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
-        return torch.zeros(len(scene), 0, dtype=torch.float64)
+        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
 
     @abstractmethod
     def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
@@ -281,10 +289,14 @@ class ReadingEffect(Effect):
 
     @abstractmethod
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
 
 
 class NoiseEffect(Effect):
-    """Changes the scatter of readings; the chain predicts the same, the likelihood is another."""
+    """Changes the scatter of readings; the model predicts the same, the likelihood is another."""

@@ -31,7 +31,7 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Circumstances:
     """The circumstances of some readings of a session.
 
     Attributes:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, normal, shape
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 
@@ -39,19 +39,19 @@ class IronPlate(RoomEffect):
             shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Planes across the world's axes, before and behind whatever stands there."""
         return tuple(
             {
                 "axis": float(axis),
                 "tilt_1_rad": 0.0,
                 "tilt_2_rad": 0.0,
-                "distance_m": at_m + gap * scene.reach_m,
+                "distance_m": at_m + gap * circumstances.reach_m,
             }
             for axis in range(3)
             for at_m, gaps in (
-                (float(scene.places_m[:, axis].max()), GAPS),
-                (float(scene.places_m[:, axis].min()), [-gap for gap in GAPS]),
+                (float(circumstances.places_m[:, axis].max()), GAPS),
+                (float(circumstances.places_m[:, axis].min()), [-gap for gap in GAPS]),
             )
             for gap in gaps
         )
@@ -89,17 +89,20 @@ class PiercedPlate(RoomEffect):
             shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),
         )
 
-    def concerns(self, scene: Scene, place: str) -> bool:
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where places of sensors lie apart."""
-        return float(_spread_m(scene).max()) > LEAST_BETWEEN * scene.reach_m
+        return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Planes across the world's axes between the places of sensors, open as wide as these lie about their middle."""
         starts = []
-        for axis, distance_m in _between(scene):
-            low_m, high_m = scene.sensor_places_m.min(0).values, scene.sensor_places_m.max(0).values
+        for axis, distance_m in _between(circumstances):
+            low_m, high_m = (
+                circumstances.sensor_places_m.min(0).values,
+                circumstances.sensor_places_m.max(0).values,
+            )
             middle_m = 0.5 * (low_m + high_m)
-            beside_m = scene.sensor_places_m - middle_m
+            beside_m = circumstances.sensor_places_m - middle_m
             middle_m[axis], beside_m[:, axis] = distance_m, 0.0
             wide_m = float(beside_m.norm(dim=-1).max())
             starts.append(
@@ -108,14 +111,14 @@ class PiercedPlate(RoomEffect):
                     "tilt_1_rad": 0.0,
                     "tilt_2_rad": 0.0,
                     **{f"{name}_m": float(middle) for name, middle in zip("xyz", middle_m, strict=True)},
-                    "radius_m": max(WIDER * wide_m, 2.0 * LEAST_OPENING * scene.reach_m),
+                    "radius_m": max(WIDER * wide_m, 2.0 * LEAST_OPENING * circumstances.reach_m),
                 }
             )
         return tuple(starts)
 
-    def is_itself(self, theta: Theta, scene: Scene) -> bool:
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """While sensors are on both of its sides: from far away its step is a field of the room."""
-        depth_m = ((scene.sensor_places_m - _middle_m(theta)) * _across(theta)).sum(-1)
+        depth_m = ((circumstances.sensor_places_m - _middle_m(theta)) * _across(theta)).sum(-1)
         return bool(depth_m.min() < 0.0 < depth_m.max())
 
     def steady_T(
@@ -152,16 +155,16 @@ def _middle_m(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
     return torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
 
 
-def _spread_m(scene: Scene) -> Float[Tensor, "3"]:
+def _spread_m(circumstances: Circumstances) -> Float[Tensor, "3"]:
     """How far places of sensors lie apart, along each axis of the world."""
-    places_m = scene.sensor_places_m
+    places_m = circumstances.sensor_places_m
     return places_m.max(0).values - places_m.min(0).values
 
 
-def _between(scene: Scene) -> Iterator[tuple[int, float]]:
+def _between(circumstances: Circumstances) -> Iterator[tuple[int, float]]:
     """Axis and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
-    spread_m, lowest_m = _spread_m(scene), scene.sensor_places_m.min(0).values
-    least_m = min(float(spread_m.max()), LEAST_BETWEEN * scene.reach_m)
+    spread_m, lowest_m = _spread_m(circumstances), circumstances.sensor_places_m.min(0).values
+    least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
     for axis, (low, spread) in enumerate(zip(lowest_m.tolist(), spread_m.tolist(), strict=True)):
         if spread >= least_m:
             yield from ((axis, low + share * spread) for share in BETWEEN)
@@ -238,9 +241,9 @@ class IronBody(RoomEffect):
             ),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Around the middle of the places, at two distances."""
-        middle = scene.places_m.mean(0)
+        middle = circumstances.places_m.mean(0)
         directions = [
             (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
         ]
@@ -248,9 +251,9 @@ class IronBody(RoomEffect):
         for direction in directions:
             along = torch.tensor(direction).double()
             along = along / along.norm()
-            farthest_m = float(((scene.places_m - middle) @ along).max())
+            farthest_m = float(((circumstances.places_m - middle) @ along).max())
             for gap in (0.4, 1.2):
-                point = middle + along * (farthest_m + gap * scene.reach_m)
+                point = middle + along * (farthest_m + gap * circumstances.reach_m)
                 starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
         return tuple(starts)
 

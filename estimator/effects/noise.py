@@ -1,11 +1,11 @@
-"""How readings scatter beyond equal normal noise. The chain predicts the same; the likelihood is another."""
+"""How readings scatter beyond equal normal noise. The model predicts the same; the likelihood is another."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
 from estimator.effects.base import Kind, NoiseEffect, Quantity
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Uniform
 
 
@@ -24,7 +24,7 @@ class Outliers(NoiseEffect):
             Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Ten times the noise."""
         return ({"ratio": 10.0},)
 

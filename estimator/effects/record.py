@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from estimator.effects.base import CurrentEffect, Kind, MotionEffect, Quantity, ReadingEffect, Theta, shape
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import Uniform
 from estimator.rig.rig import MotionKind, Rig
@@ -43,13 +43,17 @@ class AxesSwapped(ReadingEffect):
         """Which component, 1 to 3, each axis reads, negative where it is reversed."""
         return tuple(_switch(f"{axis}_reads", -3.0, 3.0, i + 1.0) for i, axis in enumerate("xyz"))
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """All but the right one and its reversal."""
         right = ([1.0, 2.0, 3.0], [-1.0, -2.0, -3.0])
         return tuple(start for start in _signed_permutations() if list(start.values()) not in right)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         reads = torch.stack([theta[f"{axis}_reads"] for axis in "xyz"], dim=-1)
@@ -76,13 +80,17 @@ class UnitError(ReadingEffect):
         """Recorded over true fields, which scales the noise too, and recorded over true currents."""
         return (_switch("field_factor", 0.0, 1e9, 1.0), _switch("current_factor", 0.0, 1e9, 1.0))
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """The usual slips."""
         fields = [{"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS]
         return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are recorded."""
         return field_sensor_T * theta["field_factor"][..., None, None]
@@ -110,12 +118,16 @@ class CurrentSign(CurrentEffect):
         """Sign of the current."""
         return (_switch("sign", -1.0, 1.0, 1.0),)
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Reversed."""
         return ({"sign": -1.0},)
 
     def apply(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         sign = theta["sign"][..., None, None]
@@ -137,7 +149,7 @@ class LeftHanded(MotionEffect):
         """Sign of each axis."""
         return tuple(_switch(f"{axis}_sign", -1.0, 1.0, 1.0) for axis in "xyz")
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Each axis alone, and all."""
         one = [{f"{b}_sign": -1.0 if a == b else 1.0 for b in "xyz"} for a in "xyz"]
         return (*one, {f"{axis}_sign": -1.0 for axis in "xyz"})
@@ -169,7 +181,7 @@ class DisplacementFrameError(MotionEffect):
         """Movers that report displacements."""
         return tuple(m.name for m in rig.movers if m.motion is MotionKind.DISPLACEMENT)
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """The other 23 rotations of a cube, and those half way between about each of its axes."""
         keys = ("rx_rad", "ry_rad", "rz_rad")
         return tuple(dict(zip(keys, turn, strict=True)) for turn in _turns())
@@ -179,7 +191,7 @@ class DisplacementFrameError(MotionEffect):
         turn = rotation_from_vector(torch.stack([theta[f"{a}_rad"] for a in ("rx", "ry", "rz")], dim=-1))
         return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
 
-    def is_itself(self, theta: Theta, scene: Scene) -> bool:
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """Axes that are turned a little are not mistaken for others; something else is wrong."""
         return math.hypot(*(float(turn_rad) for turn_rad in theta.values())) > SMALLEST_TURN_RAD
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Kind, MotionEffect, MountEffect, Quantity, Theta, normal, shape, triple
-from estimator.effects.circumstances import SECONDS_PER_HOUR, Extent, Scene
+from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances, Extent
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
 
@@ -69,9 +69,9 @@ class PositionLag(MotionEffect):
         """What is missing."""
         return (normal("lag_m", "m", 200e-6),)
 
-    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Direction of the last move."""
-        return torch.nn.functional.normalize(scene.last_move_m(mover), dim=-1, eps=1e-12)
+        return torch.nn.functional.normalize(circumstances.last_move_m(mover), dim=-1, eps=1e-12)
 
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
@@ -89,9 +89,9 @@ class Backlash(MotionEffect):
         """Play of each axis."""
         return triple("xyz", "_m", "m", 200e-6)
 
-    def columns(self, scene: Scene, mover: str) -> Float[Tensor, "reading column"]:
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Side each axis was reached from."""
-        return scene.approach(mover)
+        return circumstances.approach(mover)
 
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
@@ -145,9 +145,9 @@ class SensorMisplaced(MountEffect):
         )
         return (*shift, *turn)
 
-    def concerns(self, scene: Scene, place: str) -> bool:
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Beside other sensors; the pose of the coil takes up what a single one has."""
-        return len(scene.rig.sensors) > 1
+        return len(circumstances.rig.sensors) > 1
 
     def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""
@@ -174,18 +174,20 @@ class SensorBumped(MountEffect):
             shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Instants after each of which, and before, enough was read."""
         time_h = (
-            scene.observations.history.time_s - scene.observations.history.time_s.min()
+            circumstances.observations.history.time_s - circumstances.observations.history.time_s.min()
         ) / SECONDS_PER_HOUR
         rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
         rows = rows[rows > 0]
         return tuple({"since_h": float(0.5 * (time_h[row - 1] + time_h[row]))} for row in rows)
 
-    def columns(self, scene: Scene, theta: Mapping[str, float]) -> Float[Tensor, "reading column"]:
+    def columns(
+        self, circumstances: Circumstances, theta: Mapping[str, float]
+    ) -> Float[Tensor, "reading column"]:
         """1 afterwards."""
-        return (scene.hours >= theta["since_h"]).to(torch.float64)[:, None]
+        return (circumstances.hours >= theta["since_h"]).to(torch.float64)[:, None]
 
     def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""

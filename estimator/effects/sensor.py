@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import ElementEffect, Quantity, ReadingEffect, Theta, normal, shape, triple
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
 PAIRS = tuple(
@@ -35,7 +35,11 @@ class AxisGain(ReadingEffect):
         return triple("xyz", "", "1", 0.01)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         return field_sensor_T * (1.0 + _vector(theta, ("x", "y", "z")))
@@ -53,7 +57,11 @@ class CrossAxis(ReadingEffect):
         return tuple(normal(pair, "1", 0.01) for pair in PAIRS)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         zero = torch.zeros_like(theta["xy"])
@@ -91,7 +99,11 @@ class SensorOffset(ReadingEffect):
         return triple("xyz", "_T", "T", 50e-6)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         return field_sensor_T + _vector(theta, ("x_T", "y_T", "z_T"))
@@ -109,11 +121,15 @@ class OffsetDrift(ReadingEffect):
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         rate = _vector(theta, ("x_T_per_h", "y_T_per_h", "z_T_per_h"))
-        return field_sensor_T + rate * scene.hours[:, None]
+        return field_sensor_T + rate * circumstances.hours[:, None]
 
 
 class CubicResponse(ReadingEffect):
@@ -128,7 +144,11 @@ class CubicResponse(ReadingEffect):
         return triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         bend = _vector(theta, ("x_per_T2", "y_per_T2", "z_per_T2"))
@@ -147,7 +167,11 @@ class PlanarHall(ReadingEffect):
         return triple("xyz", "_per_T", "1/T", 0.01 / extent.largest_field_T)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         x, y, z = field_sensor_T.unbind(-1)
@@ -168,13 +192,17 @@ class RangeClipping(ReadingEffect):
         clipped = shape("limit_T", "T", 0.2 * largest_T, 3.0 * largest_T)
         return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Inside the sensor's largest reading: a limit pulls readings together there."""
-        largest_T = scene.largest_of_sensor_T(place)
+        largest_T = circumstances.largest_of_sensor_T(place)
         return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         limit = theta["limit_T"][..., None, None]
@@ -192,16 +220,20 @@ class TemperatureDrift(ReadingEffect):
         """Relative change of gain and change of zero per kelvin."""
         return (normal("gain_per_K", "1/K", 1e-3), *triple("xyz", "_T_per_K", "T/K", 5e-6))
 
-    def concerns(self, scene: Scene, place: str) -> bool:
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """With a thermometer that moved."""
-        kelvin = scene.temperature_K(place)
+        kelvin = circumstances.temperature_K(place)
         return kelvin is not None and bool(kelvin.abs().max() > 0.0)
 
     def apply(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, scene: Scene, sensor: str
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
-        kelvin = scene.temperature_K(sensor)
+        kelvin = circumstances.temperature_K(sensor)
         if kelvin is None:
             return field_sensor_T
         zero = _vector(theta, ("x_T_per_K", "y_T_per_K", "z_T_per_K"))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, WindingMagnetisation, triple
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.field.magnetised import Rings, field_inside_per_ampere
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform
@@ -55,9 +55,9 @@ class FilamentMagnetisation(WindingMagnetisation):
         """Coils that the rig file calls superconducting."""
         return tuple(coil.name for coil in rig.coils if coil.is_superconducting)
 
-    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """Without any current nothing is screened."""
-        has_current = bool((scene.observations.history.current_A != 0.0).any())
+        has_current = bool((circumstances.observations.history.current_A != 0.0).any())
         return frozenset() if has_current else frozenset({"susceptibility"})
 
     def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:

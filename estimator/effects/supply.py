@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import CurrentEffect, Kind, Quantity, Theta, normal
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
 
@@ -22,15 +22,23 @@ class _OneCoilCurrent(CurrentEffect):
 
     @abstractmethod
     def delivered(
-        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
 
     def apply(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
-        own = self.delivered(current_A[..., coil], theta, scene, coil)
+        own = self.delivered(current_A[..., coil], theta, circumstances, coil)
         others = current_A.expand(*own.shape, current_A.shape[-1])
         is_own = torch.arange(current_A.shape[-1]) == coil
         return torch.where(is_own, own[..., None], others)
@@ -48,7 +56,11 @@ class CurrentGain(_OneCoilCurrent):
         return (normal("excess", "1", 0.01),)
 
     def delivered(
-        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A * (1.0 + theta["excess"][..., None])
@@ -66,7 +78,11 @@ class CurrentOffset(_OneCoilCurrent):
         return (normal("offset_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
     def delivered(
-        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A + theta["offset_A"][..., None]
@@ -93,22 +109,26 @@ class CoilHeating(_OneCoilCurrent):
             Quantity("tau_h", "h", tau, extent.duration_h, is_shape=True),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Quick, slow, and slower than the session is long."""
-        return tuple({"tau_h": share * scene.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
+        return tuple({"tau_h": share * circumstances.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
 
-    def unseen(self, scene: Scene, place: str) -> frozenset[str]:
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """A thermometer that moved tells all; without one the losses must."""
-        kelvin = scene.warming_K(place)
+        kelvin = circumstances.warming_K(place)
         has_warmed = kelvin is not None and bool(kelvin.max() > 0.0)
         return frozenset({"loss_per_A2", "tau_h"} if has_warmed else {"loss_per_K"})
 
     def delivered(
-        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
-        loss = theta["loss_per_A2"][..., None] * scene.heat_A2(coil, theta["tau_h"])
-        kelvin = scene.warming_K(scene.rig.coils[coil].name)
+        loss = theta["loss_per_A2"][..., None] * circumstances.heat_A2(coil, theta["tau_h"])
+        kelvin = circumstances.warming_K(circumstances.rig.coils[coil].name)
         if kelvin is not None:
             loss = loss + theta["loss_per_K"][..., None] * kelvin
         return current_A * (1.0 - loss)
@@ -131,7 +151,11 @@ class NeighbourCoil(CurrentEffect):
         return tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else ()
 
     def apply(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta, scene: Scene, coil: int
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         others = current_A.sum(-1) - current_A[..., coil]

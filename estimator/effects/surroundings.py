@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, RoomEffect, Theta, triple
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 
 
 class BackgroundField(RoomEffect):
@@ -42,7 +42,7 @@ class BackgroundDrift(RoomEffect):
         """Change per hour in the world frame, from the beginning of the session on."""
         return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
 
-    def drifting_T(self, theta: Theta, scene: Scene) -> Float[Tensor, "*#batch reading 3"]:
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
         """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
-        return rate[..., None, :] * scene.hours[:, None]
+        return rate[..., None, :] * circumstances.hours[:, None]

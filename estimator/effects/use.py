@@ -1,4 +1,4 @@
-"""The effects of a rig, ready for the chain: declaration and place together."""
+"""The effects of a rig, ready for the model: declaration and place together."""
 
 from __future__ import annotations
 

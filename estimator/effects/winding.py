@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, SourceEffect, Theta, WindingEffect, normal, shape
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
@@ -26,9 +26,9 @@ MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
 class PitchEffect(WindingEffect):
     """A pitch other than the rig file says."""
 
-    def concerns(self, scene: Scene, place: str) -> bool:
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the rig file leaves the pitch open itself, its prior says what can be built, and no cause may go beyond."""
-        return not scene.rig.parameters[f"{place}.{self.name}_m"].is_free
+        return not circumstances.rig.parameters[f"{place}.{self.name}_m"].is_free
 
 
 class AxialPitch(PitchEffect):
@@ -97,7 +97,7 @@ class ShortLayer(SourceEffect):
         """Share of the layer that is missing, and at which end."""
         return (normal("missing", "1", 0.5), shape("at_front", "1", 0.0, 1.0, is_fixed=True))
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """At the front and at the back."""
         return ({"at_front": 1.0}, {"at_front": 0.0})
 
@@ -175,7 +175,7 @@ class LeadWire(SourceEffect):
             Quantity("length_m", "m", LogNormal(0.2, 0.7), 0.2, is_shape=True),
         )
 
-    def starts(self, scene: Scene, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """All around."""
         return tuple({"azimuth_rad": math.pi * i / 4.0, "length_m": 0.2} for i in range(-3, 5))
 

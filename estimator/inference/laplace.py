@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.levenberg_marquardt import Polished
+from estimator.inference.levenberg_marquardt import Optimum
 from estimator.rig.coordinates import Coordinates
 
 UNDETERMINED_RATIO = 1.0
@@ -45,14 +45,14 @@ def covariance(precision: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch 
     return symmetric
 
 
-def log_evidence(fit: Polished) -> Float[Tensor, " start"]:
+def log_evidence(fit: Optimum) -> Float[Tensor, " start"]:
     """Laplace estimate of the log of the integral of the posterior density, up to a common constant."""
     n = fit.precision.shape[-1]
     log_det: Tensor = torch.linalg.slogdet(fit.precision).logabsdet
     return fit.log_posterior + 0.5 * n * math.log(2.0 * math.pi) - 0.5 * log_det
 
 
-def open_directions(coordinates: Coordinates, fit: Polished) -> list[OpenDirection]:
+def open_directions(coordinates: Coordinates, fit: Optimum) -> list[OpenDirection]:
     """Directions, in units of the prior, along which the data determine less than the prior does.
 
     Args:

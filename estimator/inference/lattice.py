@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.laplace import covariance, log_evidence
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 
 NEGLIGIBLE = 1e-5
@@ -41,7 +41,7 @@ class CountMixture:
 
 
 def count_mixture(
-    continuous: LogPosterior, integer: LogPosterior, fit: Polished, rng: np.random.Generator
+    continuous: LogPosterior, integer: LogPosterior, fit: Optimum, rng: np.random.Generator
 ) -> CountMixture | None:
     """Maxima and weights of all tuples of loop counts that matter; None where they are too many for a table.
 
@@ -55,19 +55,21 @@ def count_mixture(
     """
     n_counts = integer.coordinates.n_counts
     if n_counts == 0:
-        return _mixture(polish(integer, fit.vector[:1]), 0)
+        return _mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
     sample = fit.vector[0] + normal @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     if not start_of:
         return None
-    fits: dict[tuple[int, ...], Polished] = {}
+    fits: dict[tuple[int, ...], Optimum] = {}
     wanted = list(start_of)
     while wanted:
         for begin in range(0, len(wanted), FITS_PER_BATCH):
             batch = wanted[begin : begin + FITS_PER_BATCH]
-            fitted = polish(integer, torch.stack([start_of[key] for key in batch]), tolerance=1e-4)
+            fitted = levenberg_marquardt(
+                integer, torch.stack([start_of[key] for key in batch]), tolerance=1e-4
+            )
             fits.update({key: fitted.rows(slice(i, i + 1)) for i, key in enumerate(batch)})
         weight = _weights(fits)
         matter = [key for key in fits if weight[key] > NEGLIGIBLE]
@@ -80,7 +82,7 @@ def count_mixture(
                     start_of[neighbour] = _moved(fits[key], neighbour, n_counts)
                     wanted.append(neighbour)
     kept = sorted(key for key in fits if weight[key] > NEGLIGIBLE)
-    return _mixture(Polished.together([fits[key] for key in kept]), n_counts)
+    return _mixture(Optimum.together([fits[key] for key in kept]), n_counts)
 
 
 def _starts(
@@ -92,7 +94,7 @@ def _starts(
     """
     values = continuous.coordinates.values(sample)
     moved = {
-        name: value.round().clamp(min=1.0) if continuous.chain.rig.parameters[name].is_count else value
+        name: value.round().clamp(min=1.0) if continuous.model.rig.parameters[name].is_count else value
         for name, value in values.items()
     }
     vectors = integer.coordinates.vector(moved)
@@ -118,18 +120,18 @@ def _neighbours(key: tuple[int, ...]) -> list[tuple[int, ...]]:
     ]
 
 
-def _moved(fit: Polished, counts: tuple[int, ...], n_counts: int) -> Tensor:
+def _moved(fit: Optimum, counts: tuple[int, ...], n_counts: int) -> Tensor:
     start = fit.vector[0].clone()
     start[-n_counts:] = torch.tensor(counts, dtype=start.dtype)
     return start
 
 
-def _weights(fits: dict[tuple[int, ...], Polished]) -> dict[tuple[int, ...], float]:
+def _weights(fits: dict[tuple[int, ...], Optimum]) -> dict[tuple[int, ...], float]:
     evidence = torch.cat([log_evidence(fit) for fit in fits.values()])
     return dict(zip(fits, torch.softmax(evidence.nan_to_num(nan=-torch.inf), dim=0).tolist(), strict=True))
 
 
-def _mixture(fit: Polished, n_counts: int) -> CountMixture:
+def _mixture(fit: Optimum, n_counts: int) -> CountMixture:
     n = fit.vector.shape[1] - n_counts
     weight = torch.softmax(log_evidence(fit), dim=0)
     return CountMixture(fit.vector[:, n:], weight, fit.vector[:, :n], covariance(fit.precision))

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt polish with exact Jacobians, many starts at once."""
+"""Levenberg-Marquardt with exact Jacobians, many starts at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, a
 
 
 @dataclass(frozen=True)
-class Polished:
+class Optimum:
     """Where Levenberg-Marquardt stopped.
 
     Attributes:
@@ -38,9 +38,9 @@ class Polished:
     is_converged: Bool[Tensor, " start"]
     n_iterations: int
 
-    def rows(self, index: slice | Tensor) -> Polished:
+    def rows(self, index: slice | Tensor) -> Optimum:
         """The chosen starts only."""
-        return Polished(
+        return Optimum(
             self.vector[index],
             self.log_posterior[index],
             self.precision[index],
@@ -50,9 +50,9 @@ class Polished:
         )
 
     @staticmethod
-    def together(fits: list[Polished]) -> Polished:
+    def together(fits: list[Optimum]) -> Optimum:
         """Several fits as one."""
-        return Polished(
+        return Optimum(
             torch.cat([fit.vector for fit in fits]),
             torch.cat([fit.log_posterior for fit in fits]),
             torch.cat([fit.precision for fit in fits]),
@@ -62,12 +62,12 @@ class Polished:
         )
 
 
-def polish(
+def levenberg_marquardt(
     posterior: LogPosterior,
     start: Float[Tensor, "start coordinate"],
     max_iterations: int = 60,
     tolerance: float = 1e-10,
-) -> Polished:
+) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
 
     The noise is a coordinate like the others: its score and information follow from the whitened residuals, and its off-diagonal terms
@@ -124,7 +124,7 @@ def polish(
         at_bound[active] = is_bounded & better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
     newton = solve(precision, gradient)
     is_converged = at_bound | ((gradient * newton).sum(-1) < max(tolerance, 1e-6))
-    return Polished(vector, value, precision, information, is_converged, iteration)
+    return Optimum(vector, value, precision, information, is_converged, iteration)
 
 
 def _slope(

@@ -23,7 +23,7 @@ from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
 from estimator.field.node_sum import SumMode
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 
@@ -36,22 +36,22 @@ class LogPosterior:
 
     Attributes:
         coordinates: Meaning of the vector.
-        chain: Predicts the readings.
+        model: Predicts the readings.
         measured_T: The measured components, flattened; missing ones left out. With a leading axis, one row of readings for each row of
             the vector: many sessions of the same settings at once.
     """
 
-    def __init__(self, coordinates: Coordinates, chain: Chain, observations: Observations) -> None:
+    def __init__(self, coordinates: Coordinates, model: MeasurementModel, observations: Observations) -> None:
         self.coordinates = coordinates
-        self.chain = chain
+        self.model = model
         mask = observations.is_measured
         self._flat = mask.flatten().nonzero().flatten()
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]
         self.sensor = observations.sensor[:, None].expand(-1, 3).flatten()[self._flat]
-        self.n_by_sensor = torch.bincount(self.sensor, minlength=len(chain.rig.sensors)).to(torch.float64)
+        self.n_by_sensor = torch.bincount(self.sensor, minlength=len(model.rig.sensors)).to(torch.float64)
         self._jitter = {
-            use.label: self.measured_components(chain.gradient_T_per_m(use.place).norm(dim=-1))
-            for use in uses_of(chain.rig, PositionJitter)
+            use.label: self.measured_components(model.gradient_T_per_m(use.place).norm(dim=-1))
+            for use in uses_of(model.rig, PositionJitter)
         }
 
     def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
@@ -136,11 +136,11 @@ class LogPosterior:
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
-        return self.measured_components(self.chain.predict(values)).expand(*batch, len(self._flat))
+        return self.measured_components(self.model.predict(values)).expand(*batch, len(self._flat))
 
     def _is_dear(self, name: str) -> bool:
         """Whether a number changes where a winding's field is taken, or the winding; one that is tied counts as the one it follows."""
-        while (tie := self.chain.rig.parameters[name].tie) is not None:
+        while (tie := self.model.rig.parameters[name].tie) is not None:
             name = tie.to
         return not (name.endswith((".noise_T", ".gain", ".current_gain")) or name.startswith(self._cheap))
 
@@ -148,20 +148,20 @@ class LogPosterior:
     def _cheap(self) -> tuple[str, ...]:
         """Prefixes of the numbers of effects that act on the field, the current or the reading."""
         geometry = (MotionEffect, MountEffect, ElementEffect, WindingEffect)
-        uses = uses_of(self.chain.rig, Effect)
+        uses = uses_of(self.model.rig, Effect)
         return tuple(f"{use.label}." for use in uses if not isinstance(use.effect, geometry))
 
     @cached_property
     def _for_slopes(self) -> LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
-        other.chain = replace(self.chain, mode=SumMode.FIRST_ORDER)
+        other.model = replace(self.model, mode=SumMode.FIRST_ORDER)
         return other
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""
         values = self.coordinates.values(vector)
-        noises = (values[f"{sensor.name}.noise_T"] for sensor in self.chain.rig.sensors)
+        noises = (values[f"{sensor.name}.noise_T"] for sensor in self.model.rig.sensors)
         return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
 
     def component_sigma_T(
@@ -172,7 +172,7 @@ class LogPosterior:
         for label, gradient_T_per_m in self._jitter.items():
             jitter_m = self.coordinates.values(vector)[f"{label}.sd_m"][..., None]
             sigma_T = torch.sqrt(sigma_T**2 + (jitter_m * gradient_T_per_m) ** 2)
-        for use in uses_of(self.chain.rig, UnitError):
+        for use in uses_of(self.model.rig, UnitError):
             sigma_T = sigma_T * use.theta(self.coordinates.values(vector))["field_factor"][..., None]
         return sigma_T
 
@@ -207,14 +207,14 @@ class LogPosterior:
         References: Hogg, Bovy and Lang, arXiv:1008.4686, section 3 (mixture of good and bad readings).
         """
         log_density, weight = -0.5 * whitened**2, torch.ones_like(whitened)
-        for use in uses_of(self.chain.rig, Outliers):
+        for use in uses_of(self.model.rig, Outliers):
             theta = use.theta(self.coordinates.values(vector))
             share, ratio = theta["share"][..., None], theta["ratio"][..., None]
             good = torch.log1p(-share) + log_density
             bad = torch.log(share) - torch.log(ratio) - 0.5 * (whitened / ratio) ** 2
             mixed = torch.logaddexp(good, bad)
             is_good = torch.exp(good - mixed)
-            mine = self.sensor == use.index(self.chain.rig.sensors)
+            mine = self.sensor == use.index(self.model.rig.sensors)
             log_density = torch.where(mine, mixed, log_density)
             weight = torch.where(mine, is_good + (1.0 - is_good) / ratio**2, weight)
         return log_density, weight

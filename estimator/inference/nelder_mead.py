@@ -1,7 +1,7 @@
 """Nelder-Mead for many starts at once: one call of the objective evaluates all.
 
 This is the first step of inference. It needs no derivative and tolerates regions where the model is undefined
-(+inf), so it finds the basin that `polish` refines. Each start follows SciPy's trajectory, step by step.
+(+inf), so it finds the basin that `levenberg_marquardt` refines. Each start follows SciPy's trajectory, step by step.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def step(state: SimplexState, objective: Objective, coefficients: Coefficients) 
     return _replaced(state, active, x, f, n_evaluated)
 
 
-@torch.no_grad()  # an objective that carries gradients would otherwise chain every iteration into one graph
+@torch.no_grad()  # an objective that carries gradients would otherwise model every iteration into one graph
 def minimise(
     objective: Objective,
     vertices: Float[Tensor, "start vertex parameter"],

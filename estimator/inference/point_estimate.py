@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.nelder_mead import initial_simplex, minimise
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 
@@ -31,7 +31,7 @@ class PointEstimate:
         n_agreeing: Starts that ended within one unit of log density of the best, of `n_starts`.
     """
 
-    fit: Polished
+    fit: Optimum
     n_evaluations: int
     n_agreeing: int
     n_starts: int
@@ -67,11 +67,11 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
         max_iterations=MOST_ITERATIONS,
         n_restarts=1,
     )
-    ends = polish(thin, found.points)
+    ends = levenberg_marquardt(thin, found.points)
     best = ends.log_posterior.max()
     n_agreeing = int((ends.log_posterior > best - 1.0).sum())
     candidates = _distinct(ends.vector[ends.log_posterior > best - 30.0], coordinates.scale)
-    fits = polish(posterior, candidates)
+    fits = levenberg_marquardt(posterior, candidates)
     top = int(fits.log_posterior.argmax())
     fit = fits.rows(slice(top, top + 1))
     return PointEstimate(fit, int(found.n_evaluations.sum()), n_agreeing, len(starts))
@@ -83,7 +83,7 @@ def _thinned(posterior: LogPosterior, observations: Observations, rng: np.random
     rows = torch.from_numpy(np.sort(rng.choice(len(observations), THIN_TO, replace=False)))
     few = observations.rows(rows)
     return LogPosterior(
-        Coordinates(posterior.coordinates.rig), Chain.build(posterior.coordinates.rig, few), few
+        Coordinates(posterior.coordinates.rig), MeasurementModel.build(posterior.coordinates.rig, few), few
     )
 
 

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.laplace import covariance
-from estimator.inference.levenberg_marquardt import polish, prior_slope, solve
+from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_slope, solve
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -77,7 +77,7 @@ class RunningFit:
             InvalidInput: A sensor would stand inside a winding.
         """
         block = observations.rows(torch.arange(len(observations) - n_new, len(observations)))
-        posterior = LogPosterior(self.coordinates, Chain.build(self.coordinates.rig, block), block)
+        posterior = LogPosterior(self.coordinates, MeasurementModel.build(self.coordinates.rig, block), block)
         linear = _Linear.of(posterior, self._point)
         innovation = linear.innovation(posterior, self.vector - self._point, self.covariance)
         gradient, information = linear.share(posterior, self._point)
@@ -88,11 +88,13 @@ class RunningFit:
 
     def refit(self, observations: Observations, start: Float[Tensor, " coordinate"]) -> None:
         """Take all readings again, from a start that may be better."""
-        chain = Chain.build(self.coordinates.rig, observations)
-        posterior = LogPosterior(self.coordinates, chain, observations)
+        model = MeasurementModel.build(self.coordinates.rig, observations)
+        posterior = LogPosterior(self.coordinates, model, observations)
         starts = torch.stack((self.vector, start))
         starts = starts[torch.isfinite(posterior(starts))]
-        fits = polish(posterior, starts if len(starts) else self._point[None], tolerance=TOLERANCE)
+        fits = levenberg_marquardt(
+            posterior, starts if len(starts) else self._point[None], tolerance=TOLERANCE
+        )
         best = int(fits.log_posterior.argmax())
         self.vector = self._point = fits.vector[best]
         self._information = fits.information[best]
@@ -132,7 +134,7 @@ class _Linear:
         step = DIFFERENCE * coordinates.scale
         around = torch.cat((point[None], point + torch.diag(step), point - torch.diag(step)))
         with torch.no_grad():
-            field_T = posterior.chain.predict(coordinates.values(around)).expand(len(around), -1, 3)
+            field_T = posterior.model.predict(coordinates.values(around)).expand(len(around), -1, 3)
             sigma_T = posterior.component_sigma_T(around)
 
         def slope(values: Tensor) -> Tensor:

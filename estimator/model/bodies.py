@@ -1,6 +1,6 @@
 """Where the bodies of a rig really stand, and what the coils really are, at some values.
 
-Frames follow the movers and the mounting poses; effects of robot, mounts and windings act here, wherever the chain, a prediction
+Frames follow the movers and the mounting poses; effects of robot, mounts and windings act here, wherever the model, a prediction
 or a picture asks for a pose or a winding.
 """
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from estimator.effects.base import Effect, MotionEffect, MountEffect, WindingEffect
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import uses_of
 from estimator.field.winding import Winding
 from estimator.frames import Transform
@@ -23,16 +23,16 @@ from estimator.rig.rig import Body, Coil, MotionKind, Rig
 WINDING_KEYS = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
 
 
-def columns_of(rig: Rig, scene: Scene) -> dict[str, Tensor]:
+def columns_of(rig: Rig, circumstances: Circumstances) -> dict[str, Tensor]:
     """What the effects that move bodies depend on besides the pose, by reading."""
     found = {}
     nominal = rig.nominal_values()
     for use in uses_of(rig, Effect):
         if isinstance(use.effect, MotionEffect):
-            found[use.label] = use.effect.columns(scene, use.place)
+            found[use.label] = use.effect.columns(circumstances, use.place)
         elif isinstance(use.effect, MountEffect):
             own = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
-            found[use.label] = use.effect.columns(scene, own)
+            found[use.label] = use.effect.columns(circumstances, own)
     return found
 
 

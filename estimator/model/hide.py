@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -31,7 +31,7 @@ def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float
         cause, key = _read(text, rig)
         sizes.setdefault(cause, {})[key] = value
     for cause, own in sizes.items():
-        shapes = effect_of(cause.name).starts(Scene(rig, observations), cause.place)[0]
+        shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]
         rig = with_effect(rig, cause, observations, {**shapes, **own}, is_free=False)
     return rig
 

@@ -1,6 +1,6 @@
 """From commanded currents and poses to predicted readings.
 
-The measuring chain runs in one direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils and of
+The measurement model runs in one direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils and of
 the room at the sensor -> components as the sensor says them. The rig's effects act at their stage. One call predicts a whole batch of
 parameter sets.
 """
@@ -27,7 +27,7 @@ from estimator.effects.base import (
     WindingEffect,
     WindingMagnetisation,
 )
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.record import UnitError
 from estimator.effects.use import Use, uses_of
 from estimator.errors import InvalidInput
@@ -54,15 +54,15 @@ SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
 
 
 @dataclass(frozen=True)
-class Chain:
-    """The measuring chain of one rig over one set of readings.
+class MeasurementModel:
+    """The measurement model of one rig over one set of readings.
 
     Readings that share a pose share its geometry: `place` maps each reading to a row of distinct poses, so that +I, -I and repeats at
     one place cost one field evaluation.
 
     Attributes:
         rig: What is modelled.
-        scene: Circumstances of the readings.
+        circumstances: Circumstances of the readings.
         place: Row of distinct poses that each reading stands at.
         sensor: Sensor of each distinct pose.
         flange: Per mover base_from_flange (or the displacement) of each distinct pose; one rotation for all where it is the same.
@@ -73,7 +73,7 @@ class Chain:
     """
 
     rig: Rig
-    scene: Scene
+    circumstances: Circumstances
     place: Int[Tensor, " reading"]
     sensor: Int[Tensor, " place"]
     flange: dict[str, Transform]
@@ -83,8 +83,10 @@ class Chain:
     mode: SumMode = SumMode.EAGER
 
     @classmethod
-    def build(cls, rig: Rig, observations: Observations, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
-        """Set the chain up at the rig's nominal values.
+    def build(
+        cls, rig: Rig, observations: Observations, tolerance: float = DEFAULT_TOLERANCE
+    ) -> MeasurementModel:
+        """Set the model up at the rig's nominal values.
 
         Raises:
             InvalidInput: A sensor would stand inside a winding.
@@ -93,10 +95,10 @@ class Chain:
         return cls.unruled(rig, observations).with_rules(nominal, tolerance)
 
     @classmethod
-    def unruled(cls, rig: Rig, observations: Observations) -> Chain:
-        """The chain before quadrature rules are chosen; `with_rules` or `rules` of a similar chain complete it."""
-        scene = Scene(rig, observations)
-        columns = columns_of(rig, scene)
+    def unruled(cls, rig: Rig, observations: Observations) -> MeasurementModel:
+        """The model before quadrature rules are chosen; `with_rules` or `rules` of a similar model complete it."""
+        circumstances = Circumstances(rig, observations)
+        columns = columns_of(rig, circumstances)
         motions = [observations.motion[mover.name] for mover in rig.movers]
         key = torch.cat([observations.sensor[:, None].to(torch.float64), *motions, *columns.values()], dim=1)
         distinct, place = torch.unique(key, dim=0, return_inverse=True)
@@ -113,10 +115,10 @@ class Chain:
             for i, coil in enumerate(rig.coils)
         }
         sensor = distinct[:, 0].to(torch.int64)
-        return cls(rig, scene, place, sensor, flange, columns, powered, {})
+        return cls(rig, circumstances, place, sensor, flange, columns, powered, {})
 
-    def with_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> Chain:
-        """The same chain with quadrature rules chosen at these values (no batch)."""
+    def with_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
+        """The same model with quadrature rules chosen at these values (no batch)."""
         rules = {}
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
@@ -140,7 +142,7 @@ class Chain:
         """
         field_T = self._true_field(values)
         for use in uses_of(self.rig, ReadingEffect):
-            changed = use.effect.apply(field_T, use.theta(values), self.scene, use.place)
+            changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
             field_T = torch.where(self._is_of(use)[:, None], changed, field_T)
         return field_T
 
@@ -159,8 +161,8 @@ class Chain:
     def _is_of(self, use: Use[ReadingEffect]) -> Bool[Tensor, " reading"]:
         """Readings that an effect concerns: those of its sensor, or all."""
         if use.effect.kind is Kind.RECORD:
-            return torch.ones(len(self.scene), dtype=torch.bool)
-        return self.scene.sensor == use.index(self.rig.sensors)
+            return torch.ones(len(self.circumstances), dtype=torch.bool)
+        return self.circumstances.sensor == use.index(self.rig.sensors)
 
     def loop_evaluations(self) -> int:
         """Loop fields that one prediction of one parameter set costs."""
@@ -171,11 +173,13 @@ class Chain:
         gains = torch.stack(
             torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils)), dim=-1
         )
-        current_A = gains[..., None, :] * self.scene.current_A
+        current_A = gains[..., None, :] * self.circumstances.current_A
         for record in uses_of(self.rig, UnitError):
             current_A = record.effect.current_A(current_A, record.theta(values))
         for use in uses_of(self.rig, CurrentEffect):
-            current_A = use.effect.apply(current_A, use.theta(values), self.scene, use.index(self.rig.coils))
+            current_A = use.effect.apply(
+                current_A, use.theta(values), self.circumstances, use.index(self.rig.coils)
+            )
         return current_A
 
     def _true_field(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
@@ -185,7 +189,7 @@ class Chain:
         world_from_sensor = self.world_from_sensor(torch.arange(len(self.sensor)), values)
         if not displaced:
             return gain * self._field_at(values, world_from_sensor)
-        has_elements = torch.isin(self.scene.sensor, torch.tensor(displaced))
+        has_elements = torch.isin(self.circumstances.sensor, torch.tensor(displaced))
         if has_elements.all():
             return gain * self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
@@ -210,12 +214,12 @@ class Chain:
         ]
         return torch.stack(torch.broadcast_tensors(*components), dim=-1)
 
-    def _part(self, readings: Int[Tensor, " part"]) -> Chain:
-        """The chain of some of the readings."""
+    def _part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
+        """The model of some of the readings."""
         used, place = torch.unique(self.place[readings], return_inverse=True)
         return replace(
             self,
-            scene=Scene(self.rig, self.scene.observations.rows(readings)),
+            circumstances=Circumstances(self.rig, self.circumstances.observations.rows(readings)),
             place=place,
             sensor=self.sensor[used],
             flange={name: poses.rows(used) for name, poses in self.flange.items()},
@@ -225,7 +229,7 @@ class Chain:
 
     def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, at its origin."""
-        total = torch.zeros(len(self.scene), 3, dtype=self.scene.current_A.dtype)
+        total = torch.zeros(len(self.circumstances), 3, dtype=self.circumstances.current_A.dtype)
         delivered_A = self.delivered_A(values)
         for use in uses_of(self.rig, RoomEffect):
             theta = use.theta(values)
@@ -233,7 +237,7 @@ class Chain:
             if steady_T is not None:
                 here = self._everywhere(world_from_sensor.unrotate(steady_T), torch.arange(len(self.sensor)))
                 total = total + here[..., self.place, :]
-            drifting_T = use.effect.drifting_T(theta, self.scene)
+            drifting_T = use.effect.drifting_T(theta, self.circumstances)
             if drifting_T is not None:
                 total = total + self._unrotated(world_from_sensor, drifting_T)
         for magnetised in uses_of(self.rig, WindingMagnetisation):

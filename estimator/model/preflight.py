@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import MotionKind, Rig
 
@@ -130,13 +130,13 @@ def check_units(rig: Rig, observations: Observations, place: str) -> None:
 def _agreement(rig: Rig, observations: Observations) -> _Agreement | None:
     """Ratio of sizes and correlation of patterns of measured and nominal field; None where a sensor would sit in a winding."""
     try:
-        chain = Chain.build(rig, observations, tolerance=1e-3)
+        model = MeasurementModel.build(rig, observations, tolerance=1e-3)
     except InvalidInput:
         return None
     nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     powered = (observations.current_A != 0.0).any(dim=1)
     mask = observations.is_measured & powered[:, None]
-    predicted, measured = chain.predict(nominal)[mask], observations.field_sensor_T[mask]
+    predicted, measured = model.predict(nominal)[mask], observations.field_sensor_T[mask]
     norm = float(predicted.norm()), float(measured.norm())
     if not len(measured) or min(norm) == 0.0:
         return None

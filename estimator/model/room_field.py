@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.func import jvp
 
 from estimator.effects.base import CurrentEffect, RoomEffect, SourceEffect, WindingMagnetisation
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.record import UnitError
 from estimator.effects.supply import CoilHeating
 from estimator.effects.use import uses_of
@@ -75,7 +75,7 @@ class RoomField:
         self.flange = {
             m.name: base_from_motion(m, motion.get(m.name, zero).reshape(-1, 6)) for m in rig.movers
         }
-        self._scene = Scene(rig, _one_reading(rig))
+        self._scene = Circumstances(rig, _one_reading(rig))
         self.rules: dict[str, Rule] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
         for coil in rig.coils:

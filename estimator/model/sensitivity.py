@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.func import jacfwd
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -151,12 +151,12 @@ def levels_about(rig: Rig, names: Sequence[str], n_levels: int = N_LEVELS) -> di
 def rms_field(rig: Rig, observations: Observations, names: Sequence[str]) -> Response:
     """Rms field over the readings in tesla as a function of some parameters; all others stay at their nominal values."""
     fixed = [parameter.name for parameter in rig.free if parameter.name not in names]
-    coordinates, chain = Coordinates(rig.with_fixed(fixed)), Chain.build(rig, observations)
+    coordinates, model = Coordinates(rig.with_fixed(fixed)), MeasurementModel.build(rig, observations)
 
     def response(values: Tensor) -> Tensor:
         vector = coordinates.vector(dict(zip(names, values.unbind(-1), strict=True)))
         with torch.no_grad():
-            field_T = chain.predict(coordinates.values(vector))
+            field_T = model.predict(coordinates.values(vector))
         return field_T.square().sum(-1).mean(-1).sqrt()
 
     return response
@@ -210,7 +210,7 @@ def information(rig: Rig, observations: Observations, names: Sequence[str]) -> I
         InvalidInput: A parameter without a prior, or a sensor without noise.
     """
     fixed = [parameter.name for parameter in rig.free if parameter.name not in names]
-    coordinates, chain = Coordinates(rig.with_fixed(fixed)), Chain.build(rig, observations)
+    coordinates, model = Coordinates(rig.with_fixed(fixed)), MeasurementModel.build(rig, observations)
     nominal, prior_sd = rig.nominal_values(), np.array([_prior_sd(rig, name) for name in names])
     noise_T = torch.tensor([nominal[f"{sensor.name}.noise_T"] for sensor in rig.sensors]).double()
     if not bool((noise_T > 0.0).all()):
@@ -221,7 +221,7 @@ def information(rig: Rig, observations: Observations, names: Sequence[str]) -> I
 
     def whitened(shift: Tensor) -> Tensor:
         vector = coordinates.vector(dict(zip(names, centre + step * shift, strict=True)))
-        field_T = chain.predict(coordinates.values(vector))
+        field_T = model.predict(coordinates.values(vector))
         return (field_T / noise_T[observations.sensor, None]).flatten()
 
     jacobian = jacfwd(whitened)(torch.zeros(len(names), dtype=torch.float64)).numpy()

@@ -12,7 +12,7 @@ from estimator.effects.record import UnitError
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.model.hide import with_hidden
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.rig.coordinates import Coordinates
@@ -68,20 +68,20 @@ def simulate(
     observations = observations_of(plan, rig, rng)
     real = with_hidden(real, observations, hidden or {})
     nominal = _tensors(real)
-    chain = Chain.build(real, observations, tolerance=TOLERANCE)
-    field_T = chain.predict(nominal)
+    model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
+    field_T = model.predict(nominal)
     noise = torch.from_numpy(rng.normal(size=tuple(field_T.shape)))
     noise_T = torch.stack([nominal[f"{sensor.name}.noise_T"] for sensor in rig.sensors])[
         observations.sensor, None
     ]
     return observations.with_field(
-        field_T + noise * noise_T * _wildness(real, observations, rng) + _jitter(chain, rng)
+        field_T + noise * noise_T * _wildness(real, observations, rng) + _jitter(model, rng)
     )
 
 
 def perfect_readings(rig: Rig, observations: Observations) -> torch.Tensor:
     """What perfect sensors would read at the rig's nominal values; summed to 1e-10, far below any noise."""
-    return Chain.build(rig, observations, tolerance=TOLERANCE).predict(_tensors(rig))
+    return MeasurementModel.build(rig, observations, tolerance=TOLERANCE).predict(_tensors(rig))
 
 
 def _tensors(rig: Rig) -> dict[str, torch.Tensor]:
@@ -102,12 +102,13 @@ def _wildness(rig: Rig, observations: Observations, rng: np.random.Generator) ->
     return factor
 
 
-def _jitter(chain: Chain, rng: np.random.Generator) -> torch.Tensor:
+def _jitter(model: MeasurementModel, rng: np.random.Generator) -> torch.Tensor:
     """What a mover that scatters about its targets adds, to first order."""
-    added_T = torch.zeros(len(chain.scene), 3, dtype=torch.float64)
-    for use in uses_of(chain.rig, PositionJitter):
+    added_T = torch.zeros(len(model.circumstances), 3, dtype=torch.float64)
+    for use in uses_of(model.rig, PositionJitter):
         off_m = (
-            torch.from_numpy(rng.normal(size=(len(chain.scene), 3))) * use.theta(_tensors(chain.rig))["sd_m"]
+            torch.from_numpy(rng.normal(size=(len(model.circumstances), 3)))
+            * use.theta(_tensors(model.rig))["sd_m"]
         )
-        added_T = added_T + torch.einsum("rij,rj->ri", chain.gradient_T_per_m(use.place), off_m)
+        added_T = added_T + torch.einsum("rij,rj->ri", model.gradient_T_per_m(use.place), off_m)
     return added_T

@@ -26,7 +26,7 @@ from estimator.effects.noise import Outliers
 from estimator.effects.use import uses_of
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 
@@ -124,7 +124,9 @@ class _Predictive:
         values = calibration.draw_values(N_DRAWS)
         vectors = coordinates.vector({name: values[name] for name in coordinates.names})
         best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
-        posterior = LogPosterior(coordinates, Chain.unruled(rig, observations).with_rules(best), observations)
+        posterior = LogPosterior(
+            coordinates, MeasurementModel.unruled(rig, observations).with_rules(best), observations
+        )
         with torch.no_grad():
             predicted_T = posterior.predicted(vectors)
             log_sigma = torch.log(posterior.component_sigma_T(vectors))
@@ -145,7 +147,7 @@ class _Predictive:
         """The same noise about what the prior of a fit allows, to first order about that fit to these readings."""
         to_noise = 1.0 / (refit.whitening_per_T * self.sigma_T)
         slope = refit.jacobian * to_noise[:, None]
-        prior_covariance = covariance(refit.polished.precision - refit.polished.information)[0]
+        prior_covariance = covariance(refit.optimum.precision - refit.optimum.information)[0]
         moved = slope @ (refit.vector - refit.posterior.coordinates.start())
         directions, spread, _ = torch.linalg.svd(
             slope @ torch.linalg.cholesky(prior_covariance), full_matrices=False

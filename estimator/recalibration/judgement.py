@@ -19,7 +19,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Verdict
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings, check_units
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
@@ -151,8 +151,8 @@ class _Comparison:
     @classmethod
     def of(cls, session: Session, widened: Rig, current: Calibration, seed: int) -> _Comparison:
         tested = thinned(session.observations, MOST_TESTED, seed)
-        chain = Chain.build(widened, tested)
-        refit = fit_rig(widened, tested, widened.nominal_values(), chain.rules)
+        model = MeasurementModel.build(widened, tested)
+        refit = fit_rig(widened, tested, widened.nominal_values(), model.rules)
         return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
 
     def judgement(
@@ -257,7 +257,7 @@ class _Comparison:
     def _gain(self, found: Diagnosis) -> Gain:
         """Of what the diagnosis ended with over the current version, on readings that neither has seen."""
         made_from = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
-        rules = Chain.build(self.current.rig, made_from).rules
+        rules = MeasurementModel.build(self.current.rig, made_from).rules
         before = fit_rig(self.current.rig, made_from, self.current.best, rules)
         return gain(before, found.fit, self._unseen())
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 
@@ -28,8 +28,8 @@ def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[
     coordinates = Coordinates(calibration.rig, integer_counts=True)
     values = calibration.draw_values(N_DRAWS)
     vectors = coordinates.vector({name: values[name] for name in coordinates.names})
-    chain = Chain.unruled(calibration.rig, unseen).with_rules(calibration.best_values())
-    posterior = LogPosterior(coordinates, chain, unseen)
+    model = MeasurementModel.unruled(calibration.rig, unseen).with_rules(calibration.best_values())
+    posterior = LogPosterior(coordinates, model, unseen)
     with torch.no_grad():
         by_component = posterior.component_log_density(vectors)
     reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]

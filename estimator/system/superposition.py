@@ -21,7 +21,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.effects.attach import with_effect
 from estimator.effects.supply import NeighbourCoil
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
@@ -126,16 +126,16 @@ def predicted_readings_T(
     for calibration in system.calibrations.values():
         best = calibration.best_values()
         values |= {name: best[name] for name in values if name in best}
-    chain = Chain.unruled(session.rig, observations)
-    every_place = torch.arange(len(chain.sensor))
-    world_from_sensor = chain.world_from_sensor(every_place, values)
-    points_m = world_from_sensor.translation_m.expand(len(every_place), 3)[chain.place]
+    model = MeasurementModel.unruled(session.rig, observations)
+    every_place = torch.arange(len(model.sensor))
+    world_from_sensor = model.world_from_sensor(every_place, values)
+    points_m = world_from_sensor.translation_m.expand(len(every_place), 3)[model.place]
     here = system.at(points_m, observations.motion)
     order = [[coil.name for coil in session.rig.coils].index(name) for name in system.coils]
     currents_A = observations.current_A[:, order]
     driven_T = (here.actuation(has_gradient=False) @ currents_A[..., None])[..., 0]
     field_T = here.field_T(torch.zeros(len(order), dtype=torch.float64)) + driven_T
-    return world_from_sensor.rows(chain.place).unrotate(field_T)
+    return world_from_sensor.rows(model.place).unrotate(field_T)
 
 
 def joined(sessions: list[Observations]) -> Observations:
@@ -164,8 +164,8 @@ def _shares(fit: Fit) -> dict[str, Share]:
     for cause in causes.values():
         if cause not in rig.effects:
             rig = with_effect(rig, cause, observations, {})
-    chain = fit.posterior.chain
-    coupled = fit_rig(rig, observations, fit.start_with(rig), chain.rules)
+    model = fit.posterior.model
+    coupled = fit_rig(rig, observations, fit.start_with(rig), model.rules)
     found = {}
     for coil, cause in causes.items():
         name = f"{cause.label}.share"
@@ -173,7 +173,7 @@ def _shares(fit: Fit) -> dict[str, Share]:
         far = math.copysign(abs(share) + TWO_SIDED_95 * sd, share)
         with torch.no_grad():
             bound_T, none_T = (
-                coupled.posterior.chain.predict(
+                coupled.posterior.model.predict(
                     {**coupled.values, name: torch.tensor(s, dtype=torch.float64)}
                 )
                 for s in (far, 0.0)

@@ -24,10 +24,10 @@ from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.ensemble import BURN_IN_SHARE, reported, sample
 from estimator.inference.laplace import covariance
 from estimator.inference.lattice import CountMixture, count_mixture
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from scripts.benchmarks.machine import peak_memory_GB
@@ -43,13 +43,13 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     readings = simulate(rig, plan, truth, options.seed).calibration
     set_up_s: dict[str, list[float]] = {}
 
-    chain = Chain.build(rig, readings)
-    continuous = LogPosterior(Coordinates(rig), chain, readings)
+    model = MeasurementModel.build(rig, readings)
+    continuous = LogPosterior(Coordinates(rig), model, readings)
     fit, set_up_s["point estimate"] = timed(lambda: fitted(continuous, readings, truth, options), options)
     with torch.no_grad():
-        chain = chain.with_rules(continuous.coordinates.values(fit.vector[0]))
-    continuous = LogPosterior(continuous.coordinates, chain, readings)
-    lattice = LogPosterior(Coordinates(rig, integer_counts=True), chain, readings)
+        model = model.with_rules(continuous.coordinates.values(fit.vector[0]))
+    continuous = LogPosterior(continuous.coordinates, model, readings)
+    lattice = LogPosterior(Coordinates(rig, integer_counts=True), model, readings)
     on_lattice, set_up_s["Laplace mixture over loop counts"] = timed(
         lambda: mixture_of(continuous, lattice, fit, options.seed), options
     )
@@ -73,7 +73,7 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     kernel = "eager"
     if not options.no_compile:
         kernel = "compiled"
-        quick = replace(chain, mode=SumMode.COMPILED)
+        quick = replace(model, mode=SumMode.COMPILED)
         lattice, continuous = (LogPosterior(p.coordinates, quick, readings) for p in (lattice, continuous))
         begin = time.perf_counter()
         with torch.no_grad():
@@ -87,7 +87,7 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     if options.numpyro:
         from scripts.benchmarks.nuts import Nuts
 
-        nuts = Nuts(rig, readings, continuous, fit.vector[0], chain.rules["coil1"])
+        nuts = Nuts(rig, readings, continuous, fit.vector[0], model.rules["coil1"])
         rows["NumPyro NUTS, real counts, jax"] = repeated(nuts.run, options)
         set_up_s["compilation of NUTS"] = [nuts.compilation_s] * 3
     return result
@@ -95,20 +95,20 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
 
 def fitted(
     posterior: LogPosterior, readings: Observations, truth: dict[str, float], options: argparse.Namespace
-) -> Polished:
+) -> Optimum:
     if options.tiny:
-        return polish(posterior, posterior.coordinates.vector(truth)[None])
+        return levenberg_marquardt(posterior, posterior.coordinates.vector(truth)[None])
     return point_estimate(posterior, readings, options.seed).fit
 
 
-def mixture_of(continuous: LogPosterior, target: LogPosterior, fit: Polished, seed: int) -> CountMixture:
+def mixture_of(continuous: LogPosterior, target: LogPosterior, fit: Optimum, seed: int) -> CountMixture:
     mixture = count_mixture(continuous, target, fit, np.random.default_rng(seed))
     if mixture is None:
         raise RuntimeError("the loop counts of this session are too uncertain for a table")
     return mixture
 
 
-def stretch(posterior: LogPosterior, fit: Polished, steps: int, seed: int) -> tuple[int, Convergence]:
+def stretch(posterior: LogPosterior, fit: Optimum, steps: int, seed: int) -> tuple[int, Convergence]:
     """Plain emcee with its default move on the same kernel, started in the posterior."""
 
     def log_prob(vectors: np.ndarray) -> np.ndarray:

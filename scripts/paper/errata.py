@@ -15,7 +15,7 @@ from estimator import load_plan, load_rig
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.loop import loop_field
 from estimator.field.winding import Winding, choose_rule, winding_field_per_ampere
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.plan import observations_of
 from estimator.rig.coordinates import Coordinates
 from scripts.paper.tables import CURRENT_A, NAMES, TRUTH, table
@@ -91,12 +91,12 @@ def zero_start() -> str:
     field_T = torch.from_numpy(perfect_readings_T(truth, readings.motion["arm1"][:, :3].numpy(), CURRENT_A))
     names = (*NAMES, *(f"coil1.world_from_coil0.{key}" for key in TILTED))
     start = np.array([{**rig.nominal_values()}[name] for name in names])
-    coordinates, chain = Coordinates(rig), Chain.build(rig, readings)
+    coordinates, model = Coordinates(rig), MeasurementModel.build(rig, readings)
 
     def cost_mT(numbers: np.ndarray) -> float:
         vector = coordinates.vector(dict(zip(names, torch.from_numpy(numbers), strict=True)))
         with torch.no_grad():
-            error_T = chain.predict(coordinates.values(vector)) - field_T
+            error_T = model.predict(coordinates.values(vector)) - field_T
         return float(torch.nan_to_num(0.5e3 * error_T.square().sum(-1).mean().sqrt(), nan=1e9))
 
     steps = {

@@ -19,7 +19,7 @@ import torch
 from estimator import Diagnosis, Session, diagnose, load_plan
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import errors
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
@@ -90,7 +90,7 @@ def residuals(session: Session, fits: dict[str, Fit]) -> str:
 def predicted_T(fit: Fit, part: Observations) -> np.ndarray:
     """What a fitted model says of other readings."""
     with torch.no_grad():
-        return Chain.build(fit.rig, part).predict(fit.values).numpy()
+        return MeasurementModel.build(fit.rig, part).predict(fit.values).numpy()
 
 
 def verdict(diagnosis: Diagnosis) -> str:
@@ -121,7 +121,7 @@ def study(out: Path) -> str:
     diagnosis = diagnose(session, seed=1)
     right = rig_from_text(printed.replace("field_sum: spherical_components", "field_sum: vectors"))
     seen = session.observations.calibration
-    rules = Chain.build(right, seen).rules
+    rules = MeasurementModel.build(right, seen).rules
     fits = {
         "literal sum": diagnosis.plain,
         "extended by diagnose": diagnosis.extended,

@@ -22,7 +22,7 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
 from estimator.model.bodies import winding_of
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
@@ -65,13 +65,13 @@ class Study:
 
     def estimate(self) -> dict[str, torch.Tensor]:
         """Nelder-Mead from 12 starts, then Levenberg-Marquardt."""
-        chain = Chain.build(self.rig, self.calibration)
-        posterior = LogPosterior(self.coordinates, chain, self.calibration)
+        model = MeasurementModel.build(self.rig, self.calibration)
+        posterior = LogPosterior(self.coordinates, model, self.calibration)
         return self.coordinates.values(point_estimate(posterior, self.calibration, seed=1).vector)
 
     def fminsearch(self) -> dict[str, torch.Tensor]:
         """As the paper searched, by SciPy's Nelder-Mead with MATLAB's first simplex and tolerances."""
-        chain = Chain.build(self.rig, self.calibration)
+        model = MeasurementModel.build(self.rig, self.calibration)
         start = np.array([START[name] for name in NAMES])
 
         def values_of(numbers: np.ndarray) -> dict[str, torch.Tensor]:
@@ -80,7 +80,7 @@ class Study:
 
         def cost_mT(numbers: np.ndarray) -> float:
             with torch.no_grad():
-                error_T = chain.predict(values_of(numbers)) - self.calibration.field_sensor_T
+                error_T = model.predict(values_of(numbers)) - self.calibration.field_sensor_T
             return 0.5e3 * float(error_T.square().sum(-1).mean().sqrt())
 
         simplex = np.vstack((start, start + np.diag(0.05 * start)))
@@ -90,7 +90,7 @@ class Study:
     def held(self, radial_loops: float) -> dict[str, torch.Tensor]:
         """Best fit of the others where the number of radial loops is wrong."""
         rig = self.rig.with_values({**TRUTH, NAMES[3]: radial_loops}).with_fixed([NAMES[3]])
-        return fit_rig(rig, self.calibration, {}, Chain.build(rig, self.calibration).rules).values
+        return fit_rig(rig, self.calibration, {}, MeasurementModel.build(rig, self.calibration).rules).values
 
     def errors(self, values: dict[str, torch.Tensor], part: Observations) -> Errors:
         """Of the predictions against the true field."""
@@ -99,9 +99,9 @@ class Study:
     def maps(self, values: dict[str, torch.Tensor], title: str) -> dict[str, Figure]:
         """Relative error and angle over the 20 x 20 x 20 places, in the frame of the coil at the truth of this study."""
         part = self.judged.validation
-        chain = Chain.build(self.rig, part)
-        rows = torch.arange(len(chain.sensor))
-        places_m = chain.sensor_in_coil(self.rig.coils[0], rows, values)[0][chain.place].numpy()
+        model = MeasurementModel.build(self.rig, part)
+        rows = torch.arange(len(model.sensor))
+        places_m = model.sensor_in_coil(self.rig.coils[0], rows, values)[0][model.place].numpy()
         measured_T, found_T = part.field_sensor_T.numpy(), predicted_T(self.rig, part, values)
         winding = winding_of(self.rig, self.rig.coils[0], values)
         return {
@@ -112,7 +112,7 @@ class Study:
 
 def predicted_T(rig: Rig, part: Observations, values: dict[str, torch.Tensor]) -> np.ndarray:
     with torch.no_grad():
-        return Chain.build(rig, part, tolerance=1e-9).predict(values).numpy()
+        return MeasurementModel.build(rig, part, tolerance=1e-9).predict(values).numpy()
 
 
 def recovered(columns: dict[str, dict], title: str) -> str:

@@ -20,10 +20,10 @@ from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
 from estimator import load_plan, load_rig
-from estimator.inference.levenberg_marquardt import polish
+from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.nelder_mead import initial_simplex, minimise
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.plan import observations_of
 from estimator.rig.coordinates import Coordinates
 from scripts.paper.tables import CURRENT_A, DISTANCE_M, NAMES, START, TRUTH, table
@@ -61,7 +61,7 @@ class Problem:
         field_T = perfect_readings_T(TRUTH, places_m, CURRENT_A, DISTANCE_M)
         self.readings = readings.with_field(torch.from_numpy(field_T))
         self.coordinates = Coordinates(rig)
-        self.chain = Chain.build(rig, self.readings)
+        self.model = MeasurementModel.build(rig, self.readings)
         self.lower, self.upper = (end.numpy() for end in self.coordinates.bounds())
         self.width = np.array([rig.parameters[name].prior.sd for name in NAMES])
         self.n_evaluated = 0
@@ -76,7 +76,7 @@ class Problem:
         inside = values.clamp(torch.from_numpy(self.lower), torch.from_numpy(self.upper))
         self.n_evaluated += len(values)
         with torch.no_grad():
-            predicted_T = self.chain.predict(self.coordinates.values(self.vector(inside)))
+            predicted_T = self.model.predict(self.coordinates.values(self.vector(inside)))
         return 0.5 * (predicted_T - self.readings.field_sensor_T).square().sum(-1).mean(-1).sqrt()
 
     def vector(self, values: Tensor) -> Tensor:
@@ -151,11 +151,11 @@ def nelder_mead(problem: Problem, starts: np.ndarray, is_natural: bool) -> Ends:
     return Ends(solver, values.numpy(), found.n_evaluations.numpy(), time.perf_counter() - begin)
 
 
-def levenberg_marquardt(problem: Problem, starts: np.ndarray) -> Ends:
+def from_many_starts(problem: Problem, starts: np.ndarray) -> Ends:
     """All starts in one batch, in natural coordinates with exact Jacobians."""
     begin = time.perf_counter()
-    posterior = LogPosterior(problem.coordinates, problem.chain, problem.readings)
-    found = polish(posterior, problem.vector(torch.from_numpy(starts)), max_iterations=200)
+    posterior = LogPosterior(problem.coordinates, problem.model, problem.readings)
+    found = levenberg_marquardt(posterior, problem.vector(torch.from_numpy(starts)), max_iterations=200)
     most = np.full(len(starts), found.n_iterations * (1 + len(NAMES)))
     values = problem.values(found.vector).numpy()
     return Ends("Levenberg-Marquardt, natural coordinates", values, most, time.perf_counter() - begin)
@@ -174,7 +174,7 @@ def study(n_starts: int = 50) -> str:
         evolution(problem, starts),
         nelder_mead(problem, starts, is_natural=False),
         nelder_mead(problem, starts, is_natural=True),
-        levenberg_marquardt(problem, starts),
+        from_many_starts(problem, starts),
     ):
         reduction = 100.0 * (1.0 - problem.error_T(torch.from_numpy(ends.values)).numpy() / before_T)
         distance = np.abs(ends.values / truth - 1.0).max(axis=1)

@@ -123,7 +123,7 @@ def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
     with tempfile.TemporaryDirectory() as folder:
         hidden.without_flaws().write(Path(folder))
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
-    rules = plain.posterior.chain.rules
+    rules = plain.posterior.model.rules
     return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, MORE_STARTS)
 
 

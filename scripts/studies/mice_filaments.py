@@ -18,7 +18,7 @@ import torch
 from estimator import load_rig
 from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.effects.attach import with_effect
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
 from estimator.rig.rig import Cause, Rig
@@ -78,7 +78,7 @@ def with_all(rig: Rig, seen: Observations, causes: list[Cause]) -> Rig:
 
 def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start: Fit | None) -> Fit:
     begin = time.perf_counter()
-    rules = Chain.build(rig, seen).rules
+    rules = MeasurementModel.build(rig, seen).rules
     values = {} if start is None else start.start_with(rig)
     fit = fit_rig(rig, seen, values, rules, tolerance=ROUGH)
     rms = " and ".join(f"{1e6 * vector_rms_T(fit, part):.1f} uT" for part in (seen, unseen))
@@ -88,9 +88,9 @@ def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start
 
 
 def vector_rms_T(fit: Fit, observations: Observations) -> float:
-    chain = Chain.build(fit.rig, observations)
+    model = MeasurementModel.build(fit.rig, observations)
     with torch.no_grad():
-        error_T = chain.predict(fit.values) - observations.field_sensor_T
+        error_T = model.predict(fit.values) - observations.field_sensor_T
     return float(error_T.square().sum(-1).mean().sqrt())
 
 

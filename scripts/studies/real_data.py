@@ -22,7 +22,7 @@ from estimator.calibration.report import calibration_report
 from estimator.calibration.result import write_text
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import errors
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -124,7 +124,7 @@ def run(data_set: DataSet, data: Path, out: Path, ess: float, seed: int) -> None
 def fit(session: Session, rig: Rig, seed: int) -> dict[str, torch.Tensor]:
     calibration = session.observations.calibration
     coordinates = Coordinates(rig)
-    posterior = LogPosterior(coordinates, Chain.build(rig, calibration), calibration)
+    posterior = LogPosterior(coordinates, MeasurementModel.build(rig, calibration), calibration)
     return coordinates.values(point_estimate(posterior, calibration, seed).vector)
 
 
@@ -137,7 +137,7 @@ def show(
 ) -> None:
     observations = session.observations
     measured = observations.field_sensor_T.numpy()
-    predicted = Chain.build(rig, observations).predict(at).numpy()
+    predicted = MeasurementModel.build(rig, observations).predict(at).numpy()
     is_validation = observations.is_validation.numpy()
     parts = {"all": np.ones_like(is_validation), "calibration": ~is_validation, "validation": is_validation}
     text = []

@@ -13,9 +13,9 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
-from estimator.effects.circumstances import Extent, Scene
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.record import RECORD
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
@@ -69,18 +69,22 @@ def observations(rig) -> Observations:
         warm,
     )
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}
-    return empty.with_field(Chain.build(rig, empty).predict(values))
+    return empty.with_field(MeasurementModel.build(rig, empty).predict(values))
 
 
 CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(rig_from_text(RIG))]
 
 
-def chain_with(rig: Rig, observations: Observations, cause: Cause) -> tuple[Chain, dict[str, torch.Tensor]]:
-    shapes = EFFECTS[cause.name].starts(Chain.unruled(rig, observations).scene, cause.place)[0]
+def chain_with(
+    rig: Rig, observations: Observations, cause: Cause
+) -> tuple[MeasurementModel, dict[str, torch.Tensor]]:
+    shapes = EFFECTS[cause.name].starts(
+        MeasurementModel.unruled(rig, observations).circumstances, cause.place
+    )[0]
     own = with_effect(rig, cause, observations, shapes)
-    rules = Chain.build(rig, observations).rules
+    rules = MeasurementModel.build(rig, observations).rules
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in own.nominal_values().items()}
-    return replace(Chain.unruled(own, observations), rules=rules), values
+    return replace(MeasurementModel.unruled(own, observations), rules=rules), values
 
 
 def free_quantities(name: str) -> list[Quantity]:
@@ -89,31 +93,31 @@ def free_quantities(name: str) -> list[Quantity]:
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if c[0] not in (*RECORD, "range_clipping")])
 def test_null_is_identity(rig, observations, name, place):
-    chain, values = chain_with(rig, observations, Cause(name, place))
+    model, values = chain_with(rig, observations, Cause(name, place))
     torch.testing.assert_close(
-        chain.predict(values).expand(24, 3), observations.field_sensor_T, rtol=1e-12, atol=1e-18
+        model.predict(values).expand(24, 3), observations.field_sensor_T, rtol=1e-12, atol=1e-18
     )
 
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
 def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, name, place):
-    chain, values = chain_with(rig, observations, Cause(name, place))
-    extent = chain.scene.extent
+    model, values = chain_with(rig, observations, Cause(name, place))
+    extent = model.circumstances.extent
     for quantity in EFFECTS[name].quantities(extent):
         if quantity.is_shape or quantity.is_fixed:
             continue
         key = f"{name}[{place}].{quantity.key}"
         step = 1e-3 * quantity.prior.sd
         ends = values[key] + step * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
-        together = chain.predict({**values, key: ends}).expand(3, 24, 3)
+        together = model.predict({**values, key: ends}).expand(3, 24, 3)
         for end, field in zip(ends, together, strict=True):
             torch.testing.assert_close(
-                chain.predict({**values, key: end}).expand(24, 3), field, rtol=1e-12, atol=1e-18
+                model.predict({**values, key: end}).expand(24, 3), field, rtol=1e-12, atol=1e-18
             )
         assert together.dtype == torch.float64
         if name == "range_clipping":
             continue  # its response has a kink
-        slope = jacfwd(lambda v, key=key: chain.predict({**values, key: v}).expand(24, 3))(values[key])
+        slope = jacfwd(lambda v, key=key: model.predict({**values, key: v}).expand(24, 3))(values[key])
         difference = (together[2] - together[0]) / (2.0 * step)
         scale = difference.abs().max()
         torch.testing.assert_close(slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-18))
@@ -121,9 +125,9 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
 
 @pytest.mark.parametrize(("name", "place"), CASES)
 def test_fits_start_within_the_priors(rig, observations, name, place):
-    scene = Chain.unruled(rig, observations).scene
-    priors = {q.key: q.prior for q in EFFECTS[name].quantities(scene.extent)}
-    for shapes in EFFECTS[name].starts(scene, place):
+    circumstances = MeasurementModel.unruled(rig, observations).circumstances
+    priors = {q.key: q.prior for q in EFFECTS[name].quantities(circumstances.extent)}
+    for shapes in EFFECTS[name].starts(circumstances, place):
         for key, value in shapes.items():
             assert priors[key].lower <= value <= priors[key].upper, (key, value)
 
@@ -146,9 +150,9 @@ def test_pitch_that_the_rig_file_leaves_open_within_bounds_is_no_cause_beside(ob
     """As the MICE windings do: a cause of 5 % would leave the three widths within which they can be built."""
     of_its_own = f"wire_radius_mm: 0.5\n    {pitch}_mm: {{prior: {{normal: {{mean: 1, sd: 0.01}}}}}}"
     open_pitch = rig_from_text(RIG.replace("wire_radius_mm: 0.5", of_its_own, 1))
-    scene = Scene(open_pitch, observations)
-    assert not EFFECTS[pitch].concerns(scene, "coil1")
-    assert EFFECTS[pitch].concerns(scene, "coil2")
+    circumstances = Circumstances(open_pitch, observations)
+    assert not EFFECTS[pitch].concerns(circumstances, "coil1")
+    assert EFFECTS[pitch].concerns(circumstances, "coil2")
 
 
 def test_names_are_those_that_other_scripts_rely_on():
@@ -166,11 +170,11 @@ def test_names_are_those_that_other_scripts_rely_on():
 )
 def test_rig_file_with_the_effect_predicts_the_same(rig, observations, name):
     cause = Cause(name, EFFECTS[name].places(rig)[0])
-    chain, values = chain_with(rig, observations, cause)
-    fit = fit_rig(chain.rig, observations, values, chain.rules)
+    model, values = chain_with(rig, observations, cause)
+    fit = fit_rig(model.rig, observations, values, model.rules)
     again = rig_from_text(extended_text(rig, fit))
     assert again.effects == (cause,)
     for parameter in (p for p in again.parameters.values() if p.name.startswith(cause.label)):
-        known = chain.rig.parameters[parameter.name]
+        known = model.rig.parameters[parameter.name]
         assert (parameter.prior, parameter.unit) == (known.prior, known.unit)
         assert parameter.value == pytest.approx(float(fit.values[parameter.name]), rel=1e-12, abs=1e-300)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.flaw import record
@@ -31,10 +31,10 @@ def test_coilcal_predicts_the_generators_readings_from_its_truth(
     for truth in hidden.record.truths:
         values |= {f"coil1.flange_from_coil.{p.name}": float(p.value) for p in truth.parameters}
     rig = rig.with_values(values)
-    chain = Chain.build(rig, session.observations, 1e-9)
+    model = MeasurementModel.build(rig, session.observations, 1e-9)
     nominal = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     perfect_T = record(hidden.scene, hidden.flaws).field_T
     np.testing.assert_allclose(
-        chain.predict(nominal).numpy(), perfect_T, rtol=0.0, atol=TOLERANCE * np.abs(perfect_T).max()
+        model.predict(nominal).numpy(), perfect_T, rtol=0.0, atol=TOLERANCE * np.abs(perfect_T).max()
     )
     assert session.observations.is_validation.tolist() == hidden.schedule.is_validation.tolist()

@@ -14,7 +14,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
 from estimator.effects.record import RECORD
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 
 STEP = 1e-3  # of the prior's width: central differences of smooth effects
@@ -63,14 +63,14 @@ class Candidate:
 
 def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
     """Continuous causes that the rig has not got yet and that the session could show."""
-    scene = fit.posterior.chain.scene
+    circumstances = fit.posterior.model.circumstances
     present = set(rig.effects)
     return [
         cause
         for name, effect in EFFECTS.items()
         if name not in RECORD and not isinstance(effect, NoiseEffect)
         for place in effect.places(rig)
-        if (cause := Cause(name, place)) not in present and effect.concerns(scene, place)
+        if (cause := Cause(name, place)) not in present and effect.concerns(circumstances, place)
     ]
 
 
@@ -79,8 +79,8 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     found = []
     for cause in causes:
         effect = EFFECTS[cause.name]
-        scene = fit.posterior.chain.scene
-        for shapes in effect.starts(scene, cause.place):
+        circumstances = fit.posterior.model.circumstances
+        for shapes in effect.starts(circumstances, cause.place):
             candidate = _candidate(fit, cause, shapes)
             if candidate is not None:
                 found.append(candidate)
@@ -90,7 +90,7 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
 def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
     observations = fit.observations
     rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
-    chain = replace(Chain.unruled(rig, observations), rules=fit.posterior.chain.rules)
+    model = replace(MeasurementModel.unruled(rig, observations), rules=fit.posterior.model.rules)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
     own = {
         name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)
@@ -104,7 +104,7 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
         name = f"{cause.label}.{quantity.key}"
         values[name] = values[name] + ends[:, i]
     with torch.no_grad():
-        reading_T = chain.predict(values).expand(len(ends), len(observations), 3)
+        reading_T = model.predict(values).expand(len(ends), len(observations), 3)
         components_T = fit.posterior.measured_components(reading_T)
         shift = (components_T[-1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
     up, down = components_T[:-1].chunk(2)
@@ -124,6 +124,6 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
 
 def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
     """Those that the session can show."""
-    scene, effect = fit.posterior.chain.scene, EFFECTS[cause.name]
-    unseen = effect.unseen(scene, cause.place)
-    return tuple(q for q in effect.quantities(scene.extent) if q.key not in unseen)
+    circumstances, effect = fit.posterior.model.circumstances, EFFECTS[cause.name]
+    unseen = effect.unseen(circumstances, cause.place)
+    return tuple(q for q in effect.quantities(circumstances.extent) if q.key not in unseen)

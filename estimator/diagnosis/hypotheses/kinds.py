@@ -90,7 +90,7 @@ def together(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candida
 
 def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
     """The fit with those of several causes that earn their places beside each other."""
-    rig, rules = fit.rig, fit.posterior.chain.rules
+    rig, rules = fit.rig, fit.posterior.model.rules
     for start in starts:
         rig = with_effect(rig, start.cause, fit.observations, start.shapes)
     asked = [start.cause for start in starts]
@@ -147,7 +147,7 @@ def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     coordinates = fit.posterior.coordinates
     nulls = {
         f"{cause.label}.{q.key}": q.null
-        for q in EFFECTS[cause.name].quantities(fit.posterior.chain.scene.extent)
+        for q in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
         if not q.is_shape
     }
     own = [i for i, name in enumerate(coordinates.names) if name in nulls]
@@ -157,5 +157,5 @@ def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     residual = fit.residual - fit.jacobian @ moved
     growth = 1.0 if fit.free_noise is None else max(float(residual.norm() / fit.residual.norm()), 1.0)
     jacobian = fit.jacobian[:, rest] / growth
-    prior = (fit.polished.precision - fit.polished.information)[0][rest][:, rest]
+    prior = (fit.optimum.precision - fit.optimum.information)[0][rest][:, rest]
     return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), growth

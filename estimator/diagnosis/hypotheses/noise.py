@@ -45,7 +45,7 @@ def _hint(fit: Fit, cause: Cause) -> float:
     if cause.name == "outliers":
         z = _own_residual(fit, cause)
         return max(_mixture(z, start)[3] for start in RATIOS) if len(z) > FEWEST else 0.0
-    gradient = fit.posterior.chain.gradient_T_per_m(cause.place).norm(dim=-1)
+    gradient = fit.posterior.model.gradient_T_per_m(cause.place).norm(dim=-1)
     steepness = fit.posterior.measured_components(gradient) * fit.whitening_per_T
     steep2 = steepness**2 - (steepness**2).mean()
     excess = fit.residual**2 - fit.residual.square().mean()
@@ -64,7 +64,7 @@ def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit]:
     rig = with_effect(fit.rig, cause, fit.observations, {"share": share, "ratio": ratio / shrink})
     noise = f"{cause.place}.noise_T"
     start = {**fit.start_with(rig), noise: fit.values[noise] * shrink}
-    full = fit_rig(rig, fit.observations, start, fit.posterior.chain.rules, tolerance=ROUGH)
+    full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=ROUGH)
     return full.log_evidence - fit.log_evidence - math.log(
         len(z)
     ), full  # two numbers at half a logarithm each
@@ -73,7 +73,7 @@ def _outliers(fit: Fit, cause: Cause) -> tuple[float, Fit]:
 def _jitter(fit: Fit, cause: Cause) -> tuple[float, Fit]:
     """Everything fitted with a mover that scatters."""
     rig = with_effect(fit.rig, cause, fit.observations, {})
-    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules, tolerance=ROUGH)
+    full = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=ROUGH)
     return full.log_evidence - fit.log_evidence, full
 
 

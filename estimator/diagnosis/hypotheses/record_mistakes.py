@@ -19,7 +19,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.record import RECORD
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
@@ -92,19 +92,19 @@ def _is_as_expected(fit: Fit) -> bool:
 
 def _faults(base: Fit) -> list[Fit]:
     """Full fits of the mistakes that look best on a few readings, and follow those no worse than the rig as it is."""
-    scene = base.posterior.chain.scene
-    observations = scene.observations
+    circumstances = base.posterior.model.circumstances
+    observations = circumstances.observations
     some = torch.linspace(0, len(observations) - 1, min(MOST_READINGS, len(observations))).round().long()
     few = observations.rows(some.unique())
     present = {cause.name for cause in base.rig.effects}
     ranked = []
     for name in RECORD:
         for place in EFFECTS[name].places(base.rig) if name not in present else ():
-            cause, starts = Cause(name, place), EFFECTS[name].starts(scene, place)
+            cause, starts = Cause(name, place), EFFECTS[name].starts(circumstances, place)
             values = _coarse(base, cause, starts, few)
             ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
     ranked.sort(key=lambda one: -one[0])
-    rules = base.posterior.chain.rules
+    rules = base.posterior.model.rules
     least = fit_rig(base.rig, few, base.values, rules, tolerance=ROUGH).log_evidence - MOST_LOST_ON_FEW
     rigs = [with_effect(base.rig, cause, observations, start) for _, cause, start in ranked[:MOST_FITS]]
     trials = [fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for rig in rigs]
@@ -123,11 +123,11 @@ def _coarse(
     The parameters are let go to first order from the nominal rig, within their priors.
     """
     rig = with_effect(base.rig, cause, base.observations, starts[0])
-    chain = replace(Chain.unruled(rig, observations), rules=base.posterior.chain.rules)
+    model = replace(MeasurementModel.unruled(rig, observations), rules=base.posterior.model.rules)
     found = []
     for first in range(0, len(starts), MOST_TOGETHER):
         some = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
-        found += _followed(LogPosterior(some, chain, observations), some.start())
+        found += _followed(LogPosterior(some, model, observations), some.start())
     return found
 
 

@@ -71,13 +71,13 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     """
     observations = fit.observations
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
-    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.chain.rules, tolerance=ROUGH)
+    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=ROUGH)
     gain = full.log_evidence - fit.log_evidence
     if not math.isfinite(gain):
         return screened, full
     if not full.still_has(start.cause):
         return 0.0, full
-    quantities = EFFECTS[start.cause.name].quantities(fit.posterior.chain.scene.extent)
+    quantities = EFFECTS[start.cause.name].quantities(fit.posterior.model.circumstances.extent)
     if any(q.is_shape and not q.is_fixed for q in quantities):
         # Laplace misses the width of shapes, and a linear model does not know their bounds.
         return min(max(gain, screened), gain + SHAPES_WIDTH), full

@@ -96,7 +96,7 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSE
     if len(trail.own(fit)) == 1 and leaves_structure(trail.steps[-1].left):
         fit = trail.with_alternative(fit)
     if trail.own(fit):
-        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.chain.rules)
+        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules)
     dropped = tuple(cause for cause in dict.fromkeys(trail.dropped) if cause not in fit.rig.effects)
     return Search(base, fit, tuple(trail.steps), trail.kept(fit), dropped, tuple(pool), whole)
 
@@ -171,7 +171,7 @@ class _Trail:
         """Each cause again, in the presence of the others: exchanged where another does better, dropped where none is needed."""
         for cause in self.own(fit):
             without = fit_rig(
-                fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.chain.rules
+                fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.model.rules
             )
             self.tell(f"{cause.label} again, beside the others")
             step = self.step(without)
@@ -233,13 +233,13 @@ class _Trail:
         self.tell(f"{one.cause.label} and {other.cause.label} are asked together")
         rig = with_effect(fit.rig, one.cause, fit.observations, one.shapes)
         rig = with_effect(rig, other.cause, fit.observations, other.shapes)
-        both = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.chain.rules)
+        both = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
         if both.log_evidence - fit.log_evidence <= least:
             return None
         steps = []
         for cause in (one.cause, other.cause):
             without = fit_rig(
-                both.rig.without_cause(cause), fit.observations, both.values, fit.posterior.chain.rules
+                both.rig.without_cause(cause), fit.observations, both.values, fit.posterior.model.rules
             )
             step = self.step(without)
             if step.taken is None:
@@ -284,7 +284,7 @@ def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         cause = min(needs, key=needs.__getitem__, default=None)
         if cause is None or needs[cause] > SURELY_NEEDED:
             return fit, gone
-        rig, rules = fit.rig.without_cause(cause), fit.posterior.chain.rules
+        rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
         best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=ROUGH)
         if best.log_evidence <= fit.log_evidence:
             return fit, gone

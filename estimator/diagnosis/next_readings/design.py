@@ -20,7 +20,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
 from estimator.model.hide import cause_of
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
@@ -81,7 +81,7 @@ def design(
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
-    base = fit_rig(rig, observations, {}, Chain.build(rig, observations).rules, MORE_STARTS)
+    base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, MORE_STARTS)
     stops = candidate_stops(observations)
     if shrink is not None:
         if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
@@ -113,7 +113,7 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
         raise InvalidInput(f"{cause.label} must have some effect on the readings of the session")
     best = max(pool, key=lambda one: float(base.projector.rest(one.columns).norm()))
     rig = with_effect(base.rig, cause, base.observations, best.shapes)
-    fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.chain.rules)
+    fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.model.rules)
     if fit.log_evidence - base.log_evidence > CLEAR:
         return fit
     visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
@@ -124,7 +124,9 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
         )
     size = min(TYPICAL_SIGMA / float(visible[strongest]), 3.0) * float(best.prior_sd[strongest])
     key = best.keys[strongest]
-    null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.chain.scene.extent)}[key]
+    null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.model.circumstances.extent)}[
+        key
+    ]
     there = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
     vector = fit.posterior.coordinates.vector(there)[None]
-    return Fit(fit.posterior, replace(fit.polished, vector=vector))
+    return Fit(fit.posterior, replace(fit.optimum, vector=vector))

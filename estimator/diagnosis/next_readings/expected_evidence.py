@@ -19,7 +19,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.linear import Projector
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -147,8 +147,8 @@ class Rows:
     @classmethod
     def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
         """Of readings with a rig that differs from that of the fit in fixed numbers only."""
-        chain = replace(Chain.unruled(rig, readings), rules=fit.posterior.chain.rules)
-        posterior = LogPosterior(Coordinates(rig), chain, readings)
+        model = replace(MeasurementModel.unruled(rig, readings), rules=fit.posterior.model.rules)
+        posterior = LogPosterior(Coordinates(rig), model, readings)
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
@@ -164,7 +164,7 @@ def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Ten
     sigma_T = torch.cat([rows.sigma_T for rows in own])
     change = torch.cat([t.predicted_T - o.predicted_T for t, o in zip(truth, own, strict=True)]) / sigma_T
     columns = torch.cat([rows.jacobian_T for rows in own]) / sigma_T[:, None]
-    prior = (rival.polished.precision - rival.polished.information)[0]
+    prior = (rival.optimum.precision - rival.optimum.information)[0]
     followed = Projector.of(columns, prior).gram(change[:, None], change[:, None])[0, 0]
     wider = (torch.cat([rows.sigma_T for rows in truth]) / sigma_T).square()
     return 0.5 * (followed + (wider - 1.0 - wider.log()).sum())

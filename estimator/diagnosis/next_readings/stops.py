@@ -81,7 +81,7 @@ def best_to_shrink(
     slope: Tensor = jacfwd(
         lambda vector: fit.posterior.coordinates.values(vector)[parameter] + 0.0 * vector.sum()
     )(fit.vector)
-    precision = fit.polished.precision[0]
+    precision = fit.optimum.precision[0]
     chosen: list[int] = []
     sds: list[Tensor] = []
     for _ in range(min(n, len(stops))):
@@ -111,7 +111,7 @@ class _Pair:
             for readings in (rival.observations, stops)
         )
         columns, change = _whitened(*seen)
-        prior = (rival.polished.precision - rival.polished.information)[0]
+        prior = (rival.optimum.precision - rival.optimum.information)[0]
         by_stop = (part.unflatten(0, (len(stops), 3)) for part in _whitened(*more))
         return cls(columns.T @ columns + prior, columns.T @ change, change @ change, *by_stop)
 

@@ -35,13 +35,13 @@ def covariates(fit: Fit) -> list[Covariate]:
 
 def sensor_in_coils(fit: Fit) -> dict[str, Float[Tensor, "reading 3"]]:
     """Position of the sensor in the frame of each coil, reading by reading, as the fit has it."""
-    chain = fit.posterior.chain
-    everywhere = torch.arange(len(chain.sensor))
+    model = fit.posterior.model
+    everywhere = torch.arange(len(model.sensor))
     found = {}
-    for coil in chain.rig.coils:
+    for coil in model.rig.coils:
         with torch.no_grad():
-            points_m, _ = chain.sensor_in_coil(coil, everywhere, fit.values)
-        found[coil.name] = points_m.expand(len(everywhere), 3)[chain.place]
+            points_m, _ = model.sensor_in_coil(coil, everywhere, fit.values)
+        found[coil.name] = points_m.expand(len(everywhere), 3)[model.place]
     return found
 
 
@@ -49,23 +49,23 @@ def sensor_in_room(
     fit: Fit,
 ) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
     """Position of the sensor in the room, reading by reading, and the rotation sensor_from_world."""
-    chain = fit.posterior.chain
-    everywhere = torch.arange(len(chain.sensor))
+    model = fit.posterior.model
+    everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
-        pose = chain.world_from_sensor(everywhere, fit.values)
-    position_m = pose.translation_m.expand(len(everywhere), 3)[chain.place]
-    return position_m, pose.rotation.mT.expand(len(everywhere), 3, 3)[chain.place]
+        pose = model.world_from_sensor(everywhere, fit.values)
+    position_m = pose.translation_m.expand(len(everywhere), 3)[model.place]
+    return position_m, pose.rotation.mT.expand(len(everywhere), 3, 3)[model.place]
 
 
 def predicted_T(fit: Fit) -> Float[Tensor, "reading 3"]:
     """What the fit says the readings should be, in the sensor frame."""
-    chain = fit.posterior.chain
+    model = fit.posterior.model
     with torch.no_grad():
-        return chain.predict(fit.values).expand(len(chain.scene), 3)
+        return model.predict(fit.values).expand(len(model.circumstances), 3)
 
 
 def _all(fit: Fit) -> Iterator[Covariate]:
-    scene = fit.posterior.chain.scene
+    circumstances = fit.posterior.model.circumstances
     rig, observations = fit.rig, fit.observations
     for name, place_m in sensor_in_coils(fit).items():
         yield from _axes(f"sensor in the frame of {name}", "m", place_m)
@@ -74,21 +74,21 @@ def _all(fit: Fit) -> Iterator[Covariate]:
     yield Covariate("field strength", "T", field_T.norm(dim=-1))
     yield from _axes("field in the sensor frame", "T", field_T)
     for i, coil in enumerate(rig.coils):
-        yield Covariate(f"current of {coil.name}", "A", scene.current_A[:, i])
-    yield Covariate("time", "h", scene.hours)
+        yield Covariate(f"current of {coil.name}", "A", circumstances.current_A[:, i])
+    yield Covariate("time", "h", circumstances.hours)
     order = observations.row.to(torch.float64)
-    if len(order) > 1 and float(torch.corrcoef(torch.stack((order, scene.hours)))[0, 1]) < SAME_ORDER:
+    if len(order) > 1 and float(torch.corrcoef(torch.stack((order, circumstances.hours)))[0, 1]) < SAME_ORDER:
         yield Covariate("order of the readings", "1", order)
     for mover in rig.movers:
-        yield from _axes(f"last move of {mover.name}", "m", scene.last_move_m(mover.name))
-        yield from _axes(f"direction of approach of {mover.name}", "1", scene.approach(mover.name))
+        yield from _axes(f"last move of {mover.name}", "m", circumstances.last_move_m(mover.name))
+        yield from _axes(f"direction of approach of {mover.name}", "1", circumstances.approach(mover.name))
     for place in observations.temperature_C:
-        warmth_K = scene.temperature_K(place)
+        warmth_K = circumstances.temperature_K(place)
         if warmth_K is not None:
             yield Covariate(f"temperature of {place}", "K", warmth_K)
     for i, sensor in enumerate(rig.sensors):
         if len(rig.sensors) > 1:
-            yield Covariate(f"reading of {sensor.name}", "1", (scene.sensor == i).to(torch.float64))
+            yield Covariate(f"reading of {sensor.name}", "1", (circumstances.sensor == i).to(torch.float64))
 
 
 def _axes(name: str, unit: str, vectors: Tensor) -> Iterator[Covariate]:

@@ -19,7 +19,7 @@ from estimator.diagnosis.structure.memory import lingering_T
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.diagnosis.structure.winding_shapes import shape_fields
 from estimator.model.bodies import winding_of
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Coil
 
 AMPLITUDES = (0.5, 2.0, 8.0, 30.0)  # rms of a family in units of the noise
@@ -113,25 +113,25 @@ def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:
 
 def families(fit: Fit) -> list[Family]:
     """What a reading may smoothly depend on in this session; what is constant or linear has a name among the causes and is left out."""
-    chain = fit.posterior.chain
-    scene = chain.scene
+    model = fit.posterior.model
+    circumstances = model.circumstances
     with torch.no_grad():
-        predicted_T = chain.predict(fit.values).expand(len(scene), 3)
-    each = torch.eye(3, dtype=torch.float64).expand(len(scene), 3, 3)
+        predicted_T = model.predict(fit.values).expand(len(circumstances), 3)
+    each = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
     field = predicted_T / predicted_T.abs().max().clamp(min=1e-12)
     mixed = torch.cat([torch.diag_embed(torch.roll(field, shift, dims=1)) for shift in range(3)], dim=-1)
-    one = torch.ones(len(scene), 1, dtype=torch.float64)
-    time = 2.0 * scene.hours / scene.duration_h - 1.0
+    one = torch.ones(len(circumstances), 1, dtype=torch.float64)
+    time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
     clock = legendre(time, TIME_DEGREE)[:, 1:]
     found = Collection(fit)
-    for coil in chain.rig.coils:
-        _add_places(found, chain, coil, fit)
+    for coil in model.rig.coils:
+        _add_places(found, model, coil, fit)
     found.add("time", clock[:, 1:], each)
     found.add("field and time", clock, torch.diag_embed(field))
     for edge in torch.linspace(-1.0, 1.0, N_INSTANTS + 2).tolist()[1:-1]:
         later = (time > edge).to(torch.float64)
-        for i in range(len(chain.rig.sensors)):
-            mine = (later * (scene.sensor == i))[:, None]
+        for i in range(len(model.rig.sensors)):
+            mine = (later * (circumstances.sensor == i))[:, None]
             if bool(mine.any()):
                 found.add("a change in mid session", mine, each)
                 found.add("a change in mid session", mine, torch.cat((each, mixed), dim=-1))
@@ -177,17 +177,17 @@ class Collection:
             self.families.append(Family.of(name, whitened[:, is_there]))
 
 
-def _add_places(found: Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
+def _add_places(found: Collection, model: MeasurementModel, coil: Coil, fit: Fit) -> None:
     """Fields that move with a coil: of any kind, and those that sources outside the workspace can make."""
-    scene = chain.scene
-    everywhere = torch.arange(len(chain.sensor))
+    circumstances = model.circumstances
+    everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
-        points_m, sensor_from_coil = chain.sensor_in_coil(coil, everywhere, fit.values)
-    points_m = points_m.expand(len(everywhere), 3)[chain.place]
+        points_m, sensor_from_coil = model.sensor_in_coil(coil, everywhere, fit.values)
+    points_m = points_m.expand(len(everywhere), 3)[model.place]
     if not bool((points_m != points_m[0]).any()):
         return  # coil and sensor both stand still
-    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[chain.place]
-    current = scene.current_A[:, list(chain.rig.coils).index(coil)] / scene.largest_current_A
+    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[model.place]
+    current = circumstances.current_A[:, list(model.rig.coils).index(coil)] / circumstances.largest_current_A
     place = unit_interval(points_m)
     middle = points_m.mean(0)
     inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
@@ -196,7 +196,7 @@ def _add_places(found: Collection, chain: Chain, coil: Coil, fit: Fit) -> None:
         for degree in range(2, HARMONIC_DEGREE + 1)
     ]
     source = torch.cat(fields, dim=1)
-    winding = winding_of(chain.rig, coil, fit.values)
+    winding = winding_of(model.rig, coil, fit.values)
     nearby = torch.einsum("rij,rtj->rti", turn, dipoles(points_m / winding.radius_m))
     shapes = torch.einsum("rij,rtj->rti", turn, shape_fields(points_m, winding))
     found.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 
 MOST_PREDICTED = 4000  # readings of the history for which every sensor's field is predicted
 
@@ -34,9 +34,9 @@ def lingering_T(fit: Fit, decay_steps: float) -> Float[Tensor, "reading 3"] | No
     result = torch.zeros(len(fit.observations), 3, dtype=torch.float64)
     for which in range(n_sensors):
         everywhere = replace(history, sensor=torch.full_like(history.sensor, which))
-        chain = replace(Chain.unruled(fit.rig, everywhere), rules=fit.posterior.chain.rules)
+        model = replace(MeasurementModel.unruled(fit.rig, everywhere), rules=fit.posterior.model.rules)
         with torch.no_grad():
-            field_T = chain.predict(fit.values).expand(len(history), 3)
+            field_T = model.predict(fit.values).expand(len(history), 3)
         state, states = torch.zeros(3, dtype=torch.float64), []
         for k in range(len(history)):
             state = (state + field_T[max(k - 1, 0)] - field_T[k]) * keep[k]

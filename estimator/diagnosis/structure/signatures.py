@@ -66,10 +66,10 @@ def leading(evidence: Evidence | None) -> list[str]:
 
 
 def _stays_with(fit: Fit) -> Evidence:
-    scene = fit.posterior.chain.scene
+    circumstances = fit.posterior.model.circumstances
     field_T = predicted_T(fit)
-    one = torch.ones(len(scene), 1, dtype=torch.float64)
-    each = torch.eye(3, dtype=torch.float64).expand(len(scene), 3, 3)
+    one = torch.ones(len(circumstances), 1, dtype=torch.float64)
+    each = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
     largest_T = field_T.abs().max().clamp(min=1e-12)
     own = torch.diag_embed(field_T / largest_T)
     found = Collection(fit)
@@ -84,18 +84,18 @@ def _stays_with(fit: Fit) -> Evidence:
     for degree in DEGREES:
         found.add("room", polynomials(unit_interval(place_m), 0, degree - 1), sensor_from_world)
         found.add("sensor", polynomials(unit_interval(field_T), 0, degree), each)
-    time = 2.0 * scene.hours / scene.duration_h - 1.0
+    time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
     for degree in (1, TIME_DEGREE):
         found.add("clock", legendre(time, degree), each)
         found.add("clock", legendre(time, degree), torch.cat((each, own), dim=-1))
-    change = (before(field_T, scene.observations.row) - field_T) / largest_T
+    change = (before(field_T, circumstances.observations.row) - field_T) / largest_T
     rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
     found.add("path", one, torch.cat(rolled, dim=-1))
     return _evidence(fit, found.families)
 
 
 def _current(fit: Fit) -> Evidence | None:
-    scene = fit.posterior.chain.scene
+    circumstances = fit.posterior.model.circumstances
     found = Collection(fit)
     for i, place_m in enumerate(sensor_in_coils(fit).values()):
         drive = _drive(fit, i)
@@ -111,7 +111,7 @@ def _current(fit: Fit) -> Evidence | None:
                 found.add("even", place * drive[:, None] ** 2, turn)
             if len(sizes[sizes > 0.0]) > 1:
                 found.add("cubic", place * drive[:, None] ** 3, turn)
-    return _evidence(fit, found.families) if found.families and len(scene) else None
+    return _evidence(fit, found.families) if found.families and len(circumstances) else None
 
 
 def _field_equations(fit: Fit) -> Evidence | None:
@@ -143,16 +143,16 @@ def _evidence(fit: Fit, families: list[Family]) -> Evidence:
 
 
 def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:
-    scene = fit.posterior.chain.scene
-    return scene.current_A[:, coil] / scene.largest_current_A
+    circumstances = fit.posterior.model.circumstances
+    return circumstances.current_A[:, coil] / circumstances.largest_current_A
 
 
 def _sensor_from_coil(fit: Fit, coil: Coil) -> Float[Tensor, "reading 3 3"]:
-    chain = fit.posterior.chain
-    everywhere = torch.arange(len(chain.sensor))
+    model = fit.posterior.model
+    everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
-        _, rotation = chain.sensor_in_coil(coil, everywhere, fit.values)
-    return rotation.expand(len(everywhere), 3, 3)[chain.place]
+        _, rotation = model.sensor_in_coil(coil, everywhere, fit.values)
+    return rotation.expand(len(everywhere), 3, 3)[model.place]
 
 
 WORDS: Mapping[str, str] = {

@@ -14,7 +14,7 @@ import torch
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.next_readings.resolution import smallest_visible
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
@@ -88,7 +88,7 @@ def resolved(rig: Rig, observations: Observations, names: Iterable[str], middle_
     """Fit the rig and take the columns of some causes."""
     truth = at(rig, middle_mm)
     own = rig.with_values(truth)
-    rules = Chain.build(own, observations).rules
+    rules = MeasurementModel.build(own, observations).rules
     fit = fit_rig(own, observations, truth, rules)
     wanted = set(names)
     return Resolved(fit, candidates(fit, [cause for cause in causes_of(own, fit) if cause.name in wanted]))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from estimator import Session, load_plan, load_rig, simulate
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 
 RIG = load_rig("configs/paper_simulation.yaml")
 TRUTH = {
@@ -48,7 +48,7 @@ def plain_fit(
 ) -> Fit:
     """The rig that knows nothing of the hidden cause, fitted."""
     observations = session_with(hidden, currents_A, seed).observations
-    return fit_rig(RIG, observations, TRUTH, Chain.build(RIG, observations).rules)
+    return fit_rig(RIG, observations, TRUTH, MeasurementModel.build(RIG, observations).rules)
 
 
 @lru_cache

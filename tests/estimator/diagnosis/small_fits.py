@@ -8,17 +8,17 @@ import torch
 
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.attach import with_effect
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 
 
 def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
     """The rig with causes free, fitted."""
-    fit = fit_rig(rig, observations, {}, Chain.build(rig, observations).rules)
+    fit = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules)
     for cause in causes:
         wider = with_effect(fit.rig, cause, observations, {})
-        fit = fit_rig(wider, observations, fit.start_with(wider), fit.posterior.chain.rules)
+        fit = fit_rig(wider, observations, fit.start_with(wider), fit.posterior.model.rules)
     return fit
 
 
@@ -36,4 +36,4 @@ def with_wrong(
 def predicted_T(rig: Rig, observations: Observations) -> torch.Tensor:
     """What a rig predicts at its nominal values."""
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
-    return Chain.build(rig, observations).predict(values).expand(len(observations), 3)
+    return MeasurementModel.build(rig, observations).predict(values).expand(len(observations), 3)

@@ -38,7 +38,7 @@ def missed_by_laplace(fit: Fit) -> tuple[float, float]:
     with torch.no_grad():
         vectors = fit.vector + step @ root.T
         log_density = torch.cat([fit.posterior(part) for part in vectors.split(500)])
-    weight = torch.exp(log_density - fit.polished.log_posterior[0] - log_proposal)
+    weight = torch.exp(log_density - fit.optimum.log_posterior[0] - log_proposal)
     return float(weight.mean().log()) - log_peak, float(weight.std() / weight.mean()) / math.sqrt(DRAWS)
 
 
@@ -68,6 +68,6 @@ def test_differences_between_hypotheses_are_closer_still(fits: list[Fit]) -> Non
 def test_a_wrong_width_shows(fits: list[Fit]) -> None:
     """Were every standard deviation twice as large, the estimate would be 2^n too large."""
     fit = fits[1]
-    wide = Fit(fit.posterior, replace(fit.polished, precision=fit.polished.precision / 4.0))
+    wide = Fit(fit.posterior, replace(fit.optimum, precision=fit.optimum.precision / 4.0))
     missed, _ = missed_by_laplace(wide)
     assert missed == pytest.approx(-len(fit.vector) * math.log(2.0), abs=0.6)

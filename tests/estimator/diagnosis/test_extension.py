@@ -68,7 +68,7 @@ def test_extended_rig_is_free_where_the_fit_was_with_the_same_priors(text: str, 
 
 
 def test_fitting_the_extended_rig_again_finds_the_same(text: str, extended: Fit, readings: Observations):
-    again = fit_rig(rig_from_text(text), readings, {}, extended.posterior.chain.rules)
+    again = fit_rig(rig_from_text(text), readings, {}, extended.posterior.model.rules)
     for name, value in extended.values.items():
         assert float(again.values[name] - value) == pytest.approx(
             0.0, abs=0.02 * extended.value_sd(name) + 1e-15

@@ -15,7 +15,7 @@ def test_what_is_left_does_not_depend_on_where_the_climb_stopped(small_rig, smal
     rig, observations = small_rig, small_session.observations
     whole = fit_of(rig, observations)
     near = {name: value + 0.3 * whole.value_sd(name) for name, value in whole.values.items()}
-    early = fit_rig(rig, observations, near, whole.posterior.chain.rules, tolerance=1e3)
+    early = fit_rig(rig, observations, near, whole.posterior.model.rules, tolerance=1e3)
     shift = early.posterior.predicted(early.vector) - whole.posterior.predicted(whole.vector)
     uncorrected = (shift * whole.whitening_per_T).norm()
     assert uncorrected > 0.05
@@ -36,7 +36,7 @@ def test_a_number_at_its_bound_is_not_pushed_beyond_it(small_rig, small_session)
     wider = with_effect(
         small_rig, Cause("iron_plate", "room"), observations, {"axis": 2.0, "distance_m": 0.1}
     )
-    rules = without.posterior.chain.rules
+    rules = without.posterior.model.rules
     held = fit_rig(wider, observations, without.start_with(wider), rules, tolerance=1e9)
     slope = held.jacobian[:, held.posterior.coordinates.names.index("iron_plate[room].strength")]
     assert held.values["iron_plate[room].strength"] == 0.0

@@ -13,7 +13,7 @@ from scipy import stats
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import Gain, gain, judged
 from estimator.effects.attach import with_effect
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.readings.metrics import errors
 from estimator.readings.observations import Observations
@@ -55,10 +55,10 @@ def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together
     draws = torch.from_numpy(
         np.random.default_rng(3).multivariate_normal(fit.vector.numpy(), fit.covariance.numpy(), 4000)
     )
-    chain = replace(Chain.unruled(fit.rig, unseen), rules=fit.posterior.chain.rules)
+    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
     with torch.no_grad():
-        spread_T = chain.predict(fit.posterior.coordinates.values(draws)).std(0).numpy()
-        mean_T = chain.predict(fit.values).expand(len(unseen), 3).numpy()
+        spread_T = model.predict(fit.posterior.coordinates.values(draws)).std(0).numpy()
+        mean_T = model.predict(fit.values).expand(len(unseen), 3).numpy()
     expected = stats.norm.logpdf(unseen.field_sensor_T.numpy(), mean_T, np.hypot(NOISE_T, spread_T)).sum(1)
     assert (spread_T > 0.2 * NOISE_T).any()
     np.testing.assert_allclose(own.log_density.numpy(), expected, rtol=0.0, atol=0.05)
@@ -67,9 +67,9 @@ def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together
 
 def test_errors_are_those_of_the_prediction_at_the_maximum(found, wrong_zero):
     fit, unseen = found[1], wrong_zero.validation
-    chain = replace(Chain.unruled(fit.rig, unseen), rules=fit.posterior.chain.rules)
+    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
     with torch.no_grad():
-        mean_T = chain.predict(fit.values).expand(len(unseen), 3)
+        mean_T = model.predict(fit.values).expand(len(unseen), 3)
     expected = errors(unseen.field_sensor_T.numpy(), mean_T.numpy())
     assert judged(fit, unseen).errors.vector_T == pytest.approx(expected.vector_T, rel=1e-5)
 
@@ -144,7 +144,7 @@ def test_naming_outliers_gains_on_unseen_readings_that_have_them(small_rig, many
     )
     mixed = with_effect(small_rig, cause, seen, {"share": share, "ratio": ratio})
     narrow = fit_rig(
-        mixed, seen, wide.start_with(mixed) | {"hall.noise_T": NOISE_T}, wide.posterior.chain.rules
+        mixed, seen, wide.start_with(mixed) | {"hall.noise_T": NOISE_T}, wide.posterior.model.rules
     )
     assert narrow.posterior.log_likelihood(narrow.vector) > wide.posterior.log_likelihood(wide.vector) + 100.0
     assert gain(wide, narrow, spoilt.validation).elpd_difference > 0.0

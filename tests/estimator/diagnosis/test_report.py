@@ -60,7 +60,7 @@ def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagno
     """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
     fit = diagnosis.fit
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
-    heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.chain.rules))
+    heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.model.rules))
     assert set(heated.parameters(HEATING)) == {"loss_per_A2", "tau_h"}
 
 

@@ -13,7 +13,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import SourceEffect, WindingMagnetisation
 from estimator.field.node_sum import SumMode
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
@@ -87,12 +87,12 @@ def test_cheap_slope_of_what_moves_with_a_coil_has_the_derivatives_of_the_plain_
 def agree(rig: Rig, observations: Observations) -> None:
     """Value and derivatives of both chains, at a draw from the prior."""
     coordinates = Coordinates(rig)
-    plain = Chain.build(rig, observations)
+    plain = MeasurementModel.build(rig, observations)
     cheap = replace(plain, mode=SumMode.FIRST_ORDER)
     at = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
-    values = [chain.predict(coordinates.values(at)) for chain in (plain, cheap)]
+    values = [model.predict(coordinates.values(at)) for model in (plain, cheap)]
     torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
-    slopes = [jacfwd(lambda v, c=chain: c.predict(coordinates.values(v)))(at) for chain in (plain, cheap)]
+    slopes = [jacfwd(lambda v, c=model: c.predict(coordinates.values(v)))(at) for model in (plain, cheap)]
     moves = torch.tensor([".noise" not in name for name in coordinates.names])
     assert (slopes[0].flatten(0, 1).norm(dim=0)[moves] > 0.0).all()
     torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-10, atol=1e-12 * float(slopes[0].abs().max()))

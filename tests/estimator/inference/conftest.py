@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -68,15 +68,15 @@ def make_problem(
     )
     true_rig = rig.with_values(truth or {})
     true_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in true_rig.nominal_values().items()}
-    perfect = Chain.build(true_rig, observations, tolerance=1e-12).predict(true_values)
+    perfect = MeasurementModel.build(true_rig, observations, tolerance=1e-12).predict(true_values)
     observations = observations.with_field(perfect + torch.from_numpy(noise_T * random.normal(size=(n, 3))))
-    chain = Chain.build(rig, observations, tolerance=1e-10)
+    model = MeasurementModel.build(rig, observations, tolerance=1e-10)
     return Problem(
         rig,
         observations,
         true_rig.nominal_values(),
-        LogPosterior(Coordinates(rig), chain, observations),
-        LogPosterior(Coordinates(rig, integer_counts=True), chain, observations),
+        LogPosterior(Coordinates(rig), model, observations),
+        LogPosterior(Coordinates(rig, integer_counts=True), model, observations),
     )
 
 
@@ -149,7 +149,7 @@ class ExactCounts:
 @pytest.fixture(scope="session")
 def exact_counts(counts_problem: Problem) -> ExactCounts:
     """By hand: the gain integrates in closed form, as readings are linear in it, the height on a grid, the counts by enumeration."""
-    chain, measured = counts_problem.real.chain, counts_problem.observations.field_sensor_T.flatten()
+    model, measured = counts_problem.real.model, counts_problem.observations.field_sensor_T.flatten()
     nominal = {
         k: torch.tensor(v, dtype=torch.float64) for k, v in counts_problem.rig.nominal_values().items()
     }
@@ -160,7 +160,7 @@ def exact_counts(counts_problem: Problem) -> ExactCounts:
         for radial in range(1, 9):
             counts = {"coil1.axial_loops": axial, "coil1.radial_loops": radial}
             values = nominal | {k: torch.tensor(float(v), dtype=torch.float64) for k, v in counts.items()}
-            per_gain = chain.predict(values | {"coil1.world_from_coil.z_m": z_m}).flatten(-2)
+            per_gain = model.predict(values | {"coil1.world_from_coil.z_m": z_m}).flatten(-2)
             A = (per_gain**2).sum(-1) / sigma_T**2 + 1.0 / gain_sd**2
             b = (per_gain * measured).sum(-1) / sigma_T**2 + 1.0 / gain_sd**2
             log_prior = -0.5 * (((axial - 6) / 2) ** 2 + (radial - 4) ** 2 + ((z_m + 0.035) / 0.003) ** 2)

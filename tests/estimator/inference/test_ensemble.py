@@ -13,7 +13,7 @@ from emcee.backends import Backend
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
 from estimator.inference.lattice import CountMixture, count_mixture
-from estimator.inference.levenberg_marquardt import polish
+from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.store.emcee_backend import ZarrBackend
 
 NEVER = 1e9  # an effective sample size that no chain reaches
@@ -21,7 +21,7 @@ NEVER = 1e9  # an effective sample size that no chain reaches
 
 @pytest.fixture(scope="module")
 def mixture(counts_problem) -> CountMixture:
-    fit = polish(counts_problem.real, counts_problem.real.coordinates.start()[None])
+    fit = levenberg_marquardt(counts_problem.real, counts_problem.real.coordinates.start()[None])
     found = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(0))
     assert found is not None
     return found

@@ -10,14 +10,14 @@ import torch
 from scipy import stats
 
 from estimator.inference.laplace import covariance, log_evidence, open_directions
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.rig.coordinates import Coordinates
 
 
-def at_start(coordinates: Coordinates, information: torch.Tensor) -> Polished:
+def at_start(coordinates: Coordinates, information: torch.Tensor) -> Optimum:
     """A fit with a given information of the data."""
     start = coordinates.start()[None]
-    return Polished(
+    return Optimum(
         start, torch.zeros(1).double(), information[None], information[None], torch.ones(1, dtype=bool), 1
     )
 
@@ -37,7 +37,7 @@ def test_covariance_is_the_inverse_whatever_the_units():
 def test_evidence_of_a_linear_problem_is_the_density_of_its_readings(linear_problem):
     """Readings are normal then: y ~ N(X m, s^2 1 + X S X^T). The prior's norm is left out of `log_evidence` as a constant."""
     posterior = linear_problem.real
-    evidence = log_evidence(polish(posterior, posterior.coordinates.start()[None]))
+    evidence = log_evidence(levenberg_marquardt(posterior, posterior.coordinates.start()[None]))
     design = torch.stack([posterior.predicted(row) for row in torch.eye(2).double()], -1).numpy()
     spread = 0.2e-6**2 * np.eye(len(design)) + design @ (0.05**2 * np.eye(2)) @ design.T
     unit_T = 1e-6  # SciPy takes eigenvalues of the covariance for zero that are small in absolute terms
@@ -50,7 +50,7 @@ def test_evidence_of_a_linear_problem_is_the_density_of_its_readings(linear_prob
 
 def test_covariance_of_a_linear_problem_is_that_of_its_posterior(linear_problem):
     posterior = linear_problem.real
-    fit = polish(posterior, posterior.coordinates.start()[None])
+    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     design = torch.stack([posterior.predicted(row) for row in torch.eye(2).double()], -1)
     expected = torch.linalg.inv(design.T @ design / 0.2e-6**2 + torch.eye(2) / 0.05**2)
     torch.testing.assert_close(covariance(fit.precision)[0], expected, rtol=1e-8, atol=1e-15)
@@ -58,7 +58,7 @@ def test_covariance_of_a_linear_problem_is_that_of_its_posterior(linear_problem)
 
 def test_well_measured_rig_has_no_open_direction(linear_problem):
     posterior = linear_problem.real
-    fit = polish(posterior, posterior.coordinates.start()[None])
+    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     assert open_directions(posterior.coordinates, fit) == []
 
 
@@ -69,7 +69,7 @@ def test_spin_of_a_fixed_coil_is_named_as_open(problem):
         "{hall: {noise_uT: 0.1, carried_by: stage}}",
     ).real
     (direction,) = open_directions(
-        posterior.coordinates, polish(posterior, posterior.coordinates.start()[None])
+        posterior.coordinates, levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     )
     assert direction.words == "coil1.world_from_coil.spin_rad"
     assert direction.shares == {"coil1.world_from_coil.spin_rad": 1.0}
@@ -85,7 +85,9 @@ def test_turns_and_current_gain_are_named_as_exchangeable(problem):
         "{hall: {noise_uT: 0.003, carried_by: stage}}",
         noise_T=0.0,
     ).real
-    found = open_directions(posterior.coordinates, polish(posterior, posterior.coordinates.start()[None]))
+    found = open_directions(
+        posterior.coordinates, levenberg_marquardt(posterior, posterior.coordinates.start()[None])
+    )
     (direction,) = found
     assert set(direction.shares) == {"coil1 turns", "coil1.current_gain"}
     assert direction.shares["coil1 turns"] * direction.shares["coil1.current_gain"] < 0.0

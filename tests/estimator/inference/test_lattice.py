@@ -8,12 +8,12 @@ import torch
 
 from estimator.inference import lattice
 from estimator.inference.lattice import CountMixture, count_mixture
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 
 
 @pytest.fixture(scope="module")
-def fit(counts_problem) -> Polished:
-    return polish(counts_problem.real, counts_problem.real.coordinates.start()[None])
+def fit(counts_problem) -> Optimum:
+    return levenberg_marquardt(counts_problem.real, counts_problem.real.coordinates.start()[None])
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def mixture(counts_problem, fit) -> CountMixture:
     return mixture_of(counts_problem, fit)
 
 
-def mixture_of(counts_problem, fit: Polished, seed: int = 0) -> CountMixture:
+def mixture_of(counts_problem, fit: Optimum, seed: int = 0) -> CountMixture:
     found = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(seed))
     assert found is not None
     return found
@@ -59,7 +59,7 @@ def test_table_does_not_depend_on_where_it_begins(counts_problem, fit, mixture, 
 
 def test_components_are_the_maxima_and_widths_of_their_counts(counts_problem, mixture):
     vectors = torch.cat((mixture.mean, mixture.counts), -1)
-    fits = polish(counts_problem.whole, vectors)
+    fits = levenberg_marquardt(counts_problem.whole, vectors)
     torch.testing.assert_close(fits.vector, vectors, rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(torch.linalg.inv(fits.precision), mixture.covariance, rtol=1e-2, atol=1e-8)
     assert (fits.log_posterior - counts_problem.whole(vectors)).abs().max() < 1e-3
@@ -81,7 +81,7 @@ def test_draws_come_from_the_given_generator_alone(counts_problem, fit, mixture)
 
 
 def test_without_free_counts_there_is_one_component(linear_problem):
-    fit = polish(linear_problem.real, linear_problem.real.coordinates.start()[None])
+    fit = levenberg_marquardt(linear_problem.real, linear_problem.real.coordinates.start()[None])
     found = count_mixture(linear_problem.real, linear_problem.whole, fit, np.random.default_rng(0))
     assert found is not None
     assert (found.counts.shape, found.weight.tolist()) == ((1, 0), [1.0])
@@ -97,7 +97,7 @@ def test_counts_never_fall_below_one(problem):
         "{hall: {noise_uT: 40, carried_by: stage}}",
         noise_T=40e-6,
     )
-    fit = polish(made.real, made.real.coordinates.start()[None])
+    fit = levenberg_marquardt(made.real, made.real.coordinates.start()[None])
     found = count_mixture(made.real, made.whole, fit, np.random.default_rng(0))
     assert found is not None
     assert found.counts.min() == 1.0

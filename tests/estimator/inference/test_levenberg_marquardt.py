@@ -8,7 +8,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.rig.parameters import Prior
 
@@ -39,8 +39,8 @@ def starts(winding_problem) -> Tensor:
 
 
 @pytest.fixture(scope="module")
-def fits(winding_problem, starts) -> Polished:
-    return polish(winding_problem.real, starts)
+def fits(winding_problem, starts) -> Optimum:
+    return levenberg_marquardt(winding_problem.real, starts)
 
 
 def test_every_start_climbs_to_the_same_maximum(winding_problem, starts, fits):
@@ -88,7 +88,7 @@ def test_precision_is_the_negative_hessian_where_residuals_are_small(problem):
         "{hall: {noise_uT: 0.5, carried_by: stage}}",
         noise_T=0.0,
     )
-    fit = polish(made.real, made.real.coordinates.sample_prior(np.random.default_rng(5), 1))
+    fit = levenberg_marquardt(made.real, made.real.coordinates.sample_prior(np.random.default_rng(5), 1))
     sd = torch.linalg.inv(fit.precision[0]).diagonal().sqrt()
     numerical = -hessian(made.real, fit.vector[0], 0.05 * sd) / 0.05**2
     ours = fit.precision[0] * sd[:, None] * sd[None, :]
@@ -109,7 +109,7 @@ def test_noise_is_fitted_with_its_full_curvature(winding_problem, fits):
 
 
 def test_information_is_the_part_of_the_precision_that_the_prior_has_no_share_in(linear_problem):
-    fit = polish(linear_problem.real, linear_problem.real.coordinates.start()[None])
+    fit = levenberg_marquardt(linear_problem.real, linear_problem.real.coordinates.start()[None])
     prior = torch.diag(torch.full((2,), 1.0 / 0.05**2, dtype=torch.float64))
     torch.testing.assert_close(fit.precision[0] - fit.information[0], prior, rtol=1e-8, atol=1e-6)
     assert (fit.information[0].diagonal() > 1e4).all()
@@ -122,7 +122,7 @@ def test_linear_problem_is_solved_as_by_linear_algebra(linear_problem):
     design = torch.stack((posterior.predicted(one), posterior.predicted(two)), -1) / 0.2e-6
     matrix = design.T @ design + torch.eye(2) / 0.05**2
     expected = torch.linalg.solve(matrix, design.T @ posterior.measured_T / 0.2e-6 + 1.0 / 0.05**2)
-    fit = polish(posterior, torch.tensor([[0.7, 1.4]]).double())
+    fit = levenberg_marquardt(posterior, torch.tensor([[0.7, 1.4]]).double())
     torch.testing.assert_close(fit.vector[0], expected, rtol=1e-7, atol=0.0)
     torch.testing.assert_close(fit.precision[0], matrix, rtol=1e-9, atol=1e-6)
 
@@ -130,9 +130,9 @@ def test_linear_problem_is_solved_as_by_linear_algebra(linear_problem):
 def test_starts_do_not_disturb_each_other(counts_problem):
     posterior = counts_problem.real
     starts = posterior.coordinates.sample_prior(np.random.default_rng(6), 3)
-    together = polish(posterior, starts)
+    together = levenberg_marquardt(posterior, starts)
     for i, start in enumerate(starts):
-        alone = polish(posterior, start[None])
+        alone = levenberg_marquardt(posterior, start[None])
         assert ((alone.vector[0] - together.vector[i]).abs() < 1e-4 * posterior.coordinates.scale).all()
         assert alone.log_posterior[0].item() == pytest.approx(together.log_posterior[i].item(), abs=1e-7)
 
@@ -141,7 +141,7 @@ def test_whole_numbered_counts_stay_where_they_are(counts_problem):
     posterior = counts_problem.whole
     start = posterior.coordinates.start()[None].repeat(3, 1)
     start[:, -2:] = torch.tensor([[6.0, 4.0], [7.0, 4.0], [8.0, 3.0]])
-    fit = polish(posterior, start)
+    fit = levenberg_marquardt(posterior, start)
     assert torch.equal(fit.vector[:, -2:], start[:, -2:])
     assert fit.is_converged.all()
     n = posterior.coordinates.n_continuous
@@ -151,7 +151,7 @@ def test_whole_numbered_counts_stay_where_they_are(counts_problem):
 
 
 def test_too_few_iterations_are_reported_and_leave_no_worse_point(winding_problem, starts):
-    fit = polish(winding_problem.real, starts, max_iterations=2)
+    fit = levenberg_marquardt(winding_problem.real, starts, max_iterations=2)
     assert fit.n_iterations == 2
     assert not fit.is_converged.all()
     assert (fit.log_posterior >= winding_problem.real(starts)).all()
@@ -166,8 +166,8 @@ def test_maximum_on_a_bound_is_approached_from_inside(problem):
         noise_T=0.0,
     )
     observations = made.observations.with_field(1.02 * made.observations.field_sensor_T)
-    posterior = LogPosterior(made.real.coordinates, made.real.chain, observations)
-    fit = polish(posterior, posterior.coordinates.start()[None])
+    posterior = LogPosterior(made.real.coordinates, made.real.model, observations)
+    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     radius_m = posterior.coordinates.values(fit.vector[0])["coil1.radius_m"].item()
     assert torch.isfinite(fit.log_posterior).all()
     assert 0.0505 <= radius_m < 0.0506
@@ -191,7 +191,7 @@ def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(probl
         },
     )
     posterior, coordinates = made.real, made.real.coordinates
-    fit = polish(posterior, coordinates.start()[None])
+    fit = levenberg_marquardt(posterior, coordinates.start()[None])
 
     def minus_log_posterior(shares: np.ndarray) -> float:
         values = lower + torch.from_numpy(shares) * (upper - lower)
@@ -229,7 +229,7 @@ def test_what_the_readings_cannot_see_stays_put_and_keeps_the_width_of_its_prior
   world_from_coil: {{z_mm: -40, rx_deg: 10, spin_deg: {{prior: {{{prior}}}}}}}}}}}"""
     ).real
     start = posterior.coordinates.start()
-    fit = polish(posterior, start[None])
+    fit = levenberg_marquardt(posterior, start[None])
     assert fit.is_converged.all()
     column = posterior.coordinates.names.index("coil1.world_from_coil.spin_rad")
     assert fit.vector[0, column].item() == pytest.approx(0.0, abs=1e-3)
@@ -238,7 +238,7 @@ def test_what_the_readings_cannot_see_stays_put_and_keeps_the_width_of_its_prior
 
 
 def test_rows_and_together_are_inverse(fits):
-    joined = Polished.together([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
+    joined = Optimum.together([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
     for name in ("vector", "log_posterior", "precision", "information", "is_converged"):
         assert torch.equal(getattr(joined, name), getattr(fits, name))
     assert joined.n_iterations == fits.n_iterations

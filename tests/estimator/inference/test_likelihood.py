@@ -12,7 +12,7 @@ from scipy import stats
 from torch.func import jacfwd
 
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import Parameter, Tie
 
@@ -29,7 +29,7 @@ def posterior(problem) -> LogPosterior:
     field = made.observations.field_sensor_T.clone()
     field[0, 1] = field[3, 0] = field[3, 2] = torch.nan
     field[5] = torch.nan
-    return LogPosterior(made.real.coordinates, made.real.chain, made.observations.with_field(field))
+    return LogPosterior(made.real.coordinates, made.real.model, made.observations.with_field(field))
 
 
 def prior_draws(posterior: LogPosterior, number: int) -> torch.Tensor:
@@ -42,7 +42,7 @@ def test_log_likelihood_is_the_sum_of_scipys_normal_densities_over_what_was_meas
     missing = {(0, 1), (3, 0), (3, 2), (5, 0), (5, 1), (5, 2)}
     for vector in prior_draws(posterior, 4):
         values = posterior.coordinates.values(vector)
-        predicted = posterior.chain.predict(values)
+        predicted = posterior.model.predict(values)
         noise = [values["near.noise_T"].item(), values["far.noise_T"].item()]
         expected = sum(
             stats.norm.logpdf(
@@ -147,7 +147,7 @@ def test_what_follows_a_gain_is_differentiated_with_it(problem):
     tied = Parameter("coil1.world_from_coil.x_m", "m", 0.0, tie=Tie("hall.gain", 0.01))
     rig = replace(rig, parameters={**rig.parameters, tied.name: tied})
     observations = problem(COIL, sensors).observations
-    posterior = LogPosterior(Coordinates(rig), Chain.build(rig, observations), observations)
+    posterior = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations), observations)
     vector = posterior.coordinates.start()
     torch.testing.assert_close(
         posterior.slope(vector), jacfwd(posterior.predicted)(vector), rtol=1e-9, atol=1e-12

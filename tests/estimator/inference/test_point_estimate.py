@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from estimator.inference import point_estimate as module
-from estimator.inference.levenberg_marquardt import Polished, polish
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import N_STARTS, THIN_TO, point_estimate
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 
 FREE_PLACE = """{coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 3, radial_loops: 2,
@@ -37,13 +37,13 @@ def mirrored(problem):
     field_T = made.observations.field_sensor_T.clone()
     field_T[:, :2] = torch.nan
     observations = made.observations.with_field(field_T)
-    chain = Chain.build(made.rig, observations)
+    model = MeasurementModel.build(made.rig, observations)
     return replace(
-        made, observations=observations, real=LogPosterior(Coordinates(made.rig), chain, observations)
+        made, observations=observations, real=LogPosterior(Coordinates(made.rig), model, observations)
     )
 
 
-def distance(one: Polished, other: Polished) -> float:
+def distance(one: Optimum, other: Optimum) -> float:
     """Of two maxima, in standard deviations of the coordinate that differs most."""
     sd = one.precision[0].inverse().diagonal().sqrt()
     return ((one.vector[0] - other.vector[0]).abs() / sd).max().item()
@@ -60,7 +60,7 @@ def test_every_start_finds_the_maximum_next_to_the_truth(problem):
     )
     posterior = made.real
     truth = {name: torch.tensor(value, dtype=torch.float64) for name, value in made.truth.items()}
-    expected = polish(posterior, posterior.coordinates.vector(truth)[None])
+    expected = levenberg_marquardt(posterior, posterior.coordinates.vector(truth)[None])
     found = point_estimate(posterior, made.observations, seed=0)
     assert found.fit.is_converged.tolist() == [True]
     assert distance(found.fit, expected) < 1e-3
@@ -90,7 +90,9 @@ def test_estimate_is_the_maximum_of_all_readings_though_nelder_mead_saw_a_few(ma
     posterior = many_readings.real
     found = point_estimate(posterior, many_readings.observations, seed=0)
     assert len(seen[0].measured_T) == 3 * THIN_TO
-    of_all, of_few = (polish(p, posterior.coordinates.start()[None]) for p in (posterior, seen[0]))
+    of_all, of_few = (
+        levenberg_marquardt(p, posterior.coordinates.start()[None]) for p in (posterior, seen[0])
+    )
     assert distance(found.fit, of_all) < 1e-3
     assert distance(found.fit, of_few) > 0.1
 
@@ -119,7 +121,7 @@ def test_starts_where_the_posterior_has_no_value_are_left_out(mirrored):
             x_m = self.coordinates.values(vector)["coil1.world_from_coil.x_m"]
             return torch.where(x_m > 0.0, super().__call__(vector), -torch.inf)
 
-    posterior = Forbidding(mirrored.real.coordinates, mirrored.real.chain, mirrored.observations)
+    posterior = Forbidding(mirrored.real.coordinates, mirrored.real.model, mirrored.observations)
     found = point_estimate(posterior, mirrored.observations, seed=0)
     assert found.n_starts < N_STARTS
     assert found.n_agreeing == found.n_starts

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.inference.levenberg_marquardt import polish
+from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -27,8 +27,8 @@ def test_it_ends_within_a_twentieth_of_a_standard_deviation_of_the_fit_of_all(
 ) -> None:
     rig, observations = small_session.rig, small_session.observations.calibration.alone
     running = followed(rig, observations, n_each)
-    posterior = LogPosterior(running.coordinates, Chain.build(rig, observations), observations)
-    fit = polish(posterior, running.coordinates.start()[None])
+    posterior = LogPosterior(running.coordinates, MeasurementModel.build(rig, observations), observations)
+    fit = levenberg_marquardt(posterior, running.coordinates.start()[None])
     sd = running.covariance.diagonal().sqrt()
     assert float(((running.vector - fit.vector[0]) / sd).abs().max()) < 0.05
     assert torch.allclose(

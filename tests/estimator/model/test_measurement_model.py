@@ -1,4 +1,4 @@
-"""The measuring chain: values by hand, frames against each other, and batches against loops."""
+"""The measurement model: values by hand, frames against each other, and batches against loops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from estimator.field.node_sum import SumMode
 from estimator.field.winding import Winding, winding_field
 from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 from estimator.rig.rig import Rig
@@ -70,7 +70,7 @@ def nominal(of: Rig) -> Values:
 
 
 def predict(of: Rig, observations: Observations, tolerance: float = 1e-12) -> Tensor:
-    return Chain.build(of, observations, tolerance).predict(nominal(of))
+    return MeasurementModel.build(of, observations, tolerance).predict(nominal(of))
 
 
 def random_poses(number: int, seed: int, reach_m: float = 0.03) -> Tensor:
@@ -129,15 +129,18 @@ def test_two_coils_add_up_reading_by_reading():
 def test_unpowered_coil_costs_nothing_and_may_even_stand_over_the_sensor():
     over_the_sensor = f"\ncoil3: {{{COIL}, world_from_coil: {{x_mm: -47, z_mm: 5}}}}"
     of = rig(TWO_COILS + over_the_sensor)
-    chain = Chain.build(of, readings([[1.0, 0.5, 0.0]]), 1e-12)
-    assert "coil3" not in chain.rules
+    model = MeasurementModel.build(of, readings([[1.0, 0.5, 0.0]]), 1e-12)
+    assert "coil3" not in model.rules
     expected = predict(rig(TWO_COILS), readings([[1.0, 0.5]]))
-    torch.testing.assert_close(chain.predict(nominal(of)), expected, rtol=1e-14, atol=0.0)
+    torch.testing.assert_close(model.predict(nominal(of)), expected, rtol=1e-14, atol=0.0)
 
 
 def test_session_without_any_current_predicts_zero():
     of = rig(TWO_COILS)
-    assert Chain.build(of, readings([[0.0, 0.0]] * 2)).predict(nominal(of)).tolist() == [[0.0] * 3] * 2
+    assert (
+        MeasurementModel.build(of, readings([[0.0, 0.0]] * 2)).predict(nominal(of)).tolist()
+        == [[0.0] * 3] * 2
+    )
 
 
 STAGE = "stage: {motion: pose, world_from_base: {x_mm: 5, z_mm: 20, ry_deg: 15}}"
@@ -157,13 +160,13 @@ def test_repeated_poses_are_evaluated_once_and_give_the_same_as_one_by_one():
         [0.0, -1.0],
         [0.0, 1.0],
     ]
-    chain = Chain.build(of, readings(current, {"stage": poses}), 1e-12)
-    together = chain.predict(nominal(of))
+    model = MeasurementModel.build(of, readings(current, {"stage": poses}), 1e-12)
+    together = model.predict(nominal(of))
     one_by_one = [predict(of, readings([c], {"stage": p[None]})) for c, p in zip(current, poses, strict=True)]
     torch.testing.assert_close(together, torch.cat(one_by_one), rtol=1e-11, atol=1e-18)
-    rules = chain.rules
+    rules = model.rules
     # Coil 1 is on at poses 0, 1, 2, 3 and coil 2 at 1, 2, 3, 4.
-    assert chain.loop_evaluations() == 4 * (rules["coil1"].axial_nodes * rules["coil1"].radial_nodes + 1)
+    assert model.loop_evaluations() == 4 * (rules["coil1"].axial_nodes * rules["coil1"].radial_nodes + 1)
 
 
 def test_tolerance_of_the_winding_sum_is_met():
@@ -347,13 +350,13 @@ def test_batch_of_parameter_sets_equals_a_loop_over_them():
     of = rig(FREE, MOVED_SENSOR.replace("20,", "20, gain: {prior: {normal: {mean: 1, sd: 0.1}}},"), STAGE)
     coordinates = Coordinates(of)
     vectors = coordinates.sample_prior(np.random.default_rng(6), 6).reshape(2, 3, -1)
-    chain = Chain.build(
+    model = MeasurementModel.build(
         of, readings([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], {"stage": random_poses(3, seed=7)})
     )
-    together = chain.predict(coordinates.values(vectors))
+    together = model.predict(coordinates.values(vectors))
     assert together.shape == (2, 3, 3, 3)
     for i, j in np.ndindex(2, 3):
-        alone = chain.predict(coordinates.values(vectors[i, j]))
+        alone = model.predict(coordinates.values(vectors[i, j]))
         torch.testing.assert_close(together[i, j], alone, rtol=1e-12, atol=1e-20)
 
 
@@ -363,10 +366,10 @@ def test_compiled_chain_uses_the_compiled_sum(monkeypatch):
         winding_module, "compiled_sum", lambda: asked.append(1) or winding_module.sum_over_nodes
     )
     of = rig(TWO_COILS)
-    chain = Chain.build(of, readings([[1.0, 1.0]]))
-    eager = chain.predict(nominal(of))
+    model = MeasurementModel.build(of, readings([[1.0, 1.0]]))
+    eager = model.predict(nominal(of))
     assert not asked
-    compiled = replace(chain, mode=SumMode.COMPILED).predict(nominal(of))
+    compiled = replace(model, mode=SumMode.COMPILED).predict(nominal(of))
     assert asked
     torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=0.0)
 
@@ -380,4 +383,4 @@ def test_sensor_inside_a_winding_is_refused_with_the_number_of_the_reading():
     with pytest.raises(
         InvalidInput, match=r"outside the winding of coil1; .* 2 of 3 places do not, the first at reading 2"
     ):
-        Chain.build(of, readings([[1.0]] * 4, {"stage": poses}))
+        MeasurementModel.build(of, readings([[1.0]] * 4, {"stage": poses}))

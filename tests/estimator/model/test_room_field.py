@@ -1,4 +1,4 @@
-"""Field in the room: the same as the measuring chain's, with gaps inside windings, batches and movers."""
+"""Field in the room: the same as the measurement model's, with gaps inside windings, batches and movers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
@@ -70,7 +70,7 @@ def test_field_is_what_a_sensor_carried_there_would_read(rig, points_m, field_su
         torch.zeros(n, dtype=torch.int64),
         {},
     )
-    expected = Chain.build(rig, observations, tolerance=1e-12).predict(values_of(rig))
+    expected = MeasurementModel.build(rig, observations, tolerance=1e-12).predict(values_of(rig))
     room = RoomField(rig, values_of(rig), points_m, {"arm": ARM}, tolerance=1e-12)
     torch.testing.assert_close(room.field_T(values_of(rig), CURRENT_A), expected, rtol=1e-10, atol=1e-18)
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.sensitivity import factorial, information, levels_about, rms_field, sobol
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
@@ -62,7 +62,7 @@ def test_a_run_is_the_rms_field_of_that_rig(small_rig: Rig, readings: Observatio
     runs = factorial(rms_field(small_rig, readings, names), levels)
     one = small_rig.with_values({"coil1.axial_loops": 13.0, "coil1.radius_m": 0.050})
     values = {name: torch.tensor(value).double() for name, value in one.nominal_values().items()}
-    field_T = Chain.build(one, readings).predict(values)
+    field_T = MeasurementModel.build(one, readings).predict(values)
     assert runs.response[2, 0] == pytest.approx(float(field_T.square().sum(-1).mean().sqrt()), rel=1e-5)
 
 
@@ -77,7 +77,7 @@ def test_information_is_that_of_differences_of_the_predicted_readings(
         for sign in (1, -1):
             moved = small_rig.with_values({name: small_rig.nominal_values()[name] + sign * 1e-3 * sd})
             values = {n: torch.tensor(v).double() for n, v in moved.nominal_values().items()}
-            ends.append(Chain.build(moved, readings, 1e-9).predict(values))
+            ends.append(MeasurementModel.build(moved, readings, 1e-9).predict(values))
         columns.append(((ends[0] - ends[1]) / 2e-3 / 5e-6).flatten().numpy())
     fisher = np.stack(columns) @ np.stack(columns).T
     np.testing.assert_allclose(found.alone_sd, 1.0 / np.sqrt(np.diag(fisher)), rtol=1e-3)

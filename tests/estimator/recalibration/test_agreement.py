@@ -12,7 +12,7 @@ from scipy import stats
 
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import fit_rig
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
@@ -26,7 +26,7 @@ N_SESSIONS = 40
 
 def asked(calibration: Calibration, rig: Rig, observations: Observations) -> Agreement:
     widened = widened_rig(calibration, rig)
-    rules = Chain.build(widened, observations).rules
+    rules = MeasurementModel.build(widened, observations).rules
     refit = fit_rig(widened, observations, widened.nominal_values(), rules)
     return agreement.agreement(calibration, observations, refit, seed=1)
 
@@ -49,7 +49,9 @@ def quickly(
 ) -> Callable[[Calibration], list[Agreement]]:
     """All clean sessions, with one refit and its columns of causes for all of them, and fewer simulated sessions."""
     widened = widened_rig(small_calibration, small_rig)
-    refit = fit_rig(widened, clean[0], widened.nominal_values(), Chain.build(widened, clean[0]).rules)
+    refit = fit_rig(
+        widened, clean[0], widened.nominal_values(), MeasurementModel.build(widened, clean[0]).rules
+    )
     columns = agreement._cause_columns(refit, torch.full((3 * len(clean[0]),), 5e-6, dtype=torch.float64))
     monkeypatch.setattr(agreement, "_cause_columns", lambda *_: columns)
     monkeypatch.setattr(agreement, "N_SIMULATED", 2000)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -34,7 +34,7 @@ def field_at(rig: Rig, current_A: list[float], motion: dict[str, list[float]]) -
         {},
     )
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
-    return Chain.build(rig, observations).predict(values)[0].tolist()
+    return MeasurementModel.build(rig, observations).predict(values)[0].tolist()
 
 
 def on_axis(z_m: float) -> list[float]:

@@ -1,7 +1,7 @@
 """A laboratory whose sensor goes anywhere, and the same windings as loops of magpylib: the second formula of every test beside.
 
 The coil stands in the world's origin with its axis along z, so that its frame is the world's; the sensor reports its pose. Fields come
-through the whole chain, from a rig file with an `effects:` section, so that a test of an effect is also one of where it acts.
+through the whole model, from a rig file with an `effects:` section, so that a test of an effect is also one of where it acts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import yaml
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import Extent
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
@@ -165,10 +165,12 @@ def readings(
     )
 
 
-def chain_of(observations: Observations, effects: Mapping[str, Mapping[str, float]], rig: str = RIG) -> Chain:
-    """The chain of a rig with effects, with the full sum over the loops."""
+def chain_of(
+    observations: Observations, effects: Mapping[str, Mapping[str, float]], rig: str = RIG
+) -> MeasurementModel:
+    """The model of a rig with effects, with the full sum over the loops."""
     text = rig + (effects_text(effects) if effects else "")
-    return Chain.build(rig_from_text(text), observations, tolerance=1e-13)
+    return MeasurementModel.build(rig_from_text(text), observations, tolerance=1e-13)
 
 
 def predicted_T(
@@ -177,9 +179,9 @@ def predicted_T(
     rig: str = RIG,
 ) -> np.ndarray:
     """What the sensor reads."""
-    chain = chain_of(observations, effects or {}, rig)
-    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in chain.rig.nominal_values().items()}
-    return chain.predict(values).expand(len(observations), 3).numpy()
+    model = chain_of(observations, effects or {}, rig)
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in model.rig.nominal_values().items()}
+    return model.predict(values).expand(len(observations), 3).numpy()
 
 
 def added_T(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.iron import IronBody, PiercedPlate
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
@@ -183,9 +183,9 @@ def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_probl
 )
 def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(height_m, is_between):
     """As a search took one for it, in an axis scan of a coil with a background of 77 uT."""
-    scene = Scene(rig_from_text(RIG), readings(AROUND_M))
+    circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
     theta = {key: torch.tensor(value) for key, value in (PIERCED | {"z_m": height_m}).items()}
-    assert PiercedPlate().is_itself(theta, scene) is is_between
+    assert PiercedPlate().is_itself(theta, circumstances) is is_between
     if not is_between:
         field = added_T(
             readings(AROUND_M, (0.0, 0.0)),
@@ -270,11 +270,13 @@ def test_flux_at_the_poles_of_a_small_ball_of_iron_is_three_times_the_field():
 
 def test_a_piece_of_iron_is_looked_for_around_the_session_wherever_the_world_begins():
     far_m = np.array([2.0, -1.0, 5.0])
-    here, there = (Scene(rig_from_text(FAR), readings(POINTS_M + m, (1.0,))) for m in (np.zeros(3), far_m))
+    here, there = (
+        Circumstances(rig_from_text(FAR), readings(POINTS_M + m, (1.0,))) for m in (np.zeros(3), far_m)
+    )
     for axis, shift_m in zip("xyz", far_m, strict=True):
         near, far = (
-            next(q.prior for q in IronBody().quantities(scene.extent) if q.key == f"{axis}_m")
-            for scene in (here, there)
+            next(q.prior for q in IronBody().quantities(circumstances.extent) if q.key == f"{axis}_m")
+            for circumstances in (here, there)
         )
         assert far.lower - near.lower == pytest.approx(shift_m, abs=1e-9)
         assert far.upper - near.upper == pytest.approx(shift_m, abs=1e-9)

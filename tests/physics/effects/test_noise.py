@@ -14,7 +14,7 @@ from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
     RIG,
-    Chain,
+    MeasurementModel,
     effects_text,
     predicted_T,
     readings,
@@ -35,7 +35,7 @@ def measured(error_T: np.ndarray = ERROR_T) -> Observations:
 
 def posterior(observations: Observations, effects: dict[str, dict[str, float]]) -> LogPosterior:
     rig = rig_from_text(FREE + effects_text(effects))
-    return LogPosterior(Coordinates(rig), Chain.build(rig, observations, 1e-13), observations)
+    return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations, 1e-13), observations)
 
 
 def log_likelihood(observations: Observations, effects: dict[str, dict[str, float]]) -> float:

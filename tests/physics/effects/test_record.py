@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
@@ -37,7 +37,7 @@ def test_swapped_axes_read_the_component_they_name_negative_where_reversed():
 
 
 def test_axes_are_looked_for_in_every_order_and_direction_but_the_right_one_and_its_reversal():
-    starts = EFFECTS["axes_swapped"].starts(Scene(rig_from_text(RIG), READINGS), "probe")
+    starts = EFFECTS["axes_swapped"].starts(Circumstances(rig_from_text(RIG), READINGS), "probe")
     tried = {tuple(start[f"{axis}_reads"] for axis in "xyz") for start in starts}
     every = {
         tuple(float(s * i) for s, i in zip(signs, order, strict=True))
@@ -107,8 +107,8 @@ def test_displacement_frame_error_undoes_a_base_frame_that_the_rig_file_forgot()
 
 
 def test_every_rotation_of_a_cube_is_among_those_that_are_tried():
-    scene = Scene(rig_from_text(DISPLACED), readings(STEPS_M, (2.0, 0.0), mover="arm"))
-    starts = EFFECTS["displacement_frame"].starts(scene, "arm")
+    circumstances = Circumstances(rig_from_text(DISPLACED), readings(STEPS_M, (2.0, 0.0), mover="arm"))
+    starts = EFFECTS["displacement_frame"].starts(circumstances, "arm")
     tried = Rotation.from_rotvec([list(start.values()) for start in starts])
     for quarter in Rotation.create_group("O"):
         if quarter.magnitude() > 1e-9:

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from estimator.effects.attach import with_effect
-from estimator.effects.circumstances import Scene
+from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
@@ -113,9 +113,9 @@ def test_heat_is_the_same_for_a_part_of_the_session_and_for_readings_out_of_orde
     observations = readings(random.uniform(0.03, 0.05, (n, 3)), current_A, time_s=10.0 * np.arange(n))
     tau_h = torch.tensor(0.05, dtype=torch.float64)
     rig = rig_from_text(RIG)
-    whole = Scene(rig, observations).heat_A2(0, tau_h)
+    whole = Circumstances(rig, observations).heat_A2(0, tau_h)
     rows = torch.from_numpy(random.permutation(n)[:30])
-    torch.testing.assert_close(Scene(rig, observations.rows(rows)).heat_A2(0, tau_h), whole[rows])
+    torch.testing.assert_close(Circumstances(rig, observations.rows(rows)).heat_A2(0, tau_h), whole[rows])
 
 
 def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_coolest():

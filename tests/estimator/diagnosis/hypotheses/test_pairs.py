@@ -31,7 +31,7 @@ def pool(base: Fit) -> list[Candidate]:
 
 def with_residual(fit: Fit, residual: torch.Tensor) -> Fit:
     """The fit with other whitened residuals, beside what it can follow."""
-    copy = Fit(fit.posterior, fit.polished)
+    copy = Fit(fit.posterior, fit.optimum)
     projector = fit.projector
     followed = projector.factor @ (projector.factor.T @ (fit.jacobian.T @ residual))
     copy.__dict__.update(projector=projector, residual=residual - fit.jacobian @ followed)

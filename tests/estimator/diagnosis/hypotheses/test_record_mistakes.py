@@ -40,9 +40,9 @@ def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     small_rig: Rig, small_session: Session, name: str
 ):
     base = fit_of(small_rig, small_session.observations.calibration)
-    scene = base.posterior.chain.scene
+    circumstances = base.posterior.model.circumstances
     (place,) = EFFECTS[name].places(small_rig)
-    starts = EFFECTS[name].starts(scene, place)[:20]
+    starts = EFFECTS[name].starts(circumstances, place)[:20]
     cause, few = Cause(name, place), base.observations
     one_by_one = [value for start in starts for value in record._coarse(base, cause, [start], few)]
     assert record._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)

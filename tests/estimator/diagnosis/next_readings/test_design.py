@@ -43,7 +43,7 @@ def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
 def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path: Path) -> None:
     from estimator import Session, simulate
     from estimator.diagnosis.fitting import fit_rig
-    from estimator.model.measurement_model import Chain
+    from estimator.model.measurement_model import MeasurementModel
     from estimator.readings.observations import Observations
     from tests.estimator.diagnosis.sessions import TRUTH
 
@@ -67,7 +67,7 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
         both("repeat"),
         {},
     )
-    fit = fit_rig(RIG, together, TRUTH, Chain.build(RIG, together).rules)
+    fit = fit_rig(RIG, together, TRUTH, MeasurementModel.build(RIG, together).rules)
     assert found.reached[-1] < 0.97 * found.so_far
     assert fit.value_sd("coil1.radius_m") == pytest.approx(found.reached[-1], rel=0.15)
     assert Session(RIG, together, "both").observations.time_s.max() > 1e4

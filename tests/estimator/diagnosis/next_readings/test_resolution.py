@@ -17,7 +17,7 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.next_readings.resolution import indistinguishable
 from estimator.effects.attach import with_effect
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
@@ -82,7 +82,7 @@ def test_five_sigma_sizes_are_those_of_the_design(near, name):
 @pytest.mark.parametrize("order", ORDERS)
 def test_drift_over_the_session_shows_from_19_to_27_microtesla(near, order):
     found = near[order]
-    hours = found.fit.posterior.chain.scene.duration_h
+    hours = found.fit.posterior.model.circumstances.duration_h
     sizes = [1e6 * hours * size for size in found.sizes("offset_drift").values()]
     assert 0.9 * 19.0 < min(sizes) <= max(sizes) < 1.1 * 27.0
 
@@ -190,10 +190,10 @@ def test_second_orientation_of_the_sensor_tells_the_room_from_its_own_zero(is_tu
         torch.zeros(n, dtype=torch.int64),
         {},
     )
-    chain = Chain.build(rig, empty)
+    model = MeasurementModel.build(rig, empty)
     nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
-    readings = empty.with_field(chain.predict(nominal))
-    fit = fit_rig(rig, readings, {}, chain.rules)
+    readings = empty.with_field(model.predict(nominal))
+    fit = fit_rig(rig, readings, {}, model.rules)
     pool = candidates(fit, [Cause("background_field", "room"), Cause("sensor_offset", "probe")])
     assert bool(indistinguishable(fit, pool)) is not is_turned
 
@@ -240,7 +240,7 @@ def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_m
     )
     centred = {name: p.value for name, p in alone.parameters.items() if p.tie is None}
     observations = visit(alone, 40.0, "raster")
-    rules = Chain.build(alone, observations).rules
+    rules = MeasurementModel.build(alone, observations).rules
     fit = fit_rig(alone, observations, centred, rules)
     found = Resolved(fit, candidates(fit, [Cause("sensor_offset", "hall")]))
     assert found.sizes("sensor_offset")["x_T"] == pytest.approx(5.0 * 20e-6 / math.sqrt(125), rel=1e-3)
@@ -262,14 +262,14 @@ def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured,
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
         {**at(fit.rig, 40.0), f"{cause.label}.{key}": size}
     )
-    chain = replace(Chain.unruled(wrong, fit.observations), rules=fit.posterior.chain.rules)
+    model = replace(MeasurementModel.unruled(wrong, fit.observations), rules=fit.posterior.model.rules)
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in wrong.nominal_values().items()}
-    perfect = fit.observations.with_field(chain.predict(values).detach().expand(len(fit.observations), 3))
+    perfect = fit.observations.with_field(model.predict(values).detach().expand(len(fit.observations), 3))
     right = fit.observations.with_field(
-        fit.posterior.chain.predict({n: values[n] for n in fit.values}).detach()
+        fit.posterior.model.predict({n: values[n] for n in fit.values}).detach()
     )
     cost = [
-        fit_rig(fit.rig, readings, at(fit.rig, 40.0), fit.posterior.chain.rules).polished.log_posterior[0]
+        fit_rig(fit.rig, readings, at(fit.rig, 40.0), fit.posterior.model.rules).optimum.log_posterior[0]
         for readings in (right, perfect)
     ]
     assert 2.0 * float(cost[0] - cost[1]) == pytest.approx(25.0, rel=0.15)

@@ -40,7 +40,7 @@ def test_each_block_is_predicted_as_a_fit_of_the_others_predicts_it(fit, block):
     for number in numbers[:3]:
         others = fit.observations.rows(torch.from_numpy(block != number))
         mine = fit.observations.rows(torch.from_numpy(block == number))
-        again = fit_rig(fit.rig, others, fit.values, fit.posterior.chain.rules)
+        again = fit_rig(fit.rig, others, fit.values, fit.posterior.model.rules)
         # The fit again has its own noise, and takes the readings of a block as independent of each other.
         n = 3 * len(mine)
         assert float(quick[numbers.tolist().index(number)]) == pytest.approx(
@@ -54,7 +54,7 @@ def test_density_is_that_of_a_linear_fit_of_the_other_blocks(fit, block):
     for i, number in enumerate(np.unique(block)):
         mine = own_block == number
         slope, residual = fit.jacobian[mine], fit.residual[mine]
-        precision = fit.polished.precision[0] - slope.T @ slope
+        precision = fit.optimum.precision[0] - slope.T @ slope
         step = -torch.linalg.solve(precision, slope.T @ residual)
         spread = torch.eye(len(residual)).double() + slope @ torch.linalg.solve(precision, slope.T)
         normal = torch.distributions.MultivariateNormal(slope @ step, spread)
@@ -69,7 +69,7 @@ def test_scatter_is_that_of_linear_fits_without_one_block_after_another(fit, blo
         mine = own_block == number
         slope = fit.jacobian[mine]
         moves.append(
-            torch.linalg.solve(fit.polished.precision[0] - slope.T @ slope, slope.T @ fit.residual[mine])
+            torch.linalg.solve(fit.optimum.precision[0] - slope.T @ slope, slope.T @ fit.residual[mine])
         )
     moved = torch.stack(moves)
     expected = (1.0 - 1.0 / len(moved)) * moved.T @ moved
@@ -88,7 +88,7 @@ def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(
         own = torch.diagonal(jackknife_covariance(noisy, block))
         ratios.append(torch.sqrt(own / torch.diagonal(fit.covariance)))
     determined = torch.diagonal(fit.projector.gram(fit.jacobian, fit.jacobian)) < 0.05 * torch.diagonal(
-        fit.polished.information[0]
+        fit.optimum.information[0]
     )
     mean = torch.stack(ratios).mean(0)[determined]
     assert len(mean) >= 3

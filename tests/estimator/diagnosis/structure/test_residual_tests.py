@@ -12,7 +12,7 @@ def with_noise(fit: Fit, seed: int) -> Fit:
     """The same fit whose residual is what is left of pure noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), 1, generator=generator, dtype=torch.float64)
-    copy = Fit(fit.posterior, fit.polished)
+    copy = Fit(fit.posterior, fit.optimum)
     copy.__dict__["residual"] = fit.projector.rest(noise)[:, 0]
     return copy
 
@@ -58,7 +58,7 @@ def test_lack_of_fit_is_seen_against_repeats() -> None:
 
 def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
     fit = with_noise(plain_fit(), 3)
-    louder = Fit(fit.posterior, fit.polished)
+    louder = Fit(fit.posterior, fit.optimum)
     louder.__dict__["residual"] = 7.0 * fit.residual
     assert [one.p_value for one in structure(louder)] == [one.p_value for one in structure(fit)]
 

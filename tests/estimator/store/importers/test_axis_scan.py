@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 from estimator.store.importers import read_axis_scan
@@ -92,7 +92,7 @@ def test_goettingen_scans_have_the_shape_of_their_coil(
     values = {key: torch.tensor(v, dtype=torch.float64) for key, v in rig.nominal_values().items()}
     if name == "helmholtz":  # its zero is noted as about the middle; the maximum lies at -1.5 cm
         values["stage.world_from_base.z_m"] += 0.015
-    pair = torch.stack((o.field_sensor_T[:, 2], Chain.build(rig, o).predict(values)[:, 2]))
+    pair = torch.stack((o.field_sensor_T[:, 2], MeasurementModel.build(rig, o).predict(values)[:, 2]))
     assert torch.corrcoef(pair)[0, 1] > 0.99
 
 

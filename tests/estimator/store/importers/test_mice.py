@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 from estimator.store.importers import read_mice
@@ -67,12 +67,12 @@ def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path: Path, rig: Rig) -
     sensor = torch.arange(6).repeat(len(INSTANTS))
     no_field = torch.zeros(n, 3, dtype=torch.float64)
     truth = map_observations(tilted, torch.zeros(n, dtype=torch.float64), sensor, [30.0], pose, no_field)
-    field_T = Chain.build(tilted, truth).predict(values_of(tilted)).tolist()
+    field_T = MeasurementModel.build(tilted, truth).predict(values_of(tilted)).tolist()
     lines = [
         row(p, *instant, tuple(field_T[6 * i + p])) for i, instant in enumerate(INSTANTS) for p in range(6)
     ]
     read = read_mice(written(tmp_path, lines[::-1]), rig).observations
-    predicted = Chain.build(tilted, read).predict(values_of(tilted))
+    predicted = MeasurementModel.build(tilted, read).predict(values_of(tilted))
     torch.testing.assert_close(
         read.field_sensor_T, predicted, rtol=0.0, atol=2e-9
     )  # the file has 10 decimals
@@ -134,7 +134,7 @@ def run07() -> Path:
 def test_the_winding_as_built_predicts_run_07_within_1_06_mT(run07: Path, rig: Rig) -> None:
     o = read_mice(run07, rig).observations
     with torch.no_grad():
-        residual_T = o.field_sensor_T - Chain.build(rig, o).predict(values_of(rig))
+        residual_T = o.field_sensor_T - MeasurementModel.build(rig, o).predict(values_of(rig))
     assert len(o) == 11_514
     assert o.is_measured.all()
     vector_rms_T = residual_T.square().sum(-1).mean().sqrt().item()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import Chain
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 from estimator.store.importers import read_plane_maps
@@ -75,5 +75,5 @@ def test_measured_maps_follow_the_sign_convention_of_the_rig(maps: Path, rig: Ri
     for u2, n_maps in (("0", 5), ("1_9", 4), ("-1_9", 4)):
         o = read_plane_maps(sorted(maps.glob(f"u1_1_9_u2_{u2}_r*.csv")), rig).observations
         assert len(o) == 154 * n_maps
-        pair = torch.stack((o.field_sensor_T[:, 2], Chain.build(rig, o).predict(values)[:, 2]))
+        pair = torch.stack((o.field_sensor_T[:, 2], MeasurementModel.build(rig, o).predict(values)[:, 2]))
         assert torch.corrcoef(pair)[0, 1] > 0.8  # with the sign of u2 reversed: -0.02
