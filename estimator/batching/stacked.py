@@ -6,7 +6,6 @@ A fit of a few hundred readings spends its time in starting tensor operations, n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -56,9 +55,7 @@ def stacked_fits(
     model = MeasurementModel.build(rig, sessions[0])
     coordinates = Coordinates(rig)
     own = [
-        LogPosterior(
-            coordinates, replace(model, circumstances=Circumstances(rig, observations)), observations
-        )
+        LogPosterior(coordinates, model.with_circumstances(Circumstances(rig, observations)), observations)
         for observations in sessions
     ]
     n_starts = 1 + more_starts

@@ -7,7 +7,7 @@ import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +164,7 @@ def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
 
 def _vector_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
-        chain = replace(MeasurementModel.unruled(fit.rig, observations), rules=fit.posterior.model.rules)
+        chain = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
         predicted_T = chain.predict(fit.values).expand(len(observations), 3)
     return errors(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 

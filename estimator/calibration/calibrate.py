@@ -113,7 +113,7 @@ def calibrate(
     coordinates = Coordinates(rig)
     posterior = LogPosterior(coordinates, model, observations)
     estimate = point_estimate(posterior, observations, seed)
-    model = model.with_rules(_values(coordinates, estimate.vector))
+    model = model.choose_rules(_values(coordinates, estimate.vector))
     posterior = LogPosterior(coordinates, model, observations)
     undetermined = tuple(open_directions(coordinates, estimate.fit))
 
@@ -127,7 +127,7 @@ def calibrate(
         mixture = count_mixture(posterior, lattice, estimate.fit, rng)
         assert mixture is not None
     if model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
-        lattice = LogPosterior(lattice.coordinates, replace(model, mode=SumMode.COMPILED), observations)
+        lattice = LogPosterior(lattice.coordinates, model.with_mode(SumMode.COMPILED), observations)
 
     tell(Stage("posterior sampling with emcee"))
     if backend is None:

@@ -11,10 +11,9 @@ from matplotlib.figure import Figure
 
 from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
-from estimator.geometry.motion import base_from_motion
-from estimator.model.bodies import winding_of, world_from_body
+from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.room_field import RoomField
+from estimator.model.room_field import RoomField, at_one_moment
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
 from estimator.rig.rig import Coil
@@ -134,7 +133,7 @@ def _places(
         points, _ = model.sensor_in_coil(coil, rows, best)
         everywhere = np.full((len(model.sensor), 3), np.nan)
         everywhere[rows.numpy()] = points.numpy()
-        yield coil, everywhere[model.place.numpy()], winding_of(calibration.rig, coil, best)
+        yield coil, everywhere[model.pose_row.numpy()], winding_of(calibration.rig, coil, best)
 
 
 def _plane(
@@ -178,10 +177,7 @@ def _field_in_coil_frame(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its strength."""
     rig = calibration.rig
-    flange = {
-        mover.name: base_from_motion(mover, torch.zeros(1, 6, dtype=torch.float64)) for mover in rig.movers
-    }
-    world_from_coil = world_from_body(rig, coil, "coil", flange, best)
+    world_from_coil = at_one_moment(rig).world_from_body(coil, "coil", torch.arange(1), best)
     room = RoomField(rig, best, world_from_coil.apply(points_m))
     current_A = torch.tensor([float(other is coil) for other in rig.coils], dtype=torch.float64)
     field = room.field_T(best, current_A)

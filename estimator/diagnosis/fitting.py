@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -243,7 +243,7 @@ def fit_rig(
         more_starts: Draws of the prior.
         tolerance: In log density, of what a further step would gain.
     """
-    model = replace(MeasurementModel.unruled(rig, observations), rules=dict(rules))
+    model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)
     posterior = LogPosterior(coordinates, model, observations)
     vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})[None]

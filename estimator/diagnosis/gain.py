@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -11,8 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
-from estimator.effects.noise import Outliers
-from estimator.effects.use import uses_of
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
@@ -88,7 +86,7 @@ def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
 
 def judged(fit: Fit, unseen: Observations) -> Judged:
     """Predictive errors, density and coverage, with the uncertainty of the parameters by Laplace."""
-    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
+    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(unseen), 3)
@@ -108,12 +106,8 @@ def judged(fit: Fit, unseen: Observations) -> Judged:
 def _mixture(
     posterior: LogPosterior, fit: Fit, off_T: Tensor, noise_T: Tensor, spread2: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Log predictive density of each component and the probability below it: normal, with wide wings where the rig has outliers."""
-    share, ratio = torch.zeros_like(off_T), torch.ones_like(off_T)
-    for use in uses_of(fit.rig, Outliers):
-        mine, theta = posterior.sensor == use.index(fit.rig.sensors), use.theta(fit.values)
-        share = torch.where(mine, theta["share"], share)
-        ratio = torch.where(mine, theta["ratio"], ratio)
+    """Log predictive density of each component and the probability below it: normal, with wide wings where the rig has them."""
+    share, ratio = posterior.contamination(fit.values)
     good, bad = (
         torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + spread2))
         for width_T in (noise_T, ratio * noise_T)

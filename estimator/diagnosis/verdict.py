@@ -23,10 +23,9 @@ from estimator.diagnosis.hypotheses.step import (
     shares_of,
 )
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
-# Iron in the room is a sphere or a plane to this library: where it takes both, it is neither.
-SAME_THING = {"iron_plate", "iron_body"}
 MOST_REFITTED = 4  # with more causes than that, what each is worth is judged to first order
 
 
@@ -81,9 +80,16 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
-    if {one.cause.name for one in named} >= SAME_THING:
+    if _pictures_one_thing_twice(named):
         return Verdict.UNEXPLAINED
     return Verdict.INDISTINGUISHABLE if any(one.alternatives for one in named) else Verdict.NAMED
+
+
+def _pictures_one_thing_twice(named: list[NamedCause]) -> bool:
+    """Whether two different causes idealise the same thing, which then is neither: a plate and a sphere of iron, for one."""
+    effects = [EFFECTS[name] for name in {cause.cause.name for cause in named}]
+    things = [effect.idealises for effect in effects if effect.idealises is not None]
+    return len(things) > len(set(things))
 
 
 def named_causes(search: Search) -> list[NamedCause]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 
-from estimator.effects.base import Effect
+from estimator.effects.base import CurrentEffect, Effect
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
@@ -101,6 +101,12 @@ EFFECTS: dict[str, Effect] = {
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}
+
+
+COUPLING = next(
+    effect for effect in EFFECTS.values() if isinstance(effect, CurrentEffect) and effect.couples_coils
+)
+"""The cause by which one coil drives another, which a test of superposition asks for first."""
 
 
 def effect_of(name: str) -> Effect:

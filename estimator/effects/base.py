@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -91,12 +92,18 @@ class Effect(ABC):
         kind: What it belongs to.
         words: What has happened, in a few words, for reports.
         source: Where the width of its priors comes from.
+        is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
+        idealises: The thing that it is a simplified picture of; where a session needs two pictures of one thing, that thing is neither.
+        is_linear: The field stays proportional to the currents.
     """
 
     name: ClassVar[str]
     kind: ClassVar[Kind]
     words: ClassVar[str]
     source: ClassVar[str]
+    is_record_mistake: ClassVar[bool] = False
+    idealises: ClassVar[str | None] = None
+    is_linear: ClassVar[bool] = True
 
     @abstractmethod
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -138,9 +145,19 @@ class Effect(ABC):
         """Whether what was fitted still is what the cause says, and not a small correction or the limit of something else."""
         return True
 
+    def beyond_the_moment(self, key: str) -> str | None:
+        """What of a session a quantity depends on, so that the field of a single moment cannot show it; None where that field shows it."""
+        return None
+
 
 class CurrentEffect(Effect):
-    """Changes what the supply delivers."""
+    """Changes what the supply delivers.
+
+    Attributes:
+        couples_coils: One coil drives another; superposition is tested by it.
+    """
+
+    couples_coils: ClassVar[bool] = False
 
     @abstractmethod
     def apply(
@@ -215,9 +232,14 @@ class PerAmpere(ABC):
 
 
 class RoomEffect(Effect):
-    """Adds a field that stays in the room."""
+    """Adds a field that stays in the room.
+
+    Attributes:
+        is_background: There without any coil; a system of several calibrations counts it once.
+    """
 
     kind = Kind.ROOM
+    is_background: ClassVar[bool] = False
 
     def steady_T(
         self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
@@ -298,5 +320,114 @@ class ReadingEffect(Effect):
         """Components as they are read."""
 
 
+class Prediction(ABC):
+    """What a model predicts at the nominal values of its rig: scatter may grow with it."""
+
+    @property
+    @abstractmethod
+    def field_sensor_T(self) -> Float[Tensor, "reading 3"]:
+        """Components as they should be read."""
+
+    @abstractmethod
+    def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
+        """Change of each component per displacement of a mover along its axes."""
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """What whitened residuals say of a noise effect by themselves, before anything is fitted.
+
+    Attributes:
+        quantities: Values of its quantities by key.
+        noise_factor: What remains of the noise that the sensor had without it.
+        log_likelihood_gain: Over normal scatter of one width.
+    """
+
+    quantities: Mapping[str, float]
+    noise_factor: float
+    log_likelihood_gain: float
+
+
 class NoiseEffect(Effect):
-    """Changes the scatter of readings; the model predicts the same, the likelihood is another."""
+    """Changes how readings scatter; what is predicted stays the same.
+
+    It changes the standard deviation of components (`sigma_T`), the shape of their distribution (`contamination`), or both. Likelihood,
+    simulation, predictive density and the tests of agreement all follow from these.
+
+    Attributes:
+        imitates_structure: What is predicted wrongly passes for it; all other causes are asked first, and again beside it.
+    """
+
+    imitates_structure: ClassVar[bool] = False
+
+    @property
+    def is_contaminating(self) -> bool:
+        """Whether readings with it are not normally distributed."""
+        return type(self).contamination is not NoiseEffect.contamination
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """Scatter is no property of a field."""
+        return "the noise, which simulators make themselves"
+
+    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
+        """What the standard deviation of each component depends on besides the quantities; 1 unless said otherwise."""
+        return torch.ones_like(prediction.field_sensor_T)
+
+    def sigma_T(
+        self,
+        sigma_T: Float[Tensor, "*#batch component"],
+        exposure: Float[Tensor, " component"],
+        theta: Theta,
+    ) -> Float[Tensor, "*#batch component"]:
+        """Standard deviation of the components that it concerns, given that without it."""
+        return sigma_T
+
+    def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]] | None:
+        """Share of components from a wider normal distribution, and how many times wider it is; None where all scatter normally.
+
+        References: Hogg, Bovy and Lang, arXiv:1008.4686, section 3 (mixture of good and bad readings).
+        """
+        return None
+
+    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+        """Quantities that whitened residuals suggest; None where only a fit can say, or there are too few of them."""
+        return None
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
+        wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
+        added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))
+        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape)))
+
+
+class RecordEffect(Effect):
+    """Changes what was written down: the currents, the readings, or both."""
+
+    kind = Kind.RECORD
+    is_record_mistake: ClassVar[bool] = True
+
+    def commanded_A(
+        self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Commanded currents behind the recorded ones."""
+        return recorded_A
+
+    def recorded_T(
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are recorded, given what the sensors said."""
+        return field_sensor_T
+
+    def recorded_error_T(
+        self, error_T: Float[Tensor, "*#batch component"], theta: Theta
+    ) -> Float[Tensor, "*#batch component"]:
+        """Errors, or standard deviations, of recorded components, given those of what the sensors said."""
+        return error_T

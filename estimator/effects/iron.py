@@ -30,6 +30,7 @@ class IronPlate(RoomEffect):
     name: ClassVar[str] = "iron_plate"
     words: ClassVar[str] = "a plate of iron mirrors the coils"
     source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
+    idealises: ClassVar[str | None] = "iron in the room"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin."""
@@ -229,6 +230,7 @@ class IronBody(RoomEffect):
     name: ClassVar[str] = "iron_body"
     words: ClassVar[str] = "a piece of iron in the room answers the coils"
     source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and screws of 1 to 5 cm"
+    idealises: ClassVar[str | None] = "iron in the room"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it lies in the world."""

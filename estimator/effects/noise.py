@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
-from estimator.effects.base import Kind, NoiseEffect, Quantity
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Kind, NoiseEffect, NoiseEstimate, Prediction, Quantity, Theta
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Uniform
+
+EM_STEPS = 60
+FEWEST_COMPONENTS = 10  # for a share of them to mean anything
+FIRST_RATIOS = (4.0, 10.0, 25.0)  # widths of outliers that the estimate starts from, in units of the noise
 
 
 class Outliers(NoiseEffect):
@@ -28,6 +38,31 @@ class Outliers(NoiseEffect):
         """Ten times the noise."""
         return ({"ratio": 10.0},)
 
+    def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+        """Its two quantities."""
+        return theta["share"], theta["ratio"]
+
+    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+        """Share and width by expectation and maximisation, from several widths."""
+        if len(whitened) <= FEWEST_COMPONENTS:
+            return None
+        mixtures = [_mixture(whitened, ratio) for ratio in FIRST_RATIOS]
+        share, wide, narrow, gain = max(mixtures, key=lambda mixture: mixture[3])
+        return NoiseEstimate({"share": share, "ratio": wide / narrow}, narrow, gain)
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """A share of the errors grows."""
+        is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))) < theta["share"]
+        return torch.where(is_wild, theta["ratio"] * error_T, error_T)
+
 
 class PositionJitter(NoiseEffect):
     """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
@@ -36,7 +71,53 @@ class PositionJitter(NoiseEffect):
     kind: ClassVar[Kind] = Kind.MOVER
     words: ClassVar[str] = "the mover scatters about its targets"
     source: ClassVar[str] = "repeatability of small arms, 10 to 100 um"
+    imitates_structure: ClassVar[bool] = True  # whatever grows with the gradient
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Standard deviation of the position along each axis."""
         return (Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),)
+
+    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
+        """Steepness of each component, in T/m."""
+        steepness: Tensor = prediction.gradient_T_per_m(place).norm(dim=-1)
+        return steepness
+
+    def sigma_T(
+        self,
+        sigma_T: Float[Tensor, "*#batch component"],
+        exposure: Float[Tensor, " component"],
+        theta: Theta,
+    ) -> Float[Tensor, "*#batch component"]:
+        """Noise and scatter of the position, to first order."""
+        return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """One displacement per reading, which moves its three components together."""
+        off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))) * theta["sd_m"]
+        return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)
+
+
+def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
+    """Share, wide and narrow scatter of a mixture of two normal distributions about zero, and its gain in log likelihood over one."""
+    share, narrow, wide = 0.05, 0.8 * float(z.square().mean().sqrt()), ratio
+    log_likelihood = 0.0
+    for _ in range(EM_STEPS):
+        good = math.log1p(-share) - 0.5 * (z / narrow) ** 2 - math.log(narrow)
+        bad = math.log(share) - 0.5 * (z / wide) ** 2 - math.log(wide)
+        mixed = torch.logaddexp(good, bad)
+        log_likelihood = float(mixed.sum())
+        is_bad = torch.exp(bad - mixed)
+        share = min(max(float(is_bad.mean()), 1e-4), 0.4)
+        narrow = max(float(((1.0 - is_bad) * z**2).sum() / (1.0 - is_bad).sum()) ** 0.5, 1e-3)
+        wide = max(float((is_bad * z**2).sum() / is_bad.sum().clamp(min=1e-9)) ** 0.5, 2.0 * narrow)
+    rms = float(z.square().mean().sqrt())
+    one_normal = -0.5 * len(z) - len(z) * math.log(rms)
+    return share, wide, narrow, log_likelihood - one_normal

@@ -13,7 +13,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from estimator.effects.base import CurrentEffect, Kind, MotionEffect, Quantity, ReadingEffect, Theta, shape
+from estimator.effects.base import (
+    CurrentEffect,
+    Kind,
+    MotionEffect,
+    Quantity,
+    ReadingEffect,
+    RecordEffect,
+    Theta,
+    shape,
+)
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import Uniform
@@ -22,9 +31,6 @@ from estimator.rig.rig import MotionKind, Rig
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 SMALLEST_TURN_RAD = math.radians(15.0)
 CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
-
-
-RECORD = ("axes_swapped", "left_handed", "unit_error", "current_sign", "displacement_frame")
 
 
 def _switch(key: str, lower: float, upper: float, null: float) -> Quantity:
@@ -38,6 +44,7 @@ class AxesSwapped(ReadingEffect):
     name: ClassVar[str] = "axes_swapped"
     words: ClassVar[str] = "the sensor's axes are in another order or direction"
     source: ClassVar[str] = "46 signed permutations; the reversal of all is current_sign"
+    is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Which component, 1 to 3, each axis reads, negative where it is reversed."""
@@ -68,11 +75,10 @@ class AxesSwapped(ReadingEffect):
         return next(iter(values)), "must be, with the other two, 1, 2 and 3 in some order and with any signs"
 
 
-class UnitError(ReadingEffect):
+class UnitError(RecordEffect):
     """Fields or currents are in another unit than the file says."""
 
     name: ClassVar[str] = "unit_error"
-    kind: ClassVar[Kind] = Kind.RECORD
     words: ClassVar[str] = "fields or currents are in another unit than stated"
     source: ClassVar[str] = "powers of ten between T, G, mT, uT and between A, mA"
 
@@ -85,21 +91,23 @@ class UnitError(ReadingEffect):
         fields = [{"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS]
         return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
 
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are recorded."""
-        return field_sensor_T * theta["field_factor"][..., None, None]
-
-    def current_A(
-        self, recorded: Float[Tensor, "*#batch reading coil"], theta: Theta
+    def commanded_A(
+        self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Commanded currents behind the recorded ones."""
-        return recorded / theta["current_factor"][..., None, None]
+        return recorded_A / theta["current_factor"][..., None, None]
+
+    def recorded_T(
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components in the unit of the record."""
+        return field_sensor_T * theta["field_factor"][..., None, None]
+
+    def recorded_error_T(
+        self, error_T: Float[Tensor, "*#batch component"], theta: Theta
+    ) -> Float[Tensor, "*#batch component"]:
+        """Errors in the unit of the record."""
+        return error_T * theta["field_factor"][..., None]
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """Factors are positive."""
@@ -113,6 +121,7 @@ class CurrentSign(CurrentEffect):
     kind: ClassVar[Kind] = Kind.COIL
     words: ClassVar[str] = "the coil is connected the other way round"
     source: ClassVar[str] = "there or not"
+    is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Sign of the current."""
@@ -144,6 +153,7 @@ class LeftHanded(MotionEffect):
     name: ClassVar[str] = "left_handed"
     words: ClassVar[str] = "one axis of the displacements is reversed: their frame is left-handed"
     source: ClassVar[str] = "3 axes"
+    is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Sign of each axis."""
@@ -170,6 +180,7 @@ class DisplacementFrameError(MotionEffect):
     name: ClassVar[str] = "displacement_frame"
     words: ClassVar[str] = "displacements are reported in other axes than the rig says"
     source: ClassVar[str] = "any rotation: a tool may point anywhere (DESIGN section 2)"
+    is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Rotation vector from the reported to the real axes."""

@@ -73,6 +73,10 @@ class PositionLag(MotionEffect):
         """Direction of the last move."""
         return torch.nn.functional.normalize(circumstances.last_move_m(mover), dim=-1, eps=1e-12)
 
+    def beyond_the_moment(self, key: str) -> str | None:
+        """The way to a position is history."""
+        return "where the mover came from"
+
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
         return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
@@ -92,6 +96,10 @@ class Backlash(MotionEffect):
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Side each axis was reached from."""
         return circumstances.approach(mover)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """The way to a position is history."""
+        return "where the mover came from"
 
     def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """Real pose."""
@@ -188,6 +196,10 @@ class SensorBumped(MountEffect):
     ) -> Float[Tensor, "reading column"]:
         """1 afterwards."""
         return (circumstances.hours >= theta["since_h"]).to(torch.float64)[:, None]
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return "when it happened in a session that has not begun"
 
     def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""

@@ -119,6 +119,14 @@ class CoilHeating(_OneCoilCurrent):
         has_warmed = kelvin is not None and bool(kelvin.max() > 0.0)
         return frozenset({"loss_per_A2", "tau_h"} if has_warmed else {"loss_per_K"})
 
+    def beyond_the_moment(self, key: str) -> str | None:
+        """A thermometer tells of the moment, losses only of the past."""
+        return (
+            None
+            if key == "loss_per_K"
+            else "the currents of a whole session, where loss_per_K depends on the temperature"
+        )
+
     def delivered(
         self,
         current_A: Float[Tensor, "*#batch reading"],
@@ -141,6 +149,7 @@ class NeighbourCoil(CurrentEffect):
     kind: ClassVar[Kind] = Kind.COIL
     words: ClassVar[str] = "this coil carries a share of its neighbours' currents"
     source: ClassVar[str] = "wide: nothing is specified for wiring"
+    couples_coils: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Share of the summed current of the other coils."""

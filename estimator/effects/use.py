@@ -8,10 +8,12 @@ from functools import lru_cache
 from typing import Generic, TypeVar
 
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 
 from estimator.effects import EFFECTS, ORDER
-from estimator.effects.base import Effect, Theta
+from estimator.effects.base import Effect, Kind, Theta
+from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Body, Cause, Mover, Rig
 
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
@@ -25,9 +27,14 @@ class Use(Generic[E_co]):
     place: str
 
     @property
+    def cause(self) -> Cause:
+        """As rigs hold it."""
+        return Cause(self.effect.name, self.place)
+
+    @property
     def label(self) -> str:
         """Cause and place, as in rig files."""
-        return Cause(self.effect.name, self.place).label
+        return self.cause.label
 
     def keys(self, rig: Rig) -> tuple[str, ...]:
         """Keys of its quantities in that rig."""
@@ -39,6 +46,12 @@ class Use(Generic[E_co]):
         prefix = f"{self.label}."
         own = {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}
         return dict(zip(own, torch.broadcast_tensors(*own.values()), strict=True))
+
+    def concerned(self, circumstances: Circumstances) -> Bool[Tensor, " reading"] | None:
+        """Readings of its sensor; None stands for all."""
+        if self.effect.kind is not Kind.SENSOR:
+            return None
+        return circumstances.sensor == self.index(circumstances.rig.sensors)
 
     def index(self, bodies: Sequence[Body | Mover]) -> int:
         """Where its place stands among the rig's coils, sensors or movers."""

@@ -247,6 +247,7 @@ class CoreSaturation(SourceEffect):
     name: ClassVar[str] = "core_saturation"
     words: ClassVar[str] = "iron in the bore saturates"
     source: ClassVar[str] = "wide: a core in a coil of some amperes may lose any part of its moment"
+    is_linear: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Moment at small current in units of the winding's, and what is lost of it per square ampere."""

@@ -108,6 +108,38 @@ def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
     return Transform((rotation @ own)[..., None, :, :], translation_m[..., None, :])
 
 
+def world_from_body(
+    rig: Rig,
+    body: Body,
+    kind: str,
+    flange: Mapping[str, Transform],
+    values: Mapping[str, Tensor],
+    mount_at_reference: Transform | None = None,
+    mount_since: Transform | None = None,
+) -> Transform:
+    """Pose of a coil or sensor, given where the movers stand.
+
+    Args:
+        rig: Names the mover that carries the body.
+        body, kind: The body and its kind, `coil` or `sensor`.
+        flange: Per mover base_from_flange, or the displacement in the end-effector frame (`base_from_motion`).
+        values: Every number of the rig.
+        mount_at_reference: nominal_from_real of the body on what carries it, as it was when the reference pose was taken.
+        mount_since: nominal_from_real of what has changed since.
+    References: Osinde et al., eq 14-22, with displacements in the end-effector frame.
+    """
+    at_reference = mount_at_reference or Transform.identity()
+    since = mount_since or Transform.identity()
+    if body.carried_by is None:
+        return pose_of(f"{body.name}.world_from_{kind}", values) @ since
+    mover = rig.mover(body.carried_by)
+    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
+    real = flange[mover.name] @ flange_from_body @ since
+    if mover.motion is MotionKind.DISPLACEMENT:
+        return pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ real
+    return pose_of(f"{mover.name}.world_from_base", values) @ real
+
+
 def nominal_places_m(
     rig: Rig, observations: Observations, has_coils: bool = True
 ) -> Float[Tensor, "place 3"]:
@@ -117,17 +149,6 @@ def nominal_places_m(
     flange = {m.name: base_from_motion(m, observations.motion[m.name][::step]) for m in rig.movers}
     bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils] if has_coils else []
     bodies += [("sensor", sensor) for sensor in rig.sensors]
-    return torch.cat([_nominal_world_from_body(rig, *b, flange, values).translation_m for b in bodies])
-
-
-def _nominal_world_from_body(
-    rig: Rig, kind: str, body: Body, flange: Mapping[str, Transform], values: Mapping[str, Tensor]
-) -> Transform:
-    if body.carried_by is None:
-        return pose_of(f"{body.name}.world_from_{kind}", values)
-    mover = rig.mover(body.carried_by)
-    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values)
-    real = flange[mover.name] @ flange_from_body
-    if mover.motion is MotionKind.DISPLACEMENT:
-        return pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ real
-    return pose_of(f"{mover.name}.world_from_base", values) @ real
+    return torch.cat(
+        [world_from_body(rig, body, kind, flange, values).translation_m for kind, body in bodies]
+    )

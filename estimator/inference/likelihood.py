@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -17,13 +17,13 @@ from estimator.effects.base import (
     ElementEffect,
     MotionEffect,
     MountEffect,
+    NoiseEffect,
+    RecordEffect,
     WindingEffect,
 )
-from estimator.effects.noise import Outliers, PositionJitter
-from estimator.effects.record import UnitError
-from estimator.effects.use import uses_of
+from estimator.effects.use import Use, uses_of
 from estimator.field.node_sum import SumMode
-from estimator.model.measurement_model import MeasurementModel
+from estimator.model.measurement_model import MeasurementModel, NominalPrediction
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 
@@ -49,10 +49,7 @@ class LogPosterior:
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]
         self.sensor = observations.sensor[:, None].expand(-1, 3).flatten()[self._flat]
         self.n_by_sensor = torch.bincount(self.sensor, minlength=len(model.rig.sensors)).to(torch.float64)
-        self._jitter = {
-            use.label: self.measured_components(model.gradient_T_per_m(use.place).norm(dim=-1))
-            for use in uses_of(model.rig, PositionJitter)
-        }
+        self._noise = [_Noise.of(use, self) for use in uses_of(model.rig, NoiseEffect)]
 
     def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
         """The density for vectors whose every row has readings of its own, all taken at the same settings.
@@ -155,7 +152,7 @@ class LogPosterior:
     def _for_slopes(self) -> LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
-        other.model = replace(self.model, mode=SumMode.FIRST_ORDER)
+        other.model = self.model.with_mode(SumMode.FIRST_ORDER)
         return other
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
@@ -167,13 +164,14 @@ class LogPosterior:
     def component_sigma_T(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component"]:
-        """Noise of every measured component; a mover that scatters adds its part through the field's gradient."""
+        """Standard deviation of every measured component: noise of its sensor, as it is recorded, and what effects of noise make of it."""
         sigma_T = self.sigma_T(vector)[..., self.sensor]
-        for label, gradient_T_per_m in self._jitter.items():
-            jitter_m = self.coordinates.values(vector)[f"{label}.sd_m"][..., None]
-            sigma_T = torch.sqrt(sigma_T**2 + (jitter_m * gradient_T_per_m) ** 2)
-        for use in uses_of(self.model.rig, UnitError):
-            sigma_T = sigma_T * use.theta(self.coordinates.values(vector))["field_factor"][..., None]
+        values = self.coordinates.values(vector)
+        for record in uses_of(self.model.rig, RecordEffect):
+            sigma_T = record.effect.recorded_error_T(sigma_T, record.theta(values))
+        for noise in self._noise:
+            wider_T = noise.use.effect.sigma_T(sigma_T, noise.exposure, noise.use.theta(values))
+            sigma_T = noise.where_concerned(wider_T, sigma_T)
         return sigma_T
 
     def whitened(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
@@ -201,22 +199,33 @@ class LogPosterior:
         """How much each component counts: 1, or less where it is probably an outlier."""
         return self._scatter(whitened, vector)[1]
 
-    def _scatter(self, whitened: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
-        """Log density of whitened residuals without its constant, and their weights: normal, contaminated where outliers are known.
+    def contamination(
+        self, values: Values
+    ) -> tuple[Float[Tensor, "*batch component"], Float[Tensor, "*batch component"]]:
+        """Share of wider scatter in every component, and how many times wider it is; 0 and 1 where all scatter normally."""
+        share = torch.zeros(len(self._flat), dtype=self.measured_T.dtype)
+        ratio = torch.ones_like(share)
+        for noise in self._noise:
+            contamination = noise.use.effect.contamination(noise.use.theta(values))
+            if contamination is not None:
+                share = noise.where_concerned(contamination[0][..., None], share)
+                ratio = noise.where_concerned(contamination[1][..., None], ratio)
+        return share, ratio
 
-        References: Hogg, Bovy and Lang, arXiv:1008.4686, section 3 (mixture of good and bad readings).
-        """
+    def _scatter(self, whitened: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
+        """Log density of whitened residuals without its constant, and their weights: normal, contaminated where the rig says so."""
         log_density, weight = -0.5 * whitened**2, torch.ones_like(whitened)
-        for use in uses_of(self.model.rig, Outliers):
-            theta = use.theta(self.coordinates.values(vector))
-            share, ratio = theta["share"][..., None], theta["ratio"][..., None]
+        for noise in self._noise:
+            contamination = noise.use.effect.contamination(noise.use.theta(self.coordinates.values(vector)))
+            if contamination is None:
+                continue
+            share, ratio = (number[..., None] for number in contamination)
             good = torch.log1p(-share) + log_density
             bad = torch.log(share) - torch.log(ratio) - 0.5 * (whitened / ratio) ** 2
             mixed = torch.logaddexp(good, bad)
             is_good = torch.exp(good - mixed)
-            mine = self.sensor == use.index(self.model.rig.sensors)
-            log_density = torch.where(mine, mixed, log_density)
-            weight = torch.where(mine, is_good + (1.0 - is_good) / ratio**2, weight)
+            log_density = noise.where_concerned(mixed, log_density)
+            weight = noise.where_concerned(is_good + (1.0 - is_good) / ratio**2, weight)
         return log_density, weight
 
     def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
@@ -229,3 +238,32 @@ class LogPosterior:
             inside = total[possible] + self.at(possible).log_likelihood(vector[possible])
             total = total.masked_scatter(possible, inside)
         return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """An effect of noise in the measured components.
+
+    Attributes:
+        use: The effect and the place that has it.
+        concerned: Components that it concerns; None stands for all.
+        exposure: What their scatter depends on besides the effect's quantities.
+    """
+
+    use: Use[NoiseEffect]
+    concerned: Bool[Tensor, " component"] | None
+    exposure: Float[Tensor, " component"]
+
+    @classmethod
+    def of(cls, use: Use[NoiseEffect], posterior: LogPosterior) -> _Noise:
+        """What it concerns of the readings of a density."""
+        readings = use.concerned(posterior.model.circumstances)
+        concerned = (
+            None if readings is None else posterior.measured_components(readings[:, None].expand(-1, 3))
+        )
+        exposure = use.effect.exposure(NominalPrediction(posterior.model), use.place)
+        return cls(use, concerned, posterior.measured_components(exposure))
+
+    def where_concerned(self, changed: Tensor, unchanged: Tensor) -> Tensor:
+        """Changed components where it concerns them."""
+        return changed if self.concerned is None else torch.where(self.concerned, changed, unchanged)

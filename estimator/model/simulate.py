@@ -6,13 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from estimator.effects.noise import Outliers, PositionJitter
-from estimator.effects.record import UnitError
+from estimator.effects.base import NoiseEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.model.hide import with_hidden
-from estimator.model.measurement_model import MeasurementModel
+from estimator.model.measurement_model import MeasurementModel, NominalPrediction, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.rig.coordinates import Coordinates
@@ -67,48 +68,29 @@ def simulate(
     rng = np.random.default_rng(seed)
     observations = observations_of(plan, rig, rng)
     real = with_hidden(real, observations, hidden or {})
-    nominal = _tensors(real)
     model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
-    field_T = model.predict(nominal)
-    noise = torch.from_numpy(rng.normal(size=tuple(field_T.shape)))
-    noise_T = torch.stack([nominal[f"{sensor.name}.noise_T"] for sensor in rig.sensors])[
-        observations.sensor, None
-    ]
-    return observations.with_field(
-        field_T + noise * noise_T * _wildness(real, observations, rng) + _jitter(model, rng)
-    )
+    return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))
 
 
 def perfect_readings(rig: Rig, observations: Observations) -> torch.Tensor:
     """What perfect sensors would read at the rig's nominal values; summed to 1e-10, far below any noise."""
-    return MeasurementModel.build(rig, observations, tolerance=TOLERANCE).predict(_tensors(rig))
+    return MeasurementModel.build(rig, observations, tolerance=TOLERANCE).predict(nominal_tensors(rig))
 
 
-def _tensors(rig: Rig) -> dict[str, torch.Tensor]:
-    return {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
-
-
-def _wildness(rig: Rig, observations: Observations, rng: np.random.Generator) -> torch.Tensor:
-    """Factor on the noise of each component: more for outliers, and what a wrong unit makes of it."""
-    factor = torch.ones(len(observations), 3, dtype=torch.float64)
-    values = _tensors(rig)
-    for use in uses_of(rig, Outliers):
-        theta = use.theta(values)
-        is_wild = torch.from_numpy(rng.random(size=tuple(factor.shape))) < theta["share"]
-        is_wild &= (observations.sensor == use.index(rig.sensors))[:, None]
-        factor = torch.where(is_wild, theta["ratio"], factor)
-    for unit in uses_of(rig, UnitError):
-        factor = factor * unit.theta(values)["field_factor"]
-    return factor
-
-
-def _jitter(model: MeasurementModel, rng: np.random.Generator) -> torch.Tensor:
-    """What a mover that scatters about its targets adds, to first order."""
-    added_T = torch.zeros(len(model.circumstances), 3, dtype=torch.float64)
-    for use in uses_of(model.rig, PositionJitter):
-        off_m = (
-            torch.from_numpy(rng.normal(size=(len(model.circumstances), 3)))
-            * use.theta(_tensors(model.rig))["sd_m"]
+def _errors_T(model: MeasurementModel, rng: np.random.Generator) -> Float[Tensor, "reading 3"]:
+    """Errors of simulated readings: noise of the sensors, as it is recorded, and what the effects of noise make of it."""
+    values, rig = nominal_tensors(model.rig), model.rig
+    noise_T = torch.stack([values[f"{sensor.name}.noise_T"] for sensor in rig.sensors])
+    sigma_T = noise_T[model.circumstances.sensor, None].expand(-1, 3)
+    error_T = torch.from_numpy(rng.normal(size=tuple(sigma_T.shape))) * sigma_T
+    for record in uses_of(rig, RecordEffect):
+        sigma_T, error_T = (
+            record.effect.recorded_error_T(t, record.theta(values)) for t in (sigma_T, error_T)
         )
-        added_T = added_T + torch.einsum("rij,rj->ri", model.gradient_T_per_m(use.place), off_m)
-    return added_T
+    prediction = NominalPrediction(model)
+    for use in uses_of(rig, NoiseEffect):
+        theta = use.theta(values)
+        more_T = use.effect.disturbed_T(error_T, sigma_T, prediction, theta, use.place, rng)
+        concerned = use.concerned(model.circumstances)
+        error_T = more_T if concerned is None else torch.where(concerned[:, None], more_T, error_T)
+    return error_T

@@ -13,9 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from estimator.effects.noise import Outliers, PositionJitter
-from estimator.effects.robot import Backlash, PositionLag, SensorBumped
-from estimator.effects.supply import CoilHeating
+from estimator.effects import effect_of
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.geometry.motion import motion_reached
@@ -24,15 +22,6 @@ from estimator.model.simulate import perfect_readings
 from estimator.readings.observations import Observations
 from estimator.rig.rig import DisplacementFrame, MotionKind, Mover, Rig
 from estimator.units import ICE_POINT_K
-
-NOT_OF_THE_MOMENT = {
-    PositionLag.name: "where the mover came from",
-    Backlash.name: "where the mover came from",
-    SensorBumped.name: "when it happened in a session that has not begun",
-    Outliers.name: "the noise, which simulators make themselves",
-    PositionJitter.name: "the noise, which simulators make themselves",
-}
-"""Causes that the field of a moment cannot show, and what they depend on; `coilcal simulate` hides them."""
 
 TIME_STEP_S = 1.0  # to which drifts are followed
 TEMPERATURE_STEP_K = 0.05
@@ -165,16 +154,12 @@ def simulated_rig(
         raise InvalidInput(f"truth: {broken[0]} {broken[1]}; received {broken[2]} (rig {rig.name!r})")
     for text in hidden:
         cause = cause_of(text, rig)
-        if cause.name in NOT_OF_THE_MOMENT:
+        key = next(iter(full_names(rig, {text: 0.0}))).removeprefix(f"{cause.label}.")
+        reason = effect_of(cause.name).beyond_the_moment(key)
+        if reason is not None:
             raise InvalidInput(
-                f"a cause hidden in a running rig must show in the field of a moment; {cause.label} depends on "
-                f"{NOT_OF_THE_MOMENT[cause.name]} (coilcal simulate can hide it)"
-            )
-        if cause.name == CoilHeating.name and not next(iter(full_names(rig, {text: 0.0}))).endswith(
-            ".loss_per_K"
-        ):
-            raise InvalidInput(
-                f"{cause.label} must be given by loss_per_K in a running rig, whose coils warm up by themselves; received {text!r}"
+                f"a cause hidden in a running rig must show in the field of a moment; {cause.label}.{key} depends on {reason} "
+                "(coilcal simulate can hide it)"
             )
     # A world knows poses, so movers report these: by the kinematics of the model, joint angles would say the same.
     real = replace(real, movers=tuple(_reporting_poses(mover) for mover in real.movers))

@@ -22,8 +22,6 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.effects.noise import Outliers
-from estimator.effects.use import uses_of
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
@@ -105,7 +103,7 @@ class _Predictive:
         spread: Standard deviation along each, in noise.
         noise_sd: Uncertainty of the logarithm of the noise, by sensor.
         sensor: Of each component.
-        wild: Share of outliers and how much wider they are, by sensor.
+        wild: Share of outliers and how much wider they are, by component.
     """
 
     sigma_T: Float[Tensor, " component"]
@@ -114,7 +112,7 @@ class _Predictive:
     spread: Float[Tensor, " direction"]
     noise_sd: Float[Tensor, " sensor"]
     sensor: Int[Tensor, " component"]
-    wild: Float[Tensor, "2 sensor"]
+    wild: Float[Tensor, "2 component"]
 
     @classmethod
     def of(cls, calibration: Calibration, observations: Observations) -> _Predictive:
@@ -125,7 +123,7 @@ class _Predictive:
         vectors = coordinates.vector({name: values[name] for name in coordinates.names})
         best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
         posterior = LogPosterior(
-            coordinates, MeasurementModel.unruled(rig, observations).with_rules(best), observations
+            coordinates, MeasurementModel.unruled(rig, observations).choose_rules(best), observations
         )
         with torch.no_grad():
             predicted_T = posterior.predicted(vectors)
@@ -137,10 +135,7 @@ class _Predictive:
         noise_sd = torch.zeros(len(rig.sensors), dtype=torch.float64)
         noise_sd[posterior.sensor] = log_sigma.std(0)  # the same for all components of a sensor
         residual = (posterior.measured_T - mean_T) / sigma_T
-        wild = torch.stack((torch.zeros_like(noise_sd), torch.ones_like(noise_sd)))
-        for use in uses_of(rig, Outliers):
-            theta = use.theta(best)
-            wild[:, use.index(rig.sensors)] = torch.stack((theta["share"], theta["ratio"]))
+        wild = torch.stack(posterior.contamination(best))
         return cls(sigma_T, residual, directions[:n].T, spread[:n], noise_sd, posterior.sensor, wild)
 
     def widened(self, refit: Fit) -> _Predictive:
@@ -169,7 +164,7 @@ class _Predictive:
         for _ in range(N_SIMULATED // AT_ONCE):
             moved = (normal(AT_ONCE, len(self.spread)) * self.spread) @ self.directions.T
             noise = torch.exp(normal(AT_ONCE, len(self.noise_sd)) * self.noise_sd)[:, self.sensor]
-            share, ratio = self.wild[:, self.sensor]
+            share, ratio = self.wild
             is_wild = torch.rand(AT_ONCE, len(self.sensor), generator=generator, dtype=torch.float64) < share
             yield moved + torch.where(is_wild, ratio, 1.0) * noise * normal(AT_ONCE, len(self.sensor))
 

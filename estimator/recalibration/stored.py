@@ -28,7 +28,7 @@ def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[
     coordinates = Coordinates(calibration.rig, integer_counts=True)
     values = calibration.draw_values(N_DRAWS)
     vectors = coordinates.vector({name: values[name] for name in coordinates.names})
-    model = MeasurementModel.unruled(calibration.rig, unseen).with_rules(calibration.best_values())
+    model = MeasurementModel.unruled(calibration.rig, unseen).choose_rules(calibration.best_values())
     posterior = LogPosterior(coordinates, model, unseen)
     with torch.no_grad():
         by_component = posterior.component_log_density(vectors)

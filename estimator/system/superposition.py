@@ -18,8 +18,8 @@ from torch import Tensor
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.result import Diagnosis
+from estimator.effects import COUPLING
 from estimator.effects.attach import with_effect
-from estimator.effects.supply import NeighbourCoil
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import Errors, errors
@@ -74,7 +74,7 @@ class Superposition:
             for one in self.diagnosis.causes
             for c in (one.cause, *(other.cause for other in one.alternatives))
         ]
-        return any(cause.name == NeighbourCoil.name for cause in named)
+        return any(cause.name == COUPLING.name for cause in named)
 
     def words(self) -> str:
         """The finding in one sentence per coil."""
@@ -129,13 +129,13 @@ def predicted_readings_T(
     model = MeasurementModel.unruled(session.rig, observations)
     every_place = torch.arange(len(model.sensor))
     world_from_sensor = model.world_from_sensor(every_place, values)
-    points_m = world_from_sensor.translation_m.expand(len(every_place), 3)[model.place]
+    points_m = world_from_sensor.translation_m.expand(len(every_place), 3)[model.pose_row]
     here = system.at(points_m, observations.motion)
     order = [[coil.name for coil in session.rig.coils].index(name) for name in system.coils]
     currents_A = observations.current_A[:, order]
     driven_T = (here.actuation(has_gradient=False) @ currents_A[..., None])[..., 0]
     field_T = here.field_T(torch.zeros(len(order), dtype=torch.float64)) + driven_T
-    return world_from_sensor.rows(model.place).unrotate(field_T)
+    return world_from_sensor.rows(model.pose_row).unrotate(field_T)
 
 
 def joined(sessions: list[Observations]) -> Observations:
@@ -160,7 +160,7 @@ def joined(sessions: list[Observations]) -> Observations:
 def _shares(fit: Fit) -> dict[str, Share]:
     """Share of every coil, all free at once beside the causes that were named."""
     rig, observations = fit.rig, fit.observations
-    causes = {place: Cause(NeighbourCoil.name, place) for place in NeighbourCoil().places(rig)}
+    causes = {place: Cause(COUPLING.name, place) for place in COUPLING.places(rig)}
     for cause in causes.values():
         if cause not in rig.effects:
             rig = with_effect(rig, cause, observations, {})

@@ -15,9 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration.result import INTERVAL_DRAWS, Calibration
-from estimator.effects.surroundings import BackgroundField
+from estimator.effects.base import Effect, RoomEffect
 from estimator.effects.use import uses_of
-from estimator.effects.winding import CoreSaturation
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import Values
@@ -91,10 +90,11 @@ class System:
             coils = tuple(c for c in whole.rig.coils if self.calibrations.get(c.name) is whole)
             left_out = {coil.name for coil in whole.rig.coils} - {coil.name for coil in coils}
             effects = [cause for cause in whole.rig.effects if cause.place not in left_out]
+            background = [use.cause for use in uses_of(whole.rig, RoomEffect) if use.effect.is_background]
             if has_background:
-                effects = [cause for cause in effects if cause.name != BackgroundField.name]
+                effects = [cause for cause in effects if cause not in background]
             rig = replace(whole.rig, coils=coils, effects=tuple(effects))
-            has_background = has_background or bool(uses_of(rig, BackgroundField))
+            has_background = has_background or bool(background)
             parts.append(replace(whole, rig=rig))
         return tuple(parts)
 
@@ -204,7 +204,7 @@ class SystemField:
             InvalidInput: A core saturates, so that the field is not proportional to the current.
         """
         for part in self.system.parts:
-            for use in uses_of(part.rig, CoreSaturation):
+            for use in (use for use in uses_of(part.rig, Effect) if not use.effect.is_linear):
                 raise InvalidInput(
                     f"actuation needs a field proportional to the currents; {use.label} makes that of {use.place} another"
                 )

@@ -10,7 +10,6 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     continuous = LogPosterior(Coordinates(rig), model, readings)
     fit, set_up_s["point estimate"] = timed(lambda: fitted(continuous, readings, truth, options), options)
     with torch.no_grad():
-        model = model.with_rules(continuous.coordinates.values(fit.vector[0]))
+        model = model.choose_rules(continuous.coordinates.values(fit.vector[0]))
     continuous = LogPosterior(continuous.coordinates, model, readings)
     lattice = LogPosterior(Coordinates(rig, integer_counts=True), model, readings)
     on_lattice, set_up_s["Laplace mixture over loop counts"] = timed(
@@ -73,7 +72,7 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     kernel = "eager"
     if not options.no_compile:
         kernel = "compiled"
-        quick = replace(model, mode=SumMode.COMPILED)
+        quick = model.with_mode(SumMode.COMPILED)
         lattice, continuous = (LogPosterior(p.coordinates, quick, readings) for p in (lattice, continuous))
         begin = time.perf_counter()
         with torch.no_grad():

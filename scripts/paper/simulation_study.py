@@ -101,7 +101,7 @@ class Study:
         part = self.judged.validation
         model = MeasurementModel.build(self.rig, part)
         rows = torch.arange(len(model.sensor))
-        places_m = model.sensor_in_coil(self.rig.coils[0], rows, values)[0][model.place].numpy()
+        places_m = model.sensor_in_coil(self.rig.coils[0], rows, values)[0][model.pose_row].numpy()
         measured_T, found_T = part.field_sensor_T.numpy(), predicted_T(self.rig, part, values)
         winding = winding_of(self.rig, self.rig.coils[0], values)
         return {

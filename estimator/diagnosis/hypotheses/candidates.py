@@ -13,7 +13,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import NoiseEffect, Quantity
-from estimator.effects.record import RECORD
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 
@@ -68,7 +67,7 @@ def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
     return [
         cause
         for name, effect in EFFECTS.items()
-        if name not in RECORD and not isinstance(effect, NoiseEffect)
+        if not effect.is_record_mistake and not isinstance(effect, NoiseEffect)
         for place in effect.places(rig)
         if (cause := Cause(name, place)) not in present and effect.concerns(circumstances, place)
     ]
@@ -90,7 +89,7 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
 def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
     observations = fit.observations
     rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
-    model = replace(MeasurementModel.unruled(rig, observations), rules=fit.posterior.model.rules)
+    model = MeasurementModel.unruled(rig, observations).with_rules(fit.posterior.model.rules)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
     own = {
         name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -17,7 +17,6 @@ from torch import Tensor
 from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.record import RECORD
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -98,9 +97,11 @@ def _faults(base: Fit) -> list[Fit]:
     few = observations.rows(some.unique())
     present = {cause.name for cause in base.rig.effects}
     ranked = []
-    for name in RECORD:
-        for place in EFFECTS[name].places(base.rig) if name not in present else ():
-            cause, starts = Cause(name, place), EFFECTS[name].starts(circumstances, place)
+    for name, effect in EFFECTS.items():
+        if not effect.is_record_mistake or name in present:
+            continue
+        for place in effect.places(base.rig):
+            cause, starts = Cause(name, place), effect.starts(circumstances, place)
             values = _coarse(base, cause, starts, few)
             ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
     ranked.sort(key=lambda one: -one[0])
@@ -123,7 +124,7 @@ def _coarse(
     The parameters are let go to first order from the nominal rig, within their priors.
     """
     rig = with_effect(base.rig, cause, base.observations, starts[0])
-    model = replace(MeasurementModel.unruled(rig, observations), rules=base.posterior.model.rules)
+    model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
     found = []
     for first in range(0, len(starts), MOST_TOGETHER):
         some = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])

@@ -127,22 +127,23 @@ def leaves_structure(left: Discrepancy) -> bool:
 
 def _judged(fit: Fit, rival: Rival, block: Blocks) -> Rival:
     """A rival that was fitted, with what it gains on unseen blocks."""
-    if rival.fit is None or (rival.cause is not None and rival.cause.name == "outliers"):
-        return rival  # the density of outliers is no normal one
+    effect = None if rival.cause is None else EFFECTS[rival.cause.name]
+    if rival.fit is None or (isinstance(effect, NoiseEffect) and effect.is_contaminating):
+        return rival  # blocks are predicted with normal densities
     return replace(rival, held_out=held_out(fit, rival.fit, block))
 
 
 def _first(earning: list[Rival]) -> Rival | None:
     """What to take of the causes that earn their place, best first.
 
-    A mover that misses its targets passes for much that grows with the gradient: everything else is asked before it, and again beside it.
-    Outliers spoil all other evidence: where they lead, and the mover does not explain them better, they come first.
+    Scatter that imitates structure, such as that of a mover, waits: everything else is asked before it, and again beside it. Outliers spoil
+    all other evidence: where they lead, and the mover does not explain them better, they come first.
     """
     structured = [rival for rival in earning if not _is_noise(rival)]
     leader = next(iter(earning), None)
-    if leader is not None and _is_noise(leader) and structured and leader.name.startswith("position_jitter"):
-        return structured[0]
-    return leader
+    effect = None if leader is None or leader.cause is None else EFFECTS[leader.cause.name]
+    has_to_wait = isinstance(effect, NoiseEffect) and effect.imitates_structure
+    return structured[0] if has_to_wait and structured else leader
 
 
 def _earns(rival: Rival, least: float) -> bool:

@@ -8,7 +8,7 @@ differ by.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import torch
@@ -147,7 +147,7 @@ class Rows:
     @classmethod
     def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
         """Of readings with a rig that differs from that of the fit in fixed numbers only."""
-        model = replace(MeasurementModel.unruled(rig, readings), rules=fit.posterior.model.rules)
+        model = MeasurementModel.unruled(rig, readings).with_rules(fit.posterior.model.rules)
         posterior = LogPosterior(Coordinates(rig), model, readings)
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)

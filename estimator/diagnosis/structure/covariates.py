@@ -41,7 +41,7 @@ def sensor_in_coils(fit: Fit) -> dict[str, Float[Tensor, "reading 3"]]:
     for coil in model.rig.coils:
         with torch.no_grad():
             points_m, _ = model.sensor_in_coil(coil, everywhere, fit.values)
-        found[coil.name] = points_m.expand(len(everywhere), 3)[model.place]
+        found[coil.name] = points_m.expand(len(everywhere), 3)[model.pose_row]
     return found
 
 
@@ -53,8 +53,8 @@ def sensor_in_room(
     everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
         pose = model.world_from_sensor(everywhere, fit.values)
-    position_m = pose.translation_m.expand(len(everywhere), 3)[model.place]
-    return position_m, pose.rotation.mT.expand(len(everywhere), 3, 3)[model.place]
+    position_m = pose.translation_m.expand(len(everywhere), 3)[model.pose_row]
+    return position_m, pose.rotation.mT.expand(len(everywhere), 3, 3)[model.pose_row]
 
 
 def predicted_T(fit: Fit) -> Float[Tensor, "reading 3"]:

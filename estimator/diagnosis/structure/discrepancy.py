@@ -183,10 +183,10 @@ def _add_places(found: Collection, model: MeasurementModel, coil: Coil, fit: Fit
     everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
         points_m, sensor_from_coil = model.sensor_in_coil(coil, everywhere, fit.values)
-    points_m = points_m.expand(len(everywhere), 3)[model.place]
+    points_m = points_m.expand(len(everywhere), 3)[model.pose_row]
     if not bool((points_m != points_m[0]).any()):
         return  # coil and sensor both stand still
-    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[model.place]
+    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[model.pose_row]
     current = circumstances.current_A[:, list(model.rig.coils).index(coil)] / circumstances.largest_current_A
     place = unit_interval(points_m)
     middle = points_m.mean(0)

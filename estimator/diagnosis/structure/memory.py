@@ -34,7 +34,7 @@ def lingering_T(fit: Fit, decay_steps: float) -> Float[Tensor, "reading 3"] | No
     result = torch.zeros(len(fit.observations), 3, dtype=torch.float64)
     for which in range(n_sensors):
         everywhere = replace(history, sensor=torch.full_like(history.sensor, which))
-        model = replace(MeasurementModel.unruled(fit.rig, everywhere), rules=fit.posterior.model.rules)
+        model = MeasurementModel.unruled(fit.rig, everywhere).with_rules(fit.posterior.model.rules)
         with torch.no_grad():
             field_T = model.predict(fit.values).expand(len(history), 3)
         state, states = torch.zeros(3, dtype=torch.float64), []

@@ -152,7 +152,7 @@ def _sensor_from_coil(fit: Fit, coil: Coil) -> Float[Tensor, "reading 3 3"]:
     everywhere = torch.arange(len(model.sensor))
     with torch.no_grad():
         _, rotation = model.sensor_in_coil(coil, everywhere, fit.values)
-    return rotation.expand(len(everywhere), 3, 3)[model.place]
+    return rotation.expand(len(everywhere), 3, 3)[model.pose_row]
 
 
 WORDS: Mapping[str, str] = {

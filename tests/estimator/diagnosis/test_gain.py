@@ -55,7 +55,7 @@ def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together
     draws = torch.from_numpy(
         np.random.default_rng(3).multivariate_normal(fit.vector.numpy(), fit.covariance.numpy(), 4000)
     )
-    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
+    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
     with torch.no_grad():
         spread_T = model.predict(fit.posterior.coordinates.values(draws)).std(0).numpy()
         mean_T = model.predict(fit.values).expand(len(unseen), 3).numpy()
@@ -67,7 +67,7 @@ def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together
 
 def test_errors_are_those_of_the_prediction_at_the_maximum(found, wrong_zero):
     fit, unseen = found[1], wrong_zero.validation
-    model = replace(MeasurementModel.unruled(fit.rig, unseen), rules=fit.posterior.model.rules)
+    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
     with torch.no_grad():
         mean_T = model.predict(fit.values).expand(len(unseen), 3)
     expected = errors(unseen.field_sensor_T.numpy(), mean_T.numpy())

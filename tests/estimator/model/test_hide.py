@@ -52,10 +52,12 @@ def test_outliers_scatter_as_often_and_as_far_as_they_are_said_to() -> None:
 
 
 def test_a_mover_that_scatters_disturbs_the_readings_by_its_distance_times_the_gradient() -> None:
-    from estimator.model.measurement_model import MeasurementModel
+    from estimator.model.measurement_model import MeasurementModel, NominalPrediction
 
     observations = session_with((), (3.0, -3.0), 1).observations
-    gradient = MeasurementModel.build(RIG.with_values(TRUTH), observations).gradient_T_per_m("arm1")
+    gradient = NominalPrediction(
+        MeasurementModel.build(RIG.with_values(TRUTH), observations)
+    ).gradient_T_per_m("arm1")
     expected_T = 1e-4 * float(gradient.square().sum(-1).mean().sqrt())
     off_T = readings({"position_jitter": 1e-4}) - readings({})
     assert float(off_T.square().mean().sqrt()) == pytest.approx(expected_T, rel=0.15)

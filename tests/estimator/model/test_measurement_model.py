@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from math import cos, pi, radians, sin
 
 import numpy as np
@@ -369,7 +368,7 @@ def test_compiled_chain_uses_the_compiled_sum(monkeypatch):
     model = MeasurementModel.build(of, readings([[1.0, 1.0]]))
     eager = model.predict(nominal(of))
     assert not asked
-    compiled = replace(model, mode=SumMode.COMPILED).predict(nominal(of))
+    compiled = model.with_mode(SumMode.COMPILED).predict(nominal(of))
     assert asked
     torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=0.0)
 
@@ -381,6 +380,6 @@ def test_sensor_inside_a_winding_is_refused_with_the_number_of_the_reading():
     poses[2] = tensor([0.047, 0.0, -0.005, 0.0, 0.0, 0.0])
     poses[3] = tensor([0.0, 0.047, -0.005, 0.0, 0.0, pi])
     with pytest.raises(
-        InvalidInput, match=r"outside the winding of coil1; .* 2 of 3 places do not, the first at reading 2"
+        InvalidInput, match=r"outside the winding of coil1; .* 2 of 3 poses do not, the first at reading 2"
     ):
         MeasurementModel.build(of, readings([[1.0]] * 4, {"stage": poses}))

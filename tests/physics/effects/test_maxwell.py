@@ -8,6 +8,7 @@ from torch import Tensor
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import RoomEffect, SourceEffect, WindingEffect, WindingMagnetisation
+from estimator.model.measurement_model import NominalPrediction
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, chain_of, label_of, readings
 
 UNIFORM = ("background_field", "background_drift")
@@ -18,7 +19,9 @@ def added_gradient(name: str) -> Tensor:
     """d B_i / d x_j of what an effect adds, of both coils' currents."""
     observations = readings(FAR_M, (2.0, -3.0), time_s=1800.0 * torch.arange(len(FAR_M)).numpy())
     effects = {label_of(name): SOURCES[name]}
-    with_it, without = (chain_of(observations, e).gradient_T_per_m("mapper") for e in (effects, {}))
+    with_it, without = (
+        NominalPrediction(chain_of(observations, e)).gradient_T_per_m("mapper") for e in (effects, {})
+    )
     return with_it - without
 
 

@@ -262,7 +262,7 @@ def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured,
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
         {**at(fit.rig, 40.0), f"{cause.label}.{key}": size}
     )
-    model = replace(MeasurementModel.unruled(wrong, fit.observations), rules=fit.posterior.model.rules)
+    model = MeasurementModel.unruled(wrong, fit.observations).with_rules(fit.posterior.model.rules)
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in wrong.nominal_values().items()}
     perfect = fit.observations.with_field(model.predict(values).detach().expand(len(fit.observations), 3))
     right = fit.observations.with_field(

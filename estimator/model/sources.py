@@ -1,0 +1,272 @@
+"""Everything that makes a field: from recorded currents and poses to the field at sensors, or at points of the room.
+
+The measurement model asks for the field at the sensors of a session, `RoomField` for the field at points that nobody measured: both get
+it here, so that what a session is fitted with is what a prediction is made with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from estimator.effects.base import (
+    CurrentEffect,
+    PerAmpere,
+    RecordEffect,
+    RoomEffect,
+    SourceEffect,
+    Theta,
+    WindingEffect,
+    WindingMagnetisation,
+)
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.use import Use, uses_of
+from estimator.field.coil import coil_field_per_ampere
+from estimator.field.first_order import with_cheap_slope
+from estimator.field.magnetised import field_of_rings
+from estimator.field.node_sum import SumMode
+from estimator.field.winding import Rule, Winding
+from estimator.frames import Transform
+from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
+from estimator.rig.coordinates import Values
+from estimator.rig.rig import Body, Coil, Rig
+
+# Of points in a coil's frame, as `SourceEffect.apply`.
+SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Coils, room and magnetised windings of a rig, with its movers at the poses of some readings.
+
+    Readings that share a pose share its geometry: +I, -I and repeats at one pose cost one field evaluation. A table holds the distinct
+    poses; `pose_row` says which of its rows each reading has.
+
+    Attributes:
+        rig: What is modelled.
+        circumstances: Of the readings, or of one moment that stands for all.
+        n_rows: Distinct poses.
+        pose_row: Row of each reading; None where every reading has the row of its own number.
+        flange: Per mover base_from_flange (or the displacement) by row; one row, or one rotation, may stand for all.
+        columns: Per effect that moves bodies, what else it depends on, by row; one row may stand for all.
+        powered: Per coil the rows where it ever carries current.
+        rules: Per coil the quadrature rule; coils without one are left out.
+        mode: How loops are summed: compiled for long sampling, to first order for fits.
+    """
+
+    rig: Rig
+    circumstances: Circumstances
+    n_rows: int
+    pose_row: Int[Tensor, " reading"] | None
+    flange: Mapping[str, Transform]
+    columns: Mapping[str, Tensor]
+    powered: Mapping[str, Int[Tensor, " powered"]]
+    rules: Mapping[str, Rule]
+    mode: SumMode = SumMode.EAGER
+
+    def part(self, readings: Int[Tensor, " part"]) -> Sources:
+        """The sources as some of the readings see them."""
+        rows = readings if self.pose_row is None else self.pose_row[readings]
+        used, pose_row = torch.unique(rows, return_inverse=True)
+        return replace(
+            self,
+            circumstances=Circumstances(self.rig, self.circumstances.observations.rows(readings)),
+            n_rows=len(used),
+            pose_row=pose_row,
+            flange={name: poses.rows(used) for name, poses in self.flange.items()},
+            columns={label: whole[used] for label, whole in self.columns.items()},
+            powered={name: torch.isin(used, rows).nonzero().flatten() for name, rows in self.powered.items()},
+        )
+
+    def delivered_A(
+        self, recorded_A: Float[Tensor, "*#batch #reading coil"], values: Values
+    ) -> Float[Tensor, "*batch #reading coil"]:
+        """Currents that really flow, given those that were recorded."""
+        gains = torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils))
+        current_A = torch.stack(gains, dim=-1)[..., None, :] * recorded_A
+        for record in uses_of(self.rig, RecordEffect):
+            current_A = record.effect.commanded_A(current_A, record.theta(values))
+        for use in uses_of(self.rig, CurrentEffect):
+            theta, coil = use.theta(values), use.index(self.rig.coils)
+            current_A = use.effect.apply(current_A, theta, self.circumstances, coil)
+        return current_A
+
+    def field_T(
+        self,
+        values: Values,
+        delivered_A: Float[Tensor, "*#batch #reading coil"],
+        world_from_point: Transform,
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field at the points that stand at the rows, in the frames of these points.
+
+        Args:
+            values: Every number of the rig by name.
+            delivered_A: Currents that flow.
+            world_from_point: Where the points stand and how they are turned, by row.
+        """
+        n_readings = self.n_rows if self.pose_row is None else len(self.pose_row)
+        total = torch.zeros(n_readings, 3, dtype=delivered_A.dtype)
+        for room in uses_of(self.rig, RoomEffect):
+            theta = room.theta(values)
+            steady_T = room.effect.steady_T(world_from_point.translation_m, theta)
+            if steady_T is not None:
+                total = total + self._by_reading(world_from_point.unrotate(steady_T), self._every_row)
+            drifting_T = room.effect.drifting_T(theta, self.circumstances)
+            if drifting_T is not None:
+                total = total + self._unrotated(world_from_point, drifting_T)
+        for magnetised in uses_of(self.rig, WindingMagnetisation):
+            total = total + self._magnetised(magnetised, values, world_from_point, delivered_A)
+        for i, coil in enumerate(self.rig.coils):
+            rows = self.powered[coil.name]
+            if coil.name not in self.rules or not len(rows):
+                continue
+            points = world_from_point.rows(rows)
+            for per_unit, drive in self._driven(coil, values, points, delivered_A[..., i]):
+                total = total + drive[..., None] * self._by_reading(per_unit, rows)
+        return total
+
+    def world_from_body(self, body: Body, kind: str, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+        """Pose of a coil or a sensor at some rows; one row where it stays where it is."""
+        flange = {name: poses.rows(rows) for name, poses in self.flange.items()}
+        columns = {label: whole if len(whole) == 1 else whole[rows] for label, whole in self.columns.items()}
+        return world_from_body(self.rig, body, kind, flange, values, columns)
+
+    def _driven(
+        self, coil: Coil, values: Values, world_from_point: Transform, current_A: Tensor
+    ) -> list[tuple[Tensor, Tensor]]:
+        """What the coil's current makes where it is powered: field in the points' frames per unit of drive, and the drive."""
+        world_from_coil = self.world_from_body(coil, "coil", self.powered[coil.name], values)
+        coil_from_point = world_from_coil.inverse() @ world_from_point
+        points_m = coil_from_point.translation_m
+        winding = winding_of(self.rig, coil, values)
+        field = self._coil_field(coil, points_m, winding)
+        driven = []
+        for use in uses_of(self.rig, SourceEffect, coil.name):
+            theta = use.theta(values)
+            more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
+            drive = use.effect.drive(current_A, theta)
+            if drive is current_A:
+                field = field + more
+            else:
+                driven.append((coil_from_point.unrotate(more), drive))
+        field = coil_from_point.unrotate(field)
+        per_ampere = CoilInRoom(world_from_coil, lambda at_m: self._coil_field(coil, at_m, winding))
+        # Either may stand still.
+        points_m, _ = torch.broadcast_tensors(world_from_point.translation_m, points_m)
+        for answering in uses_of(self.rig, RoomEffect):
+            answer = answering.effect.response(per_ampere, points_m, answering.theta(values))
+            if answer is not None:
+                field = field + world_from_point.unrotate(answer)
+        return [(field, current_A), *driven]
+
+    def _magnetised(
+        self,
+        use: Use[WindingMagnetisation],
+        values: Values,
+        world_from_point: Transform,
+        delivered_A: Float[Tensor, "*#batch #reading coil"],
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field of a magnetised winding in the frames of the points."""
+        coil = self.rig.coils[use.index(self.rig.coils)]
+        world_from_coil = self.world_from_body(coil, "coil", self._every_row, values)
+        coil_from_point = world_from_coil.inverse() @ world_from_point
+        rings, patterns = use.effect.rings(self.rig, coil)
+        drives = use.effect.drives(delivered_A, use.theta(values))
+        idle = [i for i, other in enumerate(self.rig.coils) if not len(self.powered[other.name])]
+        there = [i for i in range(len(patterns)) if i not in idle]
+
+        def field(points_m: Tensor, _: Sequence[Tensor] = ()) -> Tensor:
+            return field_of_rings(points_m, rings, patterns[there]).flatten(-2)
+
+        points_m = coil_from_point.translation_m
+        flat = with_cheap_slope(field, points_m, ()) if self._is_first_order else field(points_m)
+        flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
+        flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
+        total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
+        return self._unrotated(coil_from_point, total)
+
+    @cached_property
+    def _every_row(self) -> Int[Tensor, " row"]:
+        return torch.arange(self.n_rows)
+
+    def _by_reading(self, field: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
+        """Field at some rows as that at all readings, zero elsewhere; where coil and point both stand still, one row stands for all."""
+        field = field.expand(*field.shape[:-2], len(rows), 3)
+        if len(rows) < self.n_rows:
+            full = torch.zeros((*field.shape[:-2], self.n_rows, 3), dtype=field.dtype, device=field.device)
+            field = full.index_copy(-2, rows, field)
+        return field if self.pose_row is None else field[..., self.pose_row, :]
+
+    def _unrotated(self, poses: Transform, vectors: Float[Tensor, "*#batch #reading 3"]) -> Tensor:
+        """Vectors of the readings turned into the frames of their points; poses are by row, or share one rotation."""
+        is_shared = poses.rotation.shape[-3] == 1 or self.pose_row is None
+        rotation = poses.rotation if is_shared else poses.rotation[..., self.pose_row, :, :]
+        turned: Tensor = (rotation.mT @ vectors[..., None])[..., 0]
+        return turned
+
+    def _coil_field(
+        self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding
+    ) -> Float[Tensor, "*batch point 3"]:
+        """Field of one ampere in the coil frame, by the coil's rule."""
+        return coil_field_per_ampere(coil, points_coil_m, winding, self.rules[coil.name], self.mode)
+
+    @property
+    def _is_first_order(self) -> bool:
+        """Whether second derivatives may be missing."""
+        return self.mode is SumMode.FIRST_ORDER
+
+    def _sloped(
+        self, coil: Coil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
+    ) -> Tensor:
+        """What an effect adds to a coil's field, with cheap derivatives where these are asked for."""
+        rule = self.rules[coil.name]
+        if not self._is_first_order:
+            return field(points_coil_m, winding, rule, theta)
+        is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
+            self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS
+        )
+        geometry = [] if is_fixed else [getattr(winding, one.name) for one in fields(Winding)]
+
+        def of(points_m: Tensor, numbers: Sequence[Tensor]) -> Tensor:
+            there = Winding(*numbers[: len(geometry)]) if geometry else winding
+            own = dict(zip(theta, numbers[len(geometry) :], strict=True))
+            return field(points_m, there, rule, own)
+
+        return with_cheap_slope(of, points_coil_m, [*geometry, *theta.values()])
+
+
+@dataclass(frozen=True)
+class CoilInRoom(PerAmpere):
+    """One coil as seen from the room, at every distinct pose.
+
+    Attributes:
+        world_from_coil: Its pose.
+        field_per_ampere: At points of the coil frame.
+    """
+
+    world_from_coil: Transform
+    field_per_ampere: Callable[[Tensor], Tensor]
+
+    @property
+    def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
+        """Where the coil is in the world frame."""
+        return self.world_from_coil.translation_m
+
+    def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*batch pose 3"]:
+        """Field per ampere in the world frame at one point per pose."""
+        return self.world_from_coil.rotate(
+            self.field_per_ampere(self.world_from_coil.inverse().apply(points_m))
+        )
+
+    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch pose point 3"]:
+        """Field per ampere in the world frame at points that stand still, for every pose."""
+        pose = self.world_from_coil
+        pose = Transform(pose.rotation[..., None, :, :], pose.translation_m[..., None, :])
+        points_coil_m = pose.inverse().apply(points_m[..., None, :, :])
+        field = self.field_per_ampere(points_coil_m.flatten(-3, -2))
+        return pose.rotate(field.unflatten(-2, points_coil_m.shape[-3:-1]))
