@@ -1,10 +1,17 @@
-"""Every cause of a difference between simulation and measurement that coilcal knows; names are stable (DESIGN section 5)."""
+"""Every cause of a difference between simulation and measurement that coilcal knows.
+
+Names are stable. Packages outside this repository add causes of their own by the entry-point group `coilcal.effects`, programs by
+`register_effect`; the contract is in `effects.base`.
+"""
 
 from __future__ import annotations
 
+import re
 from difflib import get_close_matches
+from importlib.metadata import entry_points
 
 from estimator.effects.base import CurrentEffect, Effect
+from estimator.effects.circumstances import Extent
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
@@ -101,7 +108,61 @@ EFFECTS: dict[str, Effect] = {
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}
+ENTRY_POINTS = "coilcal.effects"
+NAME = re.compile(r"[a-z][a-z0-9_]*")  # of causes, as rig files write them
 
+
+def register_effect(effect: Effect) -> None:
+    """Make a cause known to everything: simulation, diagnosis, rig files, prediction.
+
+    It acts after those of the library that share its stage. Other processes do not know of it: what workers, the live view or the command
+    line should know comes from a package with an entry point in the group `coilcal.effects`.
+
+    Args:
+        effect: Of one of the stages in `estimator.effects.base`.
+    Raises:
+        InvalidInput: It is no effect of a stage, its declaration is incomplete, or its name is taken.
+    Examples:
+        >>> register_effect(CurrentGain())
+        Traceback (most recent call last):
+        estimator.errors.InvalidInput: effect must have a name of its own; received 'current_gain', which is taken
+    """
+    if not isinstance(effect, Effect) or type(effect).__mro__[1] is Effect:
+        raise InvalidInput(
+            f"effect must be an instance of a stage in estimator.effects.base; received {effect!r}"
+        )
+    missing = [key for key in ("name", "kind", "words", "source") if not getattr(effect, key, None)]
+    if missing:
+        raise InvalidInput(
+            f"effect must declare {' and '.join(missing)}; received {type(effect).__name__} without"
+        )
+    if not NAME.fullmatch(effect.name):
+        raise InvalidInput(f"effect must be named by small letters, digits and _; received {effect.name!r}")
+    if effect.name in EFFECTS:
+        raise InvalidInput(f"effect must have a name of its own; received {effect.name!r}, which is taken")
+    for quantity in effect.quantities(Extent()):
+        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        if quantity.unit != "1" and not quantity.key.endswith(suffix):
+            raise InvalidInput(
+                f"quantity of {effect.name} must end in its unit {suffix}; received {quantity.key!r}"
+            )
+    EFFECTS[effect.name] = effect
+    ORDER[effect.name] = len(ORDER)
+
+
+def _register_installed() -> None:
+    """Causes of installed packages."""
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            declared = point.load()
+            register_effect(declared() if isinstance(declared, type) else declared)
+        except Exception as error:
+            raise InvalidInput(
+                f"plug-in {point.name!r} of {ENTRY_POINTS} must load ({point.value}); received {type(error).__name__}: {error}"
+            ) from error
+
+
+_register_installed()
 
 COUPLING = next(
     effect for effect in EFFECTS.values() if isinstance(effect, CurrentEffect) and effect.couples_coils
