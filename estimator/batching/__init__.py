@@ -73,7 +73,7 @@ def batch(
         raise InvalidInput(
             f"output must be a folder that can be written; {out} is not: {reason(error)}"
         ) from error
-    rig_text = load_rig(rig).text if rig else ""
+    described_rig = load_rig(rig) if rig else None
     hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     run = _Run(folder, tell or (lambda done, total, words: None), {})
     with cluster(workers, scheduler) as where:
@@ -88,7 +88,7 @@ def batch(
             for what, why in found[1].items():
                 run.fail(what, why)
 
-        arguments = (rig_text, hypotheses, is_each_coil, seed, chosen)
+        arguments = (described_rig, hypotheses, is_each_coil, seed, chosen)
         where.run({path: (describe, (path, *arguments)) for path in paths}, describes)
         described.sort(
             key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))

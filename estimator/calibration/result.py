@@ -23,7 +23,7 @@ from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
-from estimator.rig_files.read import rig_from_state, rig_state
+from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1

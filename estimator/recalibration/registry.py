@@ -266,7 +266,7 @@ class Registry:
     def _keep(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
         partial = self.folder / VERSIONS / ".partial"
         calibration.save(partial)
-        (partial / RIG).write_text(calibration.rig.text, encoding="utf-8")
+        (partial / RIG).write_text(rig_text(calibration.rig), encoding="utf-8")
         own = {
             "version": entry.made,
             "previous": self.current,

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_state
+from estimator.rig_files.state import rig_state
 from estimator.store.journal import Record
 
 GROWING = "coilcal growing session"
