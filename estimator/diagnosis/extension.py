@@ -8,7 +8,9 @@ from estimator.diagnosis.fitting import Fit
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
-NOTE = "Extended by coilcal diagnose: under effects is what was found, in SI; null is 0 unless said otherwise."
+NOTE = (
+    "Extended by coilcal diagnose: under effects is what was found, in SI; null is 0 unless said otherwise."
+)
 
 
 def extended_rig(rig: Rig, fit: Fit) -> Rig:
@@ -32,6 +34,4 @@ def extended_rig(rig: Rig, fit: Fit) -> Rig:
 def _at_maximum(parameter: Parameter, fit: Fit) -> Parameter:
     """A parameter with the fitted value for its nominal one; by rounding that may lie a last digit beyond a bound of the prior."""
     value, prior = float(fit.values[parameter.name]), parameter.prior
-    return replace(
-        parameter, value=value if prior is None else min(max(value, prior.lower), prior.upper)
-    )
+    return replace(parameter, value=value if prior is None else min(max(value, prior.lower), prior.upper))

@@ -27,10 +27,9 @@ from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
 from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
-from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
+from estimator.recalibration.words import mistake_in, names_of, sizes_of, words_of
 from estimator.reporting.plots.style import shown, with_sd
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from estimator.units import split_unit
 
@@ -120,7 +119,7 @@ def _with_held_out(session: Session, seed: int) -> Session:
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
     found = diagnose(session, rig, seed=seed)
     if found.faults:
-        return Judgement(Conclusion.REJECTED, mistake_in(found), causes=causes_of(found))
+        return Judgement(Conclusion.REJECTED, mistake_in(found), causes=_causes(found))
     calibration = _sampled(session, found, seed, settings)
     named = f", with {names_of(found)} in the rig" if found.causes else ""
     left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
@@ -131,9 +130,9 @@ def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | No
         Conclusion.UPDATED,
         f"first calibration{named}{left}{unsure}",
         calibration,
-        causes=causes_of(found),
+        causes=_causes(found),
         checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.record["is_converged"]},
-        estimate=_estimate(found.fit),
+        estimate=_estimate(found.fits.final),
     )
 
 
@@ -166,7 +165,7 @@ class _Comparison:
         if found.faults:
             return self._judgement(Conclusion.REJECTED, mistake_in(found), found)
         if _is_unexplained(found) or not (found.causes or self.agreement.is_refit_enough):
-            if earlier and (names := named_together([*earlier, _evidence(found)])):
+            if earlier and (names := named_together([*earlier, found.evidence()])):
                 return self._together(found, names, len(earlier) + 1)
             return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
         return self._explained(found, settings, may_replace)
@@ -216,10 +215,10 @@ class _Comparison:
         if found is not None:
             checks |= {
                 "verdict": str(found.verdict),
-                "lack_of_fit_p": found.before.lack_of_fit.p_value,
+                "lack_of_fit_p": found.fits.before.lack_of_fit.p_value,
             }
             if not found.faults:
-                checks[EVIDENCE] = _evidence(found)
+                checks[EVIDENCE] = found.evidence()
         if better is not None:
             checks |= {
                 "elpd_difference": finite(better.elpd_difference),
@@ -232,7 +231,7 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            causes_of(found)
+            _causes(found)
             if found is not None and (found.faults or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
@@ -259,7 +258,7 @@ class _Comparison:
         made_from = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
         rules = MeasurementModel.build(self.current.rig, made_from).rules
         before = fit_rig(self.current.rig, made_from, self.current.best, rules)
-        return gain(before, found.fit, self._unseen())
+        return gain(before, found.fits.final, self._unseen())
 
     def _stored_gain(self, successor: Calibration) -> float:
         """Of a successor over the current version, both as they are stored."""
@@ -283,10 +282,14 @@ class _Comparison:
     def _moved(self, found: Diagnosis, better: Gain) -> str:
         """The value that moved most."""
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
-        show, old, sd = shown([name])[name], self.current.record["parameters"][name], found.fit.value_sd(name)
+        show, old, sd = (
+            shown([name])[name],
+            self.current.record["parameters"][name],
+            found.fits.final.value_sd(name),
+        )
         before, after = (
             with_sd(value * show.factor, width * show.factor)
-            for value, width in ((old["median"], old["sd"]), (float(found.fit.values[name]), sd))
+            for value, width in ((old["median"], old["sd"]), (float(found.fits.final.values[name]), sd))
         )
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
@@ -296,7 +299,7 @@ class _Comparison:
 
 def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSettings | None) -> Calibration:
     """The rig that a diagnosis ended with, sampled; a cause in it may need more walkers than were asked for."""
-    rig = rig_from_text(found.extended_rig_text)
+    rig = found.extended_rig
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
@@ -315,13 +318,12 @@ def _is_unexplained(found: Diagnosis) -> bool:
     """Whether more is left than noise, by structure or by size."""
     if found.verdict is Verdict.UNEXPLAINED:
         return True
-    return found.after.lack_of_fit.p_value < FALSE_ALARMS
+    return found.fits.after.lack_of_fit.p_value < FALSE_ALARMS
 
 
-def _evidence(found: Diagnosis) -> dict[str, float]:
-    """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
-    considered = found.record()["steps"][0]["considered"]
-    return {rival["name"]: rival["log_bayes_factor"] for rival in considered}
+def _causes(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    """As the log and `diagnosis.json` hold them."""
+    return tuple(cause.to_json() for cause in found.sized_causes)
 
 
 def _estimate(fit: Fit) -> dict[str, tuple[float, float]]:

@@ -27,6 +27,7 @@ import xarray as xr
 
 from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.rig_files.write import rig_text
 
 VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"

@@ -2,48 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from estimator.diagnosis.gain import Gain
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
 from estimator.reporting.plots.style import shown, with_sd
 
 
-def causes_of(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
-    """As `diagnosis.json` holds them."""
-    return tuple(found.record()["causes"])
-
-
-def names_of(found: Diagnosis) -> str:
+def names_of(diagnosis: Diagnosis) -> str:
     """Names of the causes."""
-    return " and ".join(cause["name"] for cause in causes_of(found))
+    return " and ".join(cause.name for cause in diagnosis.sized_causes)
 
 
-def mistake_in(found: Diagnosis) -> str:
+def mistake_in(diagnosis: Diagnosis) -> str:
     """What is wrong with the record."""
-    return f"a mistake of the record: {sizes_of(found)}"
+    return f"a mistake of the record: {sizes_of(diagnosis)}"
 
 
-def sizes_of(found: Diagnosis) -> str:
+def sizes_of(diagnosis: Diagnosis) -> str:
     """Causes with the sizes of their quantities."""
-    return " and ".join(_size(cause) for cause in causes_of(found))
+    return " and ".join(_size(cause) for cause in diagnosis.sized_causes)
 
 
-def _size(cause: Mapping[str, Any]) -> str:
-    sizes = [_quantity(f"{cause['name']}.{key}", own) for key, own in cause["parameters"].items()]
-    others = "".join(f" or {other['name']}" for other in cause["alternatives"])
-    return f"{cause['name']}{others} ({', '.join(sizes)})"
+def _size(cause: SizedCause) -> str:
+    sizes = [_quantity(f"{cause.name}.{key}", interval) for key, interval in cause.quantities.items()]
+    others = "".join(f" or {name}" for name in cause.alternative_names)
+    return f"{cause.name}{others} ({', '.join(sizes)})"
 
 
-def _quantity(name: str, own: Mapping[str, Any]) -> str:
+def _quantity(name: str, interval: Interval) -> str:
     """A quantity as people read it; one in a unit such as T/h stays in that."""
-    show, value, sd = shown([name])[name], own["median"], own["sd"]
-    if show.unit or own["unit"] == "1":
+    show, value, sd, unit = shown([name])[name], interval.median, interval.sd, interval.unit
+    if show.unit or unit == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
         return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + own["unit"].replace("/", "_per_"))
-    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {own['unit']}"
+    words = name.rpartition(".")[2].removesuffix("_" + unit.replace("/", "_per_"))
+    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
 
 
 def words_of(better: Gain) -> str:

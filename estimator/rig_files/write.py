@@ -105,13 +105,16 @@ def _represented(dumper: yaml.SafeDumper, number: float) -> yaml.ScalarNode:
     return dumper.represent_scalar(f"{TAG}float", repr(number))
 
 
-for _kind, _style in ((_Line, True), (_Block, False)):
-    _Dumper.add_representer(
-        _kind,
-        lambda dumper, mapping, style=_style: dumper.represent_mapping(
-            f"{TAG}map", mapping, flow_style=style
-        ),
-    )
+def _in_braces(dumper: yaml.SafeDumper, mapping: _Line) -> yaml.MappingNode:
+    return dumper.represent_mapping(f"{TAG}map", mapping, flow_style=True)
+
+
+def _line_by_line(dumper: yaml.SafeDumper, mapping: _Block) -> yaml.MappingNode:
+    return dumper.represent_mapping(f"{TAG}map", mapping, flow_style=False)
+
+
+_Dumper.add_representer(_Line, _in_braces)
+_Dumper.add_representer(_Block, _line_by_line)
 _Dumper.add_representer(float, _represented)
 
 

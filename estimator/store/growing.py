@@ -64,7 +64,7 @@ class StopRecord:
     end_s: float | None = None
     answer_s: Mapping[str, float] = field(default_factory=dict)
 
-    def record(self) -> Record:
+    def to_json(self) -> Record:
         """For the journal."""
         return {
             **asdict(self),

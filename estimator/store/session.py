@@ -74,7 +74,9 @@ class Session:
     def hash(self) -> str:
         """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
         state = self._rig_state()
-        return digest(observation_arrays(self.observations), {**state, "text": without_devices(state["text"])})
+        return digest(
+            observation_arrays(self.observations), {**state, "text": without_devices(state["text"])}
+        )
 
     def _rig_state(self) -> Mapping[str, Any]:
         """The rig as a store holds it: as it was read, word by word, unless another has taken its place since."""

@@ -66,11 +66,11 @@ def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagno
 
 def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
     cause = diagnosis.causes[0].cause
-    key = next(iter(diagnosis.parameters(cause)))
-    wide = replace(diagnosis, widening=Widening(diagnosis.fit, 9.0 * diagnosis.fit.covariance))
+    key = next(iter(diagnosis.quantities(cause)))
+    wide = replace(diagnosis, widening=Widening(diagnosis.fit, 9.0 * diagnosis.fits.final.covariance))
     for known, wider in (
-        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS]),
-        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key]),
+        (diagnosis.rig_numbers()[RADIUS], wide.of_rig()[RADIUS]),
+        (diagnosis.quantities(cause)[key], wide.parameters(cause)[key]),
     ):
         assert wider["median"] == known["median"]
         assert wider["sd"] == pytest.approx(3.0 * known["sd"])
@@ -118,8 +118,8 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
-    first, *rest = diagnosis.search.stages
-    again = replace(diagnosis.search, stages=(first, first, *rest))
+    first, *rest = diagnosis.found.search.stages
+    again = replace(diagnosis.found.search, stages=(first, first, *rest))
     (ladder,) = [
         p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
     ]
@@ -129,5 +129,5 @@ def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None
 
 def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
     causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
-    stage = Stage(tuple(causes), diagnosis.fit)
+    stage = Stage(tuple(causes), diagnosis.fits.final)
     assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"
