@@ -14,12 +14,14 @@ import pytest
 from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import load_rig
 
 KILLS = """
 import json, os, signal, sys, shutil
 from pathlib import Path
 from estimator.calibration.result import Calibration
 from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import load_rig
 
 kept, work = Path(sys.argv[1]), Path(sys.argv[2])
 successor = Calibration.load(kept / "versions/0001")
@@ -88,7 +90,7 @@ def test_a_version_is_whole_with_its_rig_and_provenance(
     assert np.array_equal(
         registry.calibration().draws["coil1.radius_m"], small_calibration.draws["coil1.radius_m"]
     )
-    assert (folder / "rig.yaml").read_text(encoding="utf-8") == small_calibration.rig.text
+    assert load_rig(folder / "rig.yaml") == small_calibration.rig
     provenance = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     assert provenance["previous"] is None
     assert provenance["rig_hash"] == small_calibration.rig.hash
