@@ -31,7 +31,7 @@ from estimator.rig_files.write import rig_text
 
 CONFIGS = sorted((Path(__file__).resolve().parents[3] / "configs").glob("*.yaml"))
 NAMES = st.from_regex(r"[A-Za-z0-9_-]{1,8}", fullmatch=True) | st.sampled_from(
-    ["null", "on", "1e5", "007", "1_0", "12:30"]
+    ["null", "on", "1e5", "007", "1_0"]
 )
 SETTINGS = st.recursive(
     st.text(max_size=8) | st.booleans() | st.integers() | st.none() | st.floats(allow_nan=False),
@@ -160,7 +160,7 @@ def rigs(draw: st.DrawFn) -> Rig:
         add(f"{name}.noise_T", "T", draw(decimal(1e-9, 1e-3)), is_positive=True)
         gain(f"{name}.gain")
         sensors.append(Sensor(name, body_pose(name, "sensor")))
-    title = draw(NAMES | st.text(max_size=20).filter(str.isprintable))
+    title = draw(NAMES | st.just("12:30") | st.text(max_size=20).filter(str.isprintable))
     rig = Rig(title, tuple(coils), tuple(sensors), tuple(movers), numbers)
     for name in draw(st.lists(st.sampled_from(sorted(EFFECTS)), max_size=3, unique=True)):
         places = EFFECTS[name].places(rig)
@@ -202,7 +202,7 @@ def check_same(rig: Rig) -> None:
     assert rig_text(again) == text
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
 @given(rigs())
 def test_any_rig_is_read_as_it_was_written(rig: Rig) -> None:
     check_same(rig)
