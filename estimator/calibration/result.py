@@ -41,7 +41,7 @@ class Calibration:
         best: Every number of the rig at the posterior's maximum, with the most probable whole loop counts.
         draws: Posterior draws of every free parameter, walker by step.
         log_prob: Log posterior density of the draws, up to a constant; as they were sampled, where they were widened since.
-        record: The content of `summary.json`.
+        summary_json: The content of `summary.json`.
     """
 
     rig: Rig
@@ -49,7 +49,7 @@ class Calibration:
     best: Mapping[str, float]
     draws: Mapping[str, np.ndarray]
     log_prob: np.ndarray
-    record: Mapping[str, Any]
+    summary_json: Mapping[str, Any]
 
     def field(
         self,
@@ -151,7 +151,7 @@ class Calibration:
 
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
-        return self.record
+        return self.summary_json
 
     def save(self, folder: Path | str) -> None:
         """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`); `summary.json` comes last and marks a whole result."""
@@ -162,7 +162,7 @@ class Calibration:
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
             replace_folder(partial, folder / POSTERIOR)
-            write_text(folder / SUMMARY, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
+            write_text(folder / SUMMARY, json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n")
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 
@@ -180,7 +180,7 @@ class Calibration:
                 f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY}); received {folder}"
             )
         try:
-            record = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+            summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
             with (
                 quiet_zarr(),
                 xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree,
@@ -206,7 +206,7 @@ class Calibration:
             raise CorruptStore(
                 f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
             ) from error
-        return cls(rig, observations, best, draws, log_prob, record)
+        return cls(rig, observations, best, draws, log_prob, summary)
 
     def _write_posterior(self, path: Path) -> None:
         walkers, steps = self.log_prob.shape

@@ -1,4 +1,4 @@
-"""What a calibration found, as the plain record that becomes `summary.json` (DESIGN section 5)."""
+"""What a calibration found, as the plain values that become `summary.json`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def summary(session: Session, calibration: Calibration) -> dict[str, Any]:
     Args:
         session: Names the origin of the readings.
         calibration: Readings, draws and best values.
-    Returns: A record that JSON can hold: None stands for 'does not apply'.
+    Returns: What JSON can hold: None stands for 'does not apply'.
     """
     rig = calibration.rig
     return {
@@ -147,10 +147,10 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         model = MeasurementModel.build(calibration.rig, observations)
         measured = observations.field_sensor_T.numpy()
         predicted = model.predict(best).expand(len(observations), 3).numpy()
-        result["rmse"][role] = _record(errors(measured, predicted))
-        result["rmse_nominal"][role] = _record(errors(measured, model.predict(nominal).numpy()))
+        result["rmse"][role] = _error_sizes(errors(measured, predicted))
+        result["rmse_nominal"][role] = _error_sizes(errors(measured, model.predict(nominal).numpy()))
         result["rmse_by_sensor"][role] = {
-            sensor.name: _record(errors(measured[mine], predicted[mine]))
+            sensor.name: _error_sizes(errors(measured[mine], predicted[mine]))
             for i, sensor in enumerate(calibration.rig.sensors)
             if (mine := observations.sensor.numpy() == i).any()
         }
@@ -181,7 +181,7 @@ def _coverage(calibration: Calibration, model: MeasurementModel, observations: O
     return inside / int(observations.is_measured.sum())
 
 
-def _record(metrics: Errors) -> dict[str, float | None]:
+def _error_sizes(metrics: Errors) -> dict[str, float | None]:
     return {name: finite(value) for name, value in asdict(metrics).items()}
 
 

@@ -55,7 +55,7 @@ def _warnings(registry: Registry, entries: Sequence[Entry]) -> list[str]:
         found.append(f"Drift since {_date(last.since or last.taken)}: {_sentence(last)}")
     if entries[-1].conclusion == "rejected":
         found.append(f"The last session was rejected: {_sentence(entries[-1])}")
-    if registry.current is not None and not registry.calibration().record["is_converged"]:
+    if registry.current is not None and not registry.calibration().summary()["is_converged"]:
         found.append(f"Version {registry.current} did not converge; its intervals are provisional.")
     if entries[-1].made is None and entries[-1].checks.get(IS_CONVERGED) is False:
         found.append("The last session's calibration did not converge and replaced nothing.")

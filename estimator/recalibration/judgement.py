@@ -124,14 +124,16 @@ def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | No
     named = f", with {names_of(found)} in the rig" if found.causes else ""
     left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
     unsure = (
-        "" if calibration.record["is_converged"] else f"; {_short_of(calibration)}, intervals are provisional"
+        ""
+        if calibration.summary()["is_converged"]
+        else f"; {_short_of(calibration)}, intervals are provisional"
     )
     return Judgement(
         Conclusion.UPDATED,
         f"first calibration{named}{left}{unsure}",
         calibration,
         causes=_causes(found),
-        checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.record["is_converged"]},
+        checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.summary()["is_converged"]},
         estimate=_estimate(found.fits.final),
     )
 
@@ -183,7 +185,7 @@ class _Comparison:
         if not (better.is_there and may_replace):
             return self._judgement(stays, reason, found, better)
         successor = _sampled(self.session, found, self.seed, settings)
-        is_converged, stored = bool(successor.record["is_converged"]), self._stored_gain(successor)
+        is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_gain(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
             replaced = Conclusion.DRIFTED if found.causes else Conclusion.UPDATED
@@ -284,7 +286,7 @@ class _Comparison:
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
             shown([name])[name],
-            self.current.record["parameters"][name],
+            self.current.summary()["parameters"][name],
             found.fits.final.value_sd(name),
         )
         before, after = (
@@ -308,7 +310,7 @@ def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSet
 
 def _short_of(calibration: Calibration) -> str:
     """That sampling ended before its targets, with the numbers."""
-    sampling = calibration.record["sampling"]
+    sampling = calibration.summary()["sampling"]
     rhat = sampling["largest_rhat"]
     numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
     return f"its posterior did not converge ({numbers})"

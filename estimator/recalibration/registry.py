@@ -272,8 +272,8 @@ class Registry:
             "version": entry.made,
             "previous": self.current,
             "rig_hash": calibration.rig.hash,
-            "seed": calibration.record["seed"],
-            "versions": calibration.record["versions"],
+            "seed": calibration.summary()["seed"],
+            "versions": calibration.summary()["versions"],
             **provenance,
             "entry": asdict(entry),
         }

@@ -58,7 +58,7 @@ for name, (method, how) in replaced.items():
             registry.commit(Entry("updated", "again", "b.zarr", "hash b"), successor)
     _, status = os.waitpid(child, 0)
     registry = Registry(work)
-    left = registry.calibration().record["seed"]
+    left = registry.calibration().summary()["seed"]
     with registry.writing():
         pass
     entries = registry.entries()
@@ -134,7 +134,7 @@ def test_history_is_a_dataset_of_versions_and_parameters(
     registry: Registry, small_calibration: Calibration
 ) -> None:
     history = registry.history()
-    own = small_calibration.record["parameters"]["coil1.radius_m"]
+    own = small_calibration.summary()["parameters"]["coil1.radius_m"]
     radius = history.sel(version=1, parameter="coil1.radius_m")
     assert float(radius["median"]) == own["median"]
     assert [float(radius["lower90"]), float(radius["upper90"])] == own["ci90"]
@@ -172,7 +172,7 @@ def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
         check=False,
     )
     assert found.returncode == 0, found.stderr
-    seed = small_calibration.record["seed"]
+    seed = small_calibration.summary()["seed"]
     first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]
     assert [json.loads(line) for line in found.stdout.splitlines()] == [
         ["before keeping", 9, seed, *first],
