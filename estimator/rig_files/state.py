@@ -5,14 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 
 
 def rig_state(rig: Rig) -> dict[str, Any]:
-    """A rig as JSON can hold it."""
-    return {"text": rig_text(rig)}
+    """A rig as JSON can hold it.
+
+    Raises:
+        InvalidInput: It has numbers that no rig file may have, so nobody could open the store.
+    """
+    text = rig_text(rig)
+    if rig_from_text(text, f"rig {rig.name!r}") != rig:
+        raise InvalidInput(f"rig {rig.name!r} must be one that a rig file can hold; it has more than that")
+    return {"text": text}
 
 
 def rig_from_state(state: Mapping[str, Any], file: str) -> Rig:

@@ -138,7 +138,7 @@ class Session:
             "created": self.created,
             "source": self.source,
             "truth": dict(self.truth),
-            "rig": self._rig_state(),
+            "rig": self._stored_state or rig_state(self.rig),
             "coil": [coil.name for coil in self.rig.coils],
             "sensor": [sensor.name for sensor in self.rig.sensors],
         }
