@@ -120,6 +120,16 @@ class Session:
             raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
 
     def _write(self, path: Path) -> None:
+        attributes: dict[str, Any] = {
+            "kind": KIND,
+            "schema_version": SCHEMA_VERSION,
+            "created": self.created,
+            "source": self.source,
+            "truth": dict(self.truth),
+            "rig": self._stored_state or rig_state(self.rig),
+            "coil": [coil.name for coil in self.rig.coils],
+            "sensor": [sensor.name for sensor in self.rig.sensors],
+        }
         group = zarr.open_group(path, mode="w", zarr_format=3)
         arrays = observation_arrays(self.observations)
         for name, (dimensions, data) in arrays.items():
@@ -132,16 +142,6 @@ class Session:
                 dimension_names=list(dimensions),
             )
             array[...] = data
-        attributes: dict[str, Any] = {
-            "kind": KIND,
-            "schema_version": SCHEMA_VERSION,
-            "created": self.created,
-            "source": self.source,
-            "truth": dict(self.truth),
-            "rig": self._stored_state or rig_state(self.rig),
-            "coil": [coil.name for coil in self.rig.coils],
-            "sensor": [sensor.name for sensor in self.rig.sensors],
-        }
         group.attrs.update({**attributes, "sha256": digest(arrays, attributes)})
 
 
