@@ -28,6 +28,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
+from estimator.rig_files.write import rig_text
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
 
@@ -73,15 +74,15 @@ class Session:
     @property
     def hash(self) -> str:
         """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
-        state = self._rig_state()
-        return digest(
-            observation_arrays(self.observations), {**state, "text": without_devices(state["text"])}
-        )
+        state = self._stored_state or {"text": rig_text(self.rig)}
+        text = without_devices(state["text"])
+        return digest(observation_arrays(self.observations), {**state, "text": text})
 
-    def _rig_state(self) -> Mapping[str, Any]:
-        """The rig as a store holds it: as it was read, word by word, unless another has taken its place since."""
+    @property
+    def _stored_state(self) -> Mapping[str, Any] | None:
+        """The rig word by word as it was read; None where it was not read from a store, or another has taken its place since."""
         stored = self.stored_rig
-        return stored.state if stored is not None and stored.rig == self.rig else rig_state(self.rig)
+        return stored.state if stored is not None and stored.rig == self.rig else None
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse another description of the rig that does not name the same things in the same order.
