@@ -262,6 +262,7 @@ def _in_unit(value: float, to_si: float) -> float | None:
         >>> _in_unit(0.0157, 1e-3), 0.0157 / 1e-3 == 15.7
         (15.7, False)
     """
+    value = float(value)  # which a rig made in Python may hold as an int or a number of NumPy
     near = value / to_si
     if not math.isfinite(near):
         return None
@@ -272,10 +273,11 @@ def _in_unit(value: float, to_si: float) -> float | None:
 
 def _written(number: float) -> float:
     """A number as short as it can be written: whole ones without a point."""
+    number = float(number)
     is_whole = number.is_integer() and abs(number) < LARGEST_WHOLE and not _is_same(number, -0.0)
     return int(number) if is_whole else number
 
 
-def _is_same(one: object, other: object) -> bool:
+def _is_same(value: object, expected: object) -> bool:
     """Whether two are the same to the last bit, which 0 and -0 are not."""
-    return repr(one) == repr(other)
+    return repr(value) == repr(expected)
