@@ -135,7 +135,7 @@ def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: P
 CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
 REFUSALS = {
     "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
-    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a key that is known here", 11),
+    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a known key", 11),
     "no poses": ("poses:", "pose:", "poses.calibration is missing", 1),
     "no calibration": ("  calibration:", "  calibrate:", "poses.calibration is missing", 4),
     "unknown mover": (
@@ -153,7 +153,7 @@ REFUSALS = {
     "joints of a stage": (
         "x_cm: 2",
         "q1_deg: 2",
-        "poses.validation.stage.q1_deg is not a key that is known here",
+        "poses.validation.stage.q1_deg is not a known key",
         8,
     ),
     "range as text": (
@@ -277,8 +277,8 @@ def test_stops_are_visited_one_by_one_with_their_own_currents(tmp_path: Path, ri
         (", current_A: {coil2: -0.5}", "", "stops[1].current_A is missing"),
         ("{coil2: -0.5}", "{coil3: 1}", "stops[1].current_A must name coils of the rig (coil1, coil2)"),
         ("{x_mm: -2}", "{x: -2}", "stops[1].stage.x must carry its unit"),
-        ("{x_mm: -2}", "{x_mm: -2, w_mm: 1}", "stops[1].stage.w_mm is not a key that is known here"),
-        ("  - {stage", "  - {arm2: {}, stage", "stops[1].arm2 is not a key that is known here"),
+        ("{x_mm: -2}", "{x_mm: -2, w_mm: 1}", "stops[1].stage.w_mm is not a known key"),
+        ("  - {stage", "  - {arm2: {}, stage", "stops[1].arm2 is not a known key"),
     ],
 )
 def test_mistakes_in_stops_are_named(tmp_path: Path, rig: Rig, old: str, new: str, words: str) -> None:
