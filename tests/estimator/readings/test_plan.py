@@ -72,11 +72,13 @@ def test_a_pose_is_every_combination_of_the_stops_in_si(rig: Rig, tmp_path: Path
 
 
 def test_every_pose_is_read_by_every_sensor_at_every_setting_and_repeat(rig: Rig, tmp_path: Path) -> None:
-    found = rows(loaded(tmp_path, rig), rig)
-    assert len(found) == len(set(found)) == (6 + 1) * 2 * 2 * 2  # poses, settings, repeats, sensors
-    assert {row[1] for row in found} == {(3.0, 0.0), (-3.0, 0.5)}  # a coil that is not named is off
-    assert sum(row[4] == (True,) for row in found) == 1 * 2 * 2 * 2
-    assert [row[5] for row in found[:4]] == [(0,)] * 4
+    visited_rows = rows(loaded(tmp_path, rig), rig)
+    assert (
+        len(visited_rows) == len(set(visited_rows)) == (6 + 1) * 2 * 2 * 2
+    )  # poses, settings, repeats, sensors
+    assert {row[1] for row in visited_rows} == {(3.0, 0.0), (-3.0, 0.5)}  # a coil that is not named is off
+    assert sum(row[4] == (True,) for row in visited_rows) == 1 * 2 * 2 * 2
+    assert [row[5] for row in visited_rows[:4]] == [(0,)] * 4
 
 
 def test_raster_order_is_that_of_the_file_and_random_order_a_permutation_by_seed(
