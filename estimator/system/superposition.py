@@ -22,7 +22,7 @@ from estimator.effects import COUPLING
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
@@ -62,7 +62,7 @@ class Superposition:
         shares: By coil, beside whatever the diagnosis named.
     """
 
-    errors: Errors
+    errors: ErrorMetrics
     diagnosis: Diagnosis
     shares: Mapping[str, Share]
 
@@ -115,7 +115,9 @@ def superposition(
     diagnosis = diagnose(everything, seed=seed, on_stage=on_stage)
     checked = session.observations.rows(several)
     measured_T, predicted_T = checked.field_sensor_T, predicted_readings_T(system, session, checked)
-    return Superposition(errors(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fit))
+    return Superposition(
+        error_metrics(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fit)
+    )
 
 
 def predicted_readings_T(

@@ -20,7 +20,7 @@ from estimator import Diagnosis, Session, diagnose, load_plan
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import errors
+from estimator.readings.metrics import error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
 from estimator.reporting.plots import predicted_against_measured
@@ -76,7 +76,7 @@ def residuals(session: Session, fits: dict[str, Fit]) -> str:
     }
     for grid, part in parts.items():
         for words, fit in fits.items():
-            e = errors(part.field_sensor_T.numpy(), predicted_T(fit, part))
+            e = error_metrics(part.field_sensor_T.numpy(), predicted_T(fit, part))
             sizes = (f"{1e3 * size_T:.3f}" for size_T in (e.paper_metric_T, e.vector_T, e.max_T))
             shares = (f"{100 * e.relative:.1f} %", f"{1e3 * e.angular_deviation_rad:.0f}")
             rows.append((f"{grid}, {words}", NOT_AT_HAND, *sizes, *shares))

@@ -94,7 +94,7 @@ def test_raster_order_is_that_of_the_file_and_random_order_a_permutation_by_seed
     first, second = (
         [row[:4] for row in rows(random, rig) if row[4:] == ((False,), (repeat,))] for repeat in (0, 1)
     )
-    assert first != second  # a repeat has an order of its own, so that drift does not look like place
+    assert first != second  # a repeat has an order of its own, so that drift does not look like position
 
 
 def test_settings_at_one_pose_and_sensors_at_one_setting_follow_each_other(rig: Rig, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: P
     share = (poses[:, moved] - np.array([0.0, -1e-3])) / np.array([np.pi, 2e-3])
     assert ((share > 0.0) & (share < 1.0)).all()
     counts, *_ = np.histogram2d(*share.T, bins=4, range=[[0, 1], [0, 1]])
-    assert counts.min() >= 9  # of 12.5 on average; random places leave cells with 5
+    assert counts.min() >= 9  # of 12.5 on average; random points leave cells with 5
     assert np.abs(np.corrcoef(share.T)[0, 1]) < 0.05
 
 
@@ -312,10 +312,10 @@ def test_a_plan_without_currents_follows_the_recommended_protocol(tmp_path: Path
     alone = {(level * 3.0, 0.0) for level in (0.5, -0.5, 1.0, -1.0)}
     alone |= {(0.0, level * 2.0) for level in (0.5, -0.5, 1.0, -1.0)}
     assert currents_A == {(0.0, 0.0)} | alone
-    places = stops.motion["stage"][:, 2].reshape(-1, 9)
-    assert bool((places == places[:, :1]).all())  # all currents at a place before the next one
-    visited = places[:, 0].tolist()
-    assert visited[:2] == visited[2:4] == visited[6:]  # two places three times: at first, half-way, at last
+    z_m = stops.motion["stage"][:, 2].reshape(-1, 9)
+    assert bool((z_m == z_m[:, :1]).all())  # all currents at a pose before the next one
+    visited = z_m[:, 0].tolist()
+    assert visited[:2] == visited[2:4] == visited[6:]  # two poses three times: at first, half-way, at last
     assert len(set(visited)) == 4
     assert visited != sorted(visited)
     assert stops.repeat.reshape(-1, 9)[:, 0].tolist() == [0, 0, 1, 1, 0, 0, 2, 2]
