@@ -99,8 +99,8 @@ def _joints_reaching(
 def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
     """Transform of a pose block, with a pose axis of length 1 that broadcasts.
 
-    The rotation is the rotation vector (rx, ry, rz) followed by the small rotation (tilt_x, tilt_y, spin) about the body's own axes. A coil's
-    spin about its axis is thus one parameter, for any nominal direction.
+    The rotation is the rotation vector (rx, ry, rz) followed by the small rotation (tilt_x, tilt_y, spin) about the body's own axes, so
+    that a coil's spin about its axis is one parameter for any nominal direction.
     """
 
     def vector(*keys: str) -> Tensor:

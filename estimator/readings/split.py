@@ -45,7 +45,7 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
 
 
 def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
-    """Block number of every reading: distinct poses of each sensor, grouped by k-means into 20 blocks, or up to 200 if there are many poses."""
+    """Block number of every reading: k-means of the distinct poses of each sensor, with 20 blocks, or up to 200 for many poses."""
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
     poses = torch.cat(features, dim=1).numpy()
     spread = poses.std(axis=0)

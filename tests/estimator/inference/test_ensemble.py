@@ -11,7 +11,7 @@ import torch
 from emcee.backends import Backend
 
 from estimator.errors import InvalidInput
-from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
+from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported_parameters, sample
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.store.emcee_backend import ZarrBackend
@@ -43,7 +43,7 @@ def steps_of(counts_problem, mixture: CountMixture, **settings) -> Samples:
 def assert_law(samples: Samples, counts_problem, exact_counts) -> None:
     """Probabilities of counts, and moments of gain and height, within 4 standard errors of what they are."""
     coordinates = counts_problem.whole.coordinates
-    chain = reported(coordinates, samples.chain)
+    chain = reported_parameters(coordinates, samples.chain)
     by_name = {name: chain[..., i] for i, name in enumerate(coordinates.names)}
     ess = samples.convergence.smallest_ess
     for (axial, radial), p in exact_counts.probability.items():
@@ -187,6 +187,6 @@ def test_too_few_walkers_are_refused(counts_problem, mixture):
 def test_reported_chain_holds_the_free_parameters_in_their_order(counts_problem):
     coordinates = counts_problem.real.coordinates
     vectors = coordinates.sample_prior(np.random.default_rng(6), 6).reshape(2, 3, -1)
-    chain = reported(coordinates, vectors.numpy())
+    chain = reported_parameters(coordinates, vectors.numpy())
     for i, name in enumerate(coordinates.names):
         np.testing.assert_array_equal(chain[..., i], coordinates.values(vectors)[name].numpy())

@@ -242,7 +242,7 @@ def test_what_the_readings_cannot_see_stays_put_and_keeps_the_width_of_its_prior
 
 
 def test_rows_and_together_are_inverse(fits):
-    joined = Optimum.together([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
+    joined = Optimum.concatenated([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
     for name in ("vector", "log_posterior", "precision", "information", "is_converged"):
         assert torch.equal(getattr(joined, name), getattr(fits, name))
     assert joined.n_iterations == fits.n_iterations
