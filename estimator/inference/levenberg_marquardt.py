@@ -70,8 +70,8 @@ def levenberg_marquardt(
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
 
-    The noise is a coordinate like the others. Its score and information follow from the whitened residuals; the off-diagonal terms with other
-    coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay fixed.
+    The noise is a coordinate like the others. Its score and information follow from the whitened residuals; the off-diagonal terms with
+    other coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay fixed.
 
     Args:
         posterior: Density to maximise.

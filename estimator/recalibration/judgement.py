@@ -28,7 +28,7 @@ from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
@@ -283,14 +283,18 @@ class _Comparison:
     def _moved(self, found: Diagnosis, better: Gain) -> str:
         """The value that moved most."""
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
-        show, old, sd = shown([name])[name], self.current.record["parameters"][name], found.fit.value_sd(name)
+        display, old, sd = (
+            displays([name])[name],
+            self.current.record["parameters"][name],
+            found.fit.value_sd(name),
+        )
         before, after = (
-            with_sd(value * show.factor, width * show.factor)
+            with_sd(value * display.factor, width * display.factor)
             for value, width in ((old["median"], old["sd"]), (float(found.fit.values[name]), sd))
         )
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
-            f"{distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
+            f"{distance:+.1f} standard deviations, from {before} to {after} {display.unit}".rstrip()
         )
 
 

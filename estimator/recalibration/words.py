@@ -7,7 +7,7 @@ from typing import Any
 
 from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.result import Diagnosis
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 
 
 def causes_of(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
@@ -38,10 +38,10 @@ def _size(cause: Mapping[str, Any]) -> str:
 
 def _quantity(name: str, own: Mapping[str, Any]) -> str:
     """A quantity as people read it; one in a unit such as T/h stays in that."""
-    show, value, sd = shown([name])[name], own["median"], own["sd"]
-    if show.unit or own["unit"] == "1":
-        size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
-        return f"{show.words} {size} {show.unit}".rstrip()
+    display, value, sd = displays([name])[name], own["median"], own["sd"]
+    if display.unit or own["unit"] == "1":
+        size = with_sd(value * display.factor, sd * display.factor) if sd else f"{value * display.factor:.4g}"
+        return f"{display.words} {size} {display.unit}".rstrip()
     words = name.rpartition(".")[2].removesuffix("_" + own["unit"].replace("/", "_per_"))
     return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {own['unit']}"
 
