@@ -24,7 +24,7 @@ from estimator.readings.metrics import error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
 from estimator.reporting.plots import predicted_against_measured
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig_files.read import rig_from_text
 from scripts.paper.tables import CURRENT_A, NOT_AT_HAND, table
 from tests.independent.readings import perfect_readings_T
@@ -56,7 +56,7 @@ def experiment(rig_text: str) -> Session:
 def parameters(session: Session, fits: dict[str, Fit]) -> str:
     """Table 8."""
     rows = []
-    for name, show in shown(list(session.truth)).items():
+    for name, show in displays(list(session.truth)).items():
         values = (float(session.rig.parameters[name].value), session.truth[name])
         found = (
             with_sd(show.factor * float(f.values[name]), show.factor * f.value_sd(name))
