@@ -23,7 +23,7 @@ class CorruptStore(CoilcalError):
 
 
 def reason(error: Exception) -> str:
-    """The cause of an error in words, for a file without its path, which the message names already.
+    """Cause of an error in words; for a file, without the path, which the message names already.
 
     Examples:
         >>> reason(FileNotFoundError(2, "No such file or directory", "rig.yaml"))

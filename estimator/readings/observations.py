@@ -85,26 +85,26 @@ class Observations:
     def followed_by(self, later: Observations) -> Observations:
         """Append later readings; temperatures and measured currents that only one of the two has are left out."""
 
-        def both(earlier_values: Tensor, later_values: Tensor) -> Tensor:
+        def joined(earlier_values: Tensor, later_values: Tensor) -> Tensor:
             return torch.cat((earlier_values, later_values))
 
         return Observations(
-            both(self.time_s, later.time_s),
-            both(self.sensor, later.sensor),
-            both(self.current_A, later.current_A),
-            {name: both(motion, later.motion[name]) for name, motion in self.motion.items()},
-            both(self.field_sensor_T, later.field_sensor_T),
-            both(self.is_validation, later.is_validation),
-            both(self.repeat, later.repeat),
+            joined(self.time_s, later.time_s),
+            joined(self.sensor, later.sensor),
+            joined(self.current_A, later.current_A),
+            {name: joined(motion, later.motion[name]) for name, motion in self.motion.items()},
+            joined(self.field_sensor_T, later.field_sensor_T),
+            joined(self.is_validation, later.is_validation),
+            joined(self.repeat, later.repeat),
             {
-                name: both(values, later.temperature_C[name])
+                name: joined(values, later.temperature_C[name])
                 for name, values in self.temperature_C.items()
                 if name in later.temperature_C
             },
             current_measured_A=(
                 None
                 if self.current_measured_A is None or later.current_measured_A is None
-                else both(self.current_measured_A, later.current_measured_A)
+                else joined(self.current_measured_A, later.current_measured_A)
             ),
         )
 

@@ -90,7 +90,7 @@ def stepwise_residual(
         number = f"{1e6 * value_T:.3g}" if value_T < 1e-3 else f"{1e6 * value_T:.0f}"
         text = f"  {number} µT" + (f", log evidence +{evidence[row - 1]:.0f}" if row else "")
         ax.annotate(text, (1e6 * value_T, row), va="center", ha="left", fontsize=8)
-    labels = ["as described", *(f"+ {name}" for name in names)]
+    labels = ["rig as described", *(f"+ {name}" for name in names)]
     ax.set_yticks(range(len(rms_T)), [plain(label) for label in labels])
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.45e6 * max(rms_T))

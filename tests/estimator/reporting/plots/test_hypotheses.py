@@ -80,7 +80,7 @@ def test_stepwise_residual_shows_what_remains_after_each_cause():
     ax = stepwise_residual(
         ["axis_gain[hall]", "mount_tilt[coil1]"], [40e-6, 25e-6, 20e-6], [31.4, 8.0], title="rig"
     )
-    assert labels(ax) == ["as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
+    assert labels(ax) == ["rig as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
     assert [bar.get_width() for bar in ax.patches] == pytest.approx([40.0, 25.0, 20.0])
     annotations = [text.get_text().strip() for text in ax.texts]
     assert annotations == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
