@@ -132,7 +132,7 @@ def compiled_sum() -> NodeSum:
 
 
 def _trial() -> tuple[Tensor, Nodes, int]:
-    """Arguments to compile with. All sizes differ, also from the 3 of a vector: the compiler takes equal sizes for the same size."""
+    """Arguments to compile with. All sizes differ, also from the 3 of a vector: the compiler assumes that equal sizes stay equal."""
     points_m = torch.ones(2, 5, 3, dtype=torch.float64)
     nodes = Nodes(*(torch.full((2, 7), 0.5, dtype=torch.float64) for _ in range(3)))
     return points_m, nodes, USUAL_STEPS

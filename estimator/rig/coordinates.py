@@ -155,7 +155,7 @@ class Coordinates:
         return torch.sqrt(jacobian**2 @ sd**2)
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log prior density of the coordinates, with the Jacobian of the transform, up to a constant."""
+        """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""
         values = self.values(vector)
         total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
         for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
@@ -204,7 +204,7 @@ class Coordinates:
         return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
 
     def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
-        """Shift from the winding's middle to its front face, along the nominal axis: the effect of tilts is linear enough."""
+        """Shift from the winding's middle to its front face, along the nominal axis; tilts add a nearly linear term."""
         coil = name.partition(".")[0]
         return 0.5 * self._axis[name] * resolve(f"{coil}.axial_pitch_m") * resolve(f"{coil}.axial_loops")
 

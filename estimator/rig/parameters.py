@@ -38,7 +38,7 @@ class Prior(ABC):
     @property
     @abstractmethod
     def log_normaliser(self) -> float:
-        """Constant that `log_density` leaves out: added to it, the density integrates to 1 (truncation aside)."""
+        """Constant that `log_density` leaves out; with it the density integrates to 1 (truncation aside)."""
 
     @abstractmethod
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
