@@ -23,7 +23,7 @@ from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
-from estimator.readings.metrics import HALF_WIDTH_90, errors
+from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
@@ -166,7 +166,7 @@ def _vector_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
         chain = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
         predicted_T = chain.predict(fit.values).expand(len(observations), 3)
-    return errors(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
+    return error_metrics(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 
 
 def _write(place: Path, record: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 
 
@@ -28,7 +28,7 @@ class Judged:
         log_density: Log predictive density reading by reading.
     """
 
-    errors: Errors
+    errors: ErrorMetrics
     elpd: float
     coverage50: float
     coverage90: float
@@ -99,7 +99,7 @@ def judged(fit: Fit, unseen: Observations) -> Judged:
     reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = torch.zeros(len(unseen), dtype=off_T.dtype).index_add(0, reading, log_density)
     inside = {p: float(((below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
-    found = errors(unseen.field_sensor_T.numpy(), predicted_T.numpy())
+    found = error_metrics(unseen.field_sensor_T.numpy(), predicted_T.numpy())
     return Judged(found, float(by_reading.sum()), inside[0.5], inside[0.9], by_reading)
 
 

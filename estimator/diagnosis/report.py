@@ -11,7 +11,7 @@ from estimator.diagnosis.result import Diagnosis, Interval
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
 MOST_RIVALS = 8
@@ -169,7 +169,7 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
     found = []
     for cause in diagnosis.fits.final.rig.effects:
         for key, p in diagnosis.quantities(cause).items():
-            display = shown([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
+            display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
             elif p.unit.startswith("T/") and not p.unit.startswith("T/m"):
@@ -221,7 +221,7 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     gain = diagnosis.gain
     assert gain is not None
     names = [name for name, sd in gain.moved_sd.items() if abs(sd) > MOVED_SD]
-    display = shown(names)
+    display = displays(names)
     rows = []
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
         show = display[name]

@@ -28,7 +28,7 @@ from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of, sizes_of, words_of
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from estimator.units import split_unit
@@ -285,7 +285,7 @@ class _Comparison:
         """The value that moved most."""
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
-            shown([name])[name],
+            displays([name])[name],
             self.current.summary()["parameters"][name],
             found.fits.final.value_sd(name),
         )

@@ -23,7 +23,7 @@ from estimator.calibration.result import write_text
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import errors
+from estimator.readings.metrics import error_metrics
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.importers import IMPORTERS
@@ -143,13 +143,13 @@ def show(
     text = []
     for role, mine in parts.items():
         if mine.any():
-            e = errors(measured[mine], predicted[mine])
+            e = error_metrics(measured[mine], predicted[mine])
             text.append(f"{role} {e.vector_T * 1e3:.4f} mT ({e.relative:.2%})")
     print(f"  {label:24} vector rms: {', '.join(text)}")
     if by_sensor and len(rig.sensors) > 1:
         for i, sensor in enumerate(rig.sensors):
             mine = observations.sensor.numpy() == i
-            e = errors(measured[mine], predicted[mine])
+            e = error_metrics(measured[mine], predicted[mine])
             print(
                 f"    {sensor.name}: {e.vector_T * 1e3:.4f} mT ({e.relative:.2%}), largest {e.max_T * 1e3:.2f} mT"
             )

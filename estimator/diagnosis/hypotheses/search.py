@@ -28,7 +28,7 @@ from estimator.diagnosis.hypotheses.step import (
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, Family, discrepancy, families
 from estimator.effects.attach import with_effect
-from estimator.readings.split import blocks_of_places
+from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause
 
 MOST_CAUSES = 60
@@ -113,7 +113,7 @@ class _Trail:
         most_causes: int,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
-        self.block = blocks_of_places(base.observations, np.random.default_rng(0))
+        self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.most_causes = tell, most_causes
         self.steps: list[Step] = []
         self.stages: list[Stage] = []
