@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator import diagnose, load_rig
-from estimator.diagnosis.diagnose import MORE_STARTS
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -124,7 +124,7 @@ def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
         hidden.without_flaws().write(Path(folder))
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
     rules = plain.posterior.model.rules
-    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, MORE_STARTS)
+    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, policy.MORE_STARTS)
 
 
 def read(path: Path) -> dict[tuple[str, int], Row]:
