@@ -20,18 +20,18 @@ MORE_STARTS = 3
 start from the maximum that was found."""
 
 MOST_READINGS_SEARCHED = 512
-"""Readings that causes are searched with, and that a recalibration tests for agreement. Effort: time grows with them, and a cause of
-8 sigma in the hidden study is seen in as many."""
+"""Readings that causes are searched with, and that a recalibration tests for agreement. Effort: the time of
+a search grows with them; what a wrong model leaves does not average out over more."""
 
 MOST_READINGS_FITTED = 3000
-"""Readings of the final fits and of those that judge them. Effort: the covariance of the fit matters less than what remains unexplained
-long before that."""
+"""Readings of the final fits and of those that judge them. Effort: standard deviations fall with the root of their number, and
+a fit of 3000 takes seconds."""
 
 FINE_TOLERANCE = 1e-4
 """Gain in log density below which the last fit of a model stops. Effort: far below any difference that decides."""
 
 ROUGH_TOLERANCE = 1e-2
-"""The same for a fit that is one of many. Effort: log evidences are compared at 1 or more."""
+"""The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1."""
 
 NEAR_BOUND = 1e-3
 """Distance from a bound of the prior, in its standard deviations, at which the density may still rise beyond: the last Newton step leaves
@@ -51,8 +51,8 @@ EXPECTED_VALUE_SD = 3.5
 """The same for every other free number. Statistics: 0.05 % of normal draws, since there are a dozen of them."""
 
 LARGEST_MEAN_SQUARE = 1.5
-"""Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: beyond
-chance for 30 readings or more."""
+"""Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement:
+three standard deviations above 1 for 72 components, more for larger sessions."""
 
 MOST_READINGS_COMPARED = 100
 """Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
@@ -92,22 +92,22 @@ MOST_LEADERS = 4
 """Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008)."""
 
 LEADERS_WITHIN = 10.0
-"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: hints missed their
-fits by up to 15 where they were not fitted (docs/decisions/0008)."""
+"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint
+2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008)."""
 
 SHAPES_WIDTH = 5.0
 """Log evidence by which the screening of a cause with shapes may exceed that of its fit: Laplace misses the width of shapes, and starts
 that lie far off its maximum. By judgement."""
 
 LEAST_SCATTER_GAIN = 4.0
-"""Log likelihood that outliers or a scattering mover must gain at the residuals as they are to enter the race. Below, a prior of half a
-per cent leaves them no chance."""
+"""Log likelihood that outliers or a scattering mover must gain at the residuals as they are to enter the race. Effort: to be
+taken a cause needs a log evidence of 7 or so."""
 
 # Search
 
 LEAST_LOG_ODDS = math.log(20.0)
-"""Posterior odds against nothing from which on a cause is taken. Statistics: the odds that correspond to the 5 % of a credible set; no
-false alarm in 299 of 300 clean sessions and more (docs/results.md)."""
+"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are
+right; one false alarm in three times 300 clean sessions (docs/results.md)."""
 
 CREDIBLE_SHARE = 0.95
 """Probability that a credible set of causes holds. Convention; 97.7 % of 300 sets held the truth (docs/results.md)."""
@@ -120,7 +120,7 @@ FEWEST_PLACES = 2
 """Sensors or coils from which on causes of one kind are taken together. By definition: at one place a cause is alone."""
 
 SURELY_NEEDED = 15.0
-"""Log evidence by distance from the null, to first order, beyond which a cause is not refitted without. Effort; far above what is
+"""Log evidence by distance from the null, to first order, beyond which a cause is not refitted without. Effort: twice what is
 needed to be taken."""
 
 MOST_CAUSES_REFITTED = 4
@@ -129,7 +129,7 @@ by a fit without it. With more nothing is exchanged, for in MICE run07 that made
 first order."""
 
 MOST_CAUSES = 60
-"""Causes at which a search ends; the search says so. Effort: the map of six probes with the most took 30."""
+"""Causes at which a search ends; the search says so. Effort: the most so far were 33, in MICE run07."""
 
 # Flexible curves, for what no cause explains
 
@@ -212,7 +212,7 @@ LEAST_DIRECTION = 1e-3
 """Singular value, over the largest, of a direction in which the columns of a cause count. By judgement."""
 
 N_STOPS = 30
-"""Readings that a proposed programme adds. By judgement: a quarter of an hour at the usual pace."""
+"""Readings that a proposed programme adds. By judgement: few enough to be taken at once."""
 
 MOST_PROPOSALS = 8
 """Programmes that are listed for each credible set. For a reader."""
@@ -258,5 +258,5 @@ MOVED_SD = 1.0
 """Standard deviations that a number of the rig must move to be listed as moved. For a reader."""
 
 LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
-"""Share of unseen components in 90 % intervals outside which the report warns. Statistics: three standard errors of 90 % for some 80
-components of one block each, on the lower side."""
+"""Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets
+wrong, so the share scatters by some per cent."""

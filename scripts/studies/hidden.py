@@ -194,8 +194,8 @@ def show_single(kind: str, rows: list[Row]) -> None:
 def is_explained(cause: dict[str, Any]) -> bool:
     """Whether every other member had a chance of one in a thousand, at least, to stay in the credible set: some are lucky in 300 sessions.
 
-    The log evidence of one hypothesis against another scatters by the root of twice its expected value. Where nothing was
-    computed for a member, that was not fitted in full or is a mistake of the record, the answer is no.
+    The log evidence of one hypothesis against another scatters by the root of twice its expected value. The answer is no
+    where nothing was computed for a member: it was not fitted in full, or is a mistake of the record.
     """
     expected = [other.get("expected_log_evidence") for other in cause["alternatives"]]
     return all(e is not None and e - LUCKY_SD * math.sqrt(2.0 * e) < math.log(20.0) for e in expected)
