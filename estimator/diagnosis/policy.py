@@ -5,8 +5,8 @@ doubles each; docs/notebook/policy.md has the table). Below each stands what it 
 "By judgement" means that nothing but experience supports it.
 
 Left where they are used: guards against rounding (`TINY`, `ROUNDING`, `RANK_TOLERANCE`), steps of differences, grids, batches that fit the
-processor's cache, the start of the mixture of outliers, shapes of the families of flexible curves, and what a page has room for. How
-readings are blocked is a matter of `readings/split.py`.
+processor's cache, what a page has room for, and what effects start from or estimate (`effects/`). How readings are blocked is a matter of
+`readings/split.py`; half of the prior of a cause belongs to all its quantities together, half to some of them (`hypotheses/screening.py`).
 """
 
 from __future__ import annotations
