@@ -15,7 +15,8 @@ import numpy as np
 from estimator.batching.engine import cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
-from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, is_enough, sampled
+from estimator.batching.work import POSTERIOR, RESULT, describe, fit, is_enough, sampled
+from estimator.diagnosis import policy
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
@@ -23,7 +24,7 @@ from estimator.rig_files.read import load_rig
 __all__ = ["BatchResult", "batch"]
 
 STACK_READINGS, STACK_JOBS = (
-    8000 // (1 + MORE_STARTS),
+    8000 // (1 + policy.MORE_STARTS),
     64,
 )  # beyond that a stack is slower than two, for it leaves the processor's cache
 LEADS_ABOVE = 0.05  # probability of a hypothesis whose posterior is sampled

@@ -18,6 +18,7 @@ from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
 from estimator.calibration.result import SUMMARY, write_text
 from estimator.code_version import code_version
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
@@ -29,7 +30,6 @@ from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
 
 RESULT, POSTERIOR, UNFINISHED = "result.json", "calibration", ".unfinished"
-MORE_STARTS = 3
 
 
 def describe(
@@ -82,7 +82,7 @@ def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
             rig,
             [observations.calibration for _, observations, _ in ready],
             [job.seed for job, _, _ in ready],
-            MORE_STARTS,
+            policy.MORE_STARTS,
         )
     except Exception as error:
         return [error] if len(ready) == 1 else [_fits([one])[0] for one in ready]

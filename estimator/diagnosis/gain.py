@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
@@ -62,13 +63,13 @@ class Gain:
 
     @property
     def is_there(self) -> bool:
-        """Whether the gain exceeds twice its standard error."""
-        return self.elpd_difference > 2.0 * self.elpd_se
+        """Whether the gain exceeds what chance leaves."""
+        return self.elpd_difference > policy.LEAST_GAIN_SE * self.elpd_se
 
     @property
     def is_loss(self) -> bool:
-        """Whether a loss exceeds three times its standard error."""
-        return self.elpd_difference < -3.0 * self.elpd_se
+        """Whether a loss exceeds what chance leaves."""
+        return self.elpd_difference < -policy.LEAST_LOSS_SE * self.elpd_se
 
 
 def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.gain import Judged
 from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
@@ -17,7 +18,6 @@ from estimator.units import split_unit
 MOST_RIVALS = 8
 MOST_STEPS = 6
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-MOVED_SD = 1.0
 
 
 def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
@@ -116,7 +116,7 @@ def _warnings(diagnosis: Diagnosis) -> list[str]:
     gain = diagnosis.gain
     if gain is None:
         found.append("No readings were kept out of the fits, so nothing judges the gain.")
-    elif not 0.8 < gain.after.coverage90 < 0.97:
+    elif not policy.LEAST_COVERAGE90 < gain.after.coverage90 < policy.MOST_COVERAGE90:
         found.append(
             f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
         )
@@ -220,7 +220,7 @@ def _gain_table(diagnosis: Diagnosis) -> Table:
 def _moved_table(diagnosis: Diagnosis) -> Table:
     gain = diagnosis.gain
     assert gain is not None
-    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > MOVED_SD]
+    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > policy.MOVED_SD]
     display = displays(names)
     rows = []
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
