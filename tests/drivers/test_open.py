@@ -199,7 +199,7 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
 
 
 BAD = {
-    "of no kind": ({"serial": "x"}, "must say what it is"),
+    "of no kind": ({"serial": "x"}, "must be a sensor, supply, arm or thermometer"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
     "without port": (SENSOR, "must have one of serial, tcp, visa and replay; received none"),
     "without messages": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0, "visa": "GPIB0::6::INSTR"}, "must have one of serial, tcp and replay; received none"),

@@ -70,7 +70,7 @@ def test_a_variable_that_the_controller_does_not_know_is_named():
         (1 << 7 | 1 << 10, 1, "emergency stop"),
         (1 << 4, 1, "safeguard"),
         (1 << 9, 1, "fault"),
-        (0, 2, "no normal mode"),
+        (0, 2, "not in normal mode"),
         (1, 1, "program is not running"),
     ],
 )

@@ -115,7 +115,7 @@ def test_a_set_point_that_was_not_taken_is_a_fault(supply, source):
 
 def test_a_ramp_that_takes_longer_than_allowed_is_refused_before_it_begins(supply, source):
     source.set_current_A(0.0, timeout_s=1.0)
-    with pytest.raises(Refused, match=r"a ramp from 0 to 5 A must have 0.2 s; received 0.1 s"):
+    with pytest.raises(Refused, match=r"a ramp from 0 to 5 A must be allowed 0.2 s; received 0.1 s"):
         source.set_current_A(5.0, timeout_s=0.1)
     assert supply.written_A == [0.0]
 

@@ -309,7 +309,7 @@ def test_what_cannot_be_reached_is_a_fault_in_one_sentence(name):
     "name", ["ASRL/dev/ttyUSB0::INSTR", "asrl1::instr", "TCPIP0::192.168.0.2::5025::SOCKET"]
 )
 def test_serial_lines_and_sockets_are_refused(name):
-    with pytest.raises(Refused, match=f"keys of their own: serial and tcp; received {name}"):
+    with pytest.raises(Refused, match=rf"have the keys serial and tcp\); received {name}"):
         VisaPort(name)
 
 
