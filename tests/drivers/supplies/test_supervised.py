@@ -1,4 +1,4 @@
-"""What a supply does when the program that uses it is gone."""
+"""A supervised supply is switched off when the program that uses it is gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pumped port keeps everything with the time of its arrival, and hands it out before an error."""
+"""A pumped port keeps all bytes with their arrival times, and returns them before it raises an error."""
 
 from __future__ import annotations
 
