@@ -16,7 +16,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Interlock:
-    """Joins the devices of a rig. Once tripped it refuses every command until somebody has looked and opened the rig anew.
+    """Joins the devices of a rig. Once tripped it refuses every command: the operator must inspect the rig and open it anew.
 
     Attributes:
         reason: Why it tripped, in one sentence; None before.

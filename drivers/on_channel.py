@@ -44,7 +44,7 @@ class OnChannel(ClosesItself):
         """Own a port.
 
         Args:
-            port: Used by nobody else from now on.
+            port: Port to own; nothing else may use it.
             quieten: Command that ends a stream.
             landmark: Question that brings questions and answers back in step after a fault.
         """

@@ -1,7 +1,7 @@
 """Opens the devices of a rig from the `devices` section of its file, each behind the limits given there.
 
 A supply runs in a child process, which switches it off when this process is gone. `record` writes the conversation with an
-instrument to a transcript. `replay` puts such a transcript in the instrument's place: the same questions get the same answers
+instrument to a transcript. `replay` uses such a transcript instead of the instrument: the same questions get the same answers
 (`ReplayedPort`), which is enough for `coilcal devices check` but not for another measurement. For an arm, calls are recorded instead
 of bytes (`drivers.robots.recorded`). As YAML, the section reads
 

@@ -238,7 +238,7 @@ def _work(
         if call is None or call.method == "close":
             break
         if call.is_urgent or is_given_up.is_set():
-            # The interrupt was meant for the call before: it is answered, or its caller has given up.
+            # The interrupt has served its purpose: its caller is served now, or has given up.
             interrupt.clear()
             is_given_up.clear()
         _answer(connection, _carry_out(device, call))

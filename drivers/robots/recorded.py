@@ -1,4 +1,4 @@
-r"""Records the calls of an arm and its answers as a transcript (`drivers.transport.transcript`), and replays them in its place.
+r"""Records the calls of an arm and its answers as a transcript (`drivers.transport.transcript`), and replays them.
 
 Other instruments are recorded as bytes of their port. An arm has three ports and a library that uses them by itself, so its transcript
 holds calls of `RobotArm` instead: a line such as `read_pose` one way, and JSON the other.

@@ -17,7 +17,7 @@ from drivers.simulated.world import FieldFunction, Snapshot, World
 
 _BUFFER_POINTS = 1000
 _CHIP_WARMTH_K = 3.0
-"""Temperature of a probe above that of the room."""
+"""Temperature rise of a probe above the room."""
 
 
 class SimulatedF71:

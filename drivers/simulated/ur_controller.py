@@ -24,7 +24,7 @@ _POWER_ON_BIT, _PROGRAM_RUNNING_BIT = 1 << 0, 1 << 1
 _ASYNC_RUNNING = 1 << 15
 _FASTEST_ROTATION_RAD_PER_S = 1.0
 _SHOULDER_M = 0.152
-"""Height of the shoulder, where the reach of an arm is measured from."""
+"""Height of the shoulder, from which the reach of an arm is measured."""
 
 _KINDS = (
     (r"actual_joint_voltage", "VECTOR6D"),

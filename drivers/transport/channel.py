@@ -59,7 +59,7 @@ class Channel:
         """Own a port.
 
         Args:
-            port: Used by nobody else from now on.
+            port: Port to own; nothing else may use it.
             quieten: Command that ends a stream; sent before waiting for silence.
             find_step: Called after that silence, such as `Landmark.find`; None if answers cannot be confused.
         """

@@ -42,7 +42,7 @@ class DeviceClock:
         Args:
             host_s: Arrival, on the host's clock.
             device_s: Time stamp, on the instrument's clock.
-            asked_s: A time before the reading was taken, on the host's clock, such as that of the request.
+            asked_s: Time of the request, before the reading was taken, on the host's clock.
         """
         low_s, high_s = asked_s - device_s, host_s - device_s
         if self._bounds_s:

@@ -90,8 +90,8 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
         self.chain, self.log_prob = stored["chain"], stored["log_prob"]
         if self.iteration > 0:
             self.accepted = stored["accepted"][-1].astype(np.float64)
-            generator, key, *others = attributes["random_state"]
-            self.random_state = (generator, np.array(key, dtype=np.uint32), *others)
+            generator, key, *position = attributes["random_state"]
+            self.random_state = (generator, np.array(key, dtype=np.uint32), *position)
 
     @classmethod
     def create(
@@ -213,13 +213,13 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             "accepted": self.accepted.astype(np.int64)[np.newaxis],
         }
         old_crc32 = before["array_crc32"]
-        generator, key, *others = self.random_state
+        generator, key, *position = self.random_state
         after = {
             **before,
             "n_steps": self.iteration,
             "n_checkpoints": before["n_checkpoints"] + 1,
             "array_crc32": {n: zlib.crc32(new.tobytes(), old_crc32[n]) for n, new in new_rows.items()},
-            "random_state": [generator, key.tolist(), *others],
+            "random_state": [generator, key.tolist(), *position],
         }
         with _explained_if_unwritable(self.path):
             for name, new in new_rows.items():
@@ -243,14 +243,14 @@ def _explained_if_unwritable(path: Path) -> Iterator[None]:
 
 def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:
     """Number of committed rows of an array, and shape of its chunks; each checkpoint adds a chunk."""
-    first, *others = _ARRAYS[name][0]
+    first, *other_dimensions = _ARRAYS[name][0]
     sizes = {
         "walker": attributes["n_walkers"],
         "coordinate": len(attributes["coordinate_names"]),
         "step": attributes["checkpoint_steps"],
         "checkpoint": 1,
     }
-    return attributes[f"n_{first}s"], tuple(sizes[dimension] for dimension in (first, *others))
+    return attributes[f"n_{first}s"], tuple(sizes[dimension] for dimension in (first, *other_dimensions))
 
 
 def _render_group(attributes: Mapping[str, Any]) -> bytes:
@@ -299,9 +299,9 @@ def _append_rows(path: Path, n_rows: int, new: NDArray[Any]) -> None:
     array: Any = zarr.open_array(path, mode="r+")
     array.resize((n_rows + len(new), *array.shape[1:]))
     array[n_rows:] = new
-    length, *others = array.chunks
+    length, *row_shape = array.chunks
     for index in range(n_rows // length, math.ceil(array.shape[0] / length)):
-        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(others))))
+        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(row_shape))))
     _sync_to_disk(path / "zarr.json")
 
 
