@@ -176,9 +176,8 @@ def load_so_far(
             add_pause(stop["begin_s"])
             end_s, previous_A = stop["begin_s"], [0.0] * len(coils)
         begin_s, end_s = end_s, stop.get("end_s") or stop["time_s"]
-        add(
-            end_s - begin_s, [max(abs(a), abs(b)) for a, b in zip(previous_A, stop["current_A"], strict=True)]
-        )
+        at_most_A = [max(abs(a), abs(b)) for a, b in zip(previous_A, stop["current_A"], strict=True)]
+        add(end_s - begin_s, at_most_A)
         previous_A = stop["current_A"]
         largest_A = [max(abs(a), b) for a, b in zip(previous_A, largest_A, strict=True)]
         longest_s = max(longest_s, end_s - begin_s)
