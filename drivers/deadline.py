@@ -1,4 +1,4 @@
-"""The moment until which a call may take; made once at its start and handed down to every read and write."""
+"""The moment by which a call must end; made once at its start and handed down to every read and write."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Deadline:
     """A moment on the host's monotonic clock.
 
     Attributes:
-        at_s: The moment, as `time.monotonic()` counts.
+        at_s: The moment, on the clock of `time.monotonic()`.
         allowed_s: Time that the caller allowed, for messages.
 
     Examples:
@@ -32,34 +32,34 @@ class Deadline:
 
     @property
     def remaining_s(self) -> float:
-        """Time left; zero when it is over."""
+        """Time left; zero once the deadline has passed."""
         return max(0.0, self.at_s - time.monotonic())
 
     @property
     def is_over(self) -> bool:
-        """Whether no time is left."""
+        """Whether the deadline has passed."""
         return time.monotonic() >= self.at_s
 
     def at_most(self, timeout_s: float) -> Deadline:
-        """This moment, or `timeout_s` from now where that is earlier."""
+        """This deadline, or `timeout_s` from now if that is earlier."""
         return Deadline(min(self.at_s, time.monotonic() + timeout_s), self.allowed_s)
 
     def exceeded(self, rule: str, received: str) -> DeadlineExceeded:
-        """The error to raise when it is over, as in `exceeded("supply must answer", "nothing received")`."""
+        """The error to raise once the deadline has passed, as in `exceeded("supply must answer", "nothing received")`."""
         error = DeadlineExceeded(f"{rule} within {self.allowed_s:g} s; {received}")
         error.received = received
         return error
 
     def sleep(self, duration_s: float, rule: str) -> None:
-        """Wait; where that takes longer than what is left, wait that long and raise.
+        """Wait for `duration_s`, but not beyond the deadline.
 
         Raises:
-            DeadlineExceeded: The time is over.
+            DeadlineExceeded: The deadline passed first.
         """
         time.sleep(min(duration_s, self.remaining_s))
         if self.is_over:
             raise self.exceeded(rule, "waited for as long")
 
     def sleep_out(self) -> None:
-        """Wait until the moment has come."""
+        """Wait until the deadline."""
         time.sleep(self.remaining_s)

@@ -1,4 +1,4 @@
-"""What every device shares: leaving its `with` block closes it, without hiding the error that ended the block."""
+"""Base of all devices: leaving the `with` block closes the device and does not hide the error that ended the block."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class ClosesItself(ABC):
-    """A device that is closed where its `with` block ends."""
+    """A device that is closed when its `with` block ends."""
 
     @abstractmethod
     def close(self) -> None:
@@ -31,4 +31,4 @@ class ClosesItself(ABC):
         try:
             self.close()
         except DriverError as error:
-            _LOG.error("after %r, closing failed as well: %s", exc, error)
+            _LOG.error("closing failed too, after %r: %s", exc, error)

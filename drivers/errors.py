@@ -1,17 +1,17 @@
-"""What may go wrong with an instrument; the message names device, rule and value."""
+"""Errors of an instrument; each message names device, rule and value."""
 
 from __future__ import annotations
 
 
 class DriverError(Exception):
-    """An instrument did not do what was asked; the other classes say in which way."""
+    """An instrument did not do what was asked; the subclasses say why."""
 
 
 class DeadlineExceeded(DriverError, TimeoutError):
     """No answer within the time allowed; whether the device obeyed is unknown.
 
     Attributes:
-        received: What came instead, in words; empty where nobody said.
+        received: What came instead, in words; may be empty.
 
     Examples:
         >>> raise DeadlineExceeded("supply must answer within 0.5 s; nothing received (/dev/ttyUSB0)")
@@ -24,11 +24,11 @@ class DeadlineExceeded(DriverError, TimeoutError):
 
 
 class DeviceFault(DriverError):
-    """The device answered with a fault of its own, refused the command, or is no longer there."""
+    """The device reported a fault, refused the command, or is no longer there."""
 
 
 class Refused(DriverError, ValueError):
-    """Beyond a limit of the rig, so nothing was sent: the device is as it was.
+    """The request is beyond a limit of the rig; nothing was sent and the device is unchanged.
 
     Examples:
         >>> raise Refused("supply.current_A must be within -5 and 5; received 7")

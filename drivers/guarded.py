@@ -1,4 +1,4 @@
-"""Devices behind the limits of their rig: each command is checked before it is sent and its effect read back."""
+"""Devices behind the limits of their rig: each command is checked before it is sent, and its effect is read back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _POLL_S = 0.05
 
 
 class GuardedSource(ClosesItself):
-    """A `CurrentSource` within limits; any fault of it, or of the rig, ramps it to zero and switches it off."""
+    """A `CurrentSource` within limits; any fault of the source or the rig ramps it to zero and switches it off."""
 
     def __init__(
         self,
@@ -46,10 +46,10 @@ class GuardedSource(ClosesItself):
             source: Must not change its current faster than the limits allow.
             limits: Of the coil.
             interlock: Of the rig.
-            name: What the operator calls it.
-            tolerance_A: How far the measured current may be off the one asked for: accuracy, resolution and noise of the supply.
-            hold_s: Shortest time for which a current must be bearable to be allowed.
-            read_temperature_K: Thermometer of the coil; must be given where the limits state a temperature.
+            name: The operator's name for the source.
+            tolerance_A: Largest difference between measured and requested current: accuracy, resolution and noise of the supply.
+            hold_s: A current is allowed only if the coil can bear it for at least this long.
+            read_temperature_K: Thermometer of the coil; required if the limits state a temperature.
         """
         if source.slew_A_per_s > limits.slew_A_per_s:
             raise Refused(
@@ -57,17 +57,17 @@ class GuardedSource(ClosesItself):
             )
         if limits.highest_temperature_K is not None and read_temperature_K is None:
             raise Refused(
-                f"{name} must have a thermometer, since its limits state a temperature; it has none"
+                f"{name} must have a thermometer because its limits state a temperature; it has none"
             )
         self.slew_A_per_s, self.longest_off_s = source.slew_A_per_s, source.longest_off_s
         self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
         self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
-        # A coil of unknown past is taken to be cold: rigs are switched on in the morning; see `begin_with`.
-        self._load_lock = threading.Lock()  # the watch looks at it, too
+        # A coil of unknown history is taken to be cold, for rigs are switched on in the morning; see `begin_with`.
+        self._load_lock = threading.Lock()  # shared with the thread of `drivers.watch`
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
-        self._asked_A: float | None = None
-        """What must flow; None while it changes, and where nothing was asked for."""
+        self._requested_A: float | None = None
+        """Current that must flow; None during a change, and before the first request."""
         interlock.add(name, lambda: source.output_off(timeout_s=source.longest_off_s))
 
     def identify(self, *, timeout_s: float) -> str:
@@ -75,34 +75,34 @@ class GuardedSource(ClosesItself):
         return self._source.identify(timeout_s=timeout_s)
 
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
-        """See `CurrentSource.set_current_A`; returns when the measured current has arrived.
+        """See `CurrentSource.set_current_A`; returns when the measured current has reached the target.
 
         Raises:
-            Refused: Beyond a limit, or the rig has tripped; nothing was sent.
-            DeviceFault: The current did not come; the rig is brought to rest.
+            Refused: The current is beyond a limit, or the rig has tripped; nothing was sent.
+            DeviceFault: The current was not reached; the rig is brought to rest.
         """
         deadline = Deadline.after(timeout_s)
         self._interlock.require_no_trip()
         check_current(current_A, self._hold_s, self._update_load(self._flowing_A), self._limits)
         with self._interlock.guard(self._name):
             self._check_temperature()
-            # The greater of both flows at most until the ramp has ended.
+            # Until the ramp has ended, no more than the greater of the two currents flows.
             self._flowing_A = max(abs(current_A), abs(self._flowing_A))
-            self._asked_A = None
+            self._requested_A = None
             self._source.set_current_A(current_A, timeout_s=deadline.remaining_s)
             self._wait_for(current_A, deadline)
-            self._asked_A = current_A
+            self._requested_A = current_A
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
-        """See `CurrentSource.read_current_A`; whoever relies on a current calls this while it flows.
+        """See `CurrentSource.read_current_A`; call this while the current flows to confirm it.
 
         Raises:
-            DeviceFault: It is not the current that was set, the voltage limit holds it back, or the coil is too hot, or must be by what it
-                has carried; the rig is brought to rest.
+            DeviceFault: The current differs from the one that was set, the voltage limit holds it back, or the coil is too hot by its
+                thermometer or by the current that it has carried; the rig is brought to rest.
         """
         with self._interlock.guard(self._name):
             reading = self._read(timeout_s)
-            if self._asked_A is not None and not self._delivers(self._asked_A, reading):
+            if self._requested_A is not None and not self._delivers(self._requested_A, reading):
                 is_held_back = ReadingFlag.OVER_RANGE in reading.flags
                 reason = (
                     "its voltage limit holds it back"
@@ -110,28 +110,28 @@ class GuardedSource(ClosesItself):
                     else "it has switched itself off or is limited"
                 )
                 raise DeviceFault(
-                    f"{self._name} delivers {reading.value:.4g} A where {self._asked_A:g} A were set: {reason}"
+                    f"{self._name} delivers {reading.value:.4g} A where {self._requested_A:g} A were set: {reason}"
                 )
             return reading
 
     def check_coil(self) -> None:
-        """Trip where the coil is too hot, must be by the current that was set, or its thermometer fails; sends nothing to the source."""
+        """Trip if the coil is too hot, by its thermometer or by the current set, or if the thermometer fails; sends the source nothing."""
         with self._interlock.guard(self._name):
             self._check_temperature()
             self._check_duty(self._flowing_A)
 
     def begin_with(self, load: CoilLoad) -> None:
-        """Take over what the coil has carried before this program began.
+        """Start from the load that earlier runs have left on the coil.
 
         Args:
-            load: By earlier runs, on any clock, as of now; a coil of unknown past is taken to be cold.
+            load: Load as of now, on any clock; a coil of unknown history is taken to be cold.
         """
         with self._load_lock:
             self._load = CoilLoad(time.monotonic(), load.mean_square_A2)
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; allowed at any time."""
-        self._asked_A = None
+        self._requested_A = None
         self._source.output_off(timeout_s=timeout_s)
         self._update_load(self._flowing_A)
         self._flowing_A = 0.0
@@ -171,12 +171,12 @@ class GuardedSource(ClosesItself):
             time.sleep(min(_POLL_S, deadline.remaining_s))
 
     def _delivers(self, current_A: float, reading: Reading[float]) -> bool:
-        """Whether a current flows and is regulated: one that the voltage limit holds wanders with the coil's temperature."""
+        """Whether a current flows and is regulated: at the voltage limit it would drift with the coil's temperature."""
         is_held_back = ReadingFlag.OVER_RANGE in reading.flags
         return abs(reading.value - current_A) <= self._tolerance_A and not is_held_back
 
     def _update_load(self, current_A: float) -> CoilLoad:
-        """The load now, when a current has flowed since the last look."""
+        """The load now, if `current_A` has flowed since the last update."""
         with self._load_lock:
             self._load = self._load.after(current_A, time.monotonic(), self._limits)
             self._flowing_A = current_A
@@ -184,7 +184,7 @@ class GuardedSource(ClosesItself):
 
 
 class GuardedArm(ClosesItself):
-    """A `RobotArm` within its workspace; any fault of it brings the rig to rest."""
+    """A `RobotArm` within its workspace; any fault of the arm brings the rig to rest."""
 
     def __init__(self, arm: RobotArm, limits: ArmLimits, interlock: Interlock, *, name: str) -> None:
         self._arm, self._limits, self._interlock, self._name = arm, limits, interlock, name
@@ -201,14 +201,14 @@ class GuardedArm(ClosesItself):
             return self._arm.read_pose(timeout_s=timeout_s)
 
     def require_safe(self) -> None:
-        """See `RobotArm.require_safe`; trips where it is not."""
+        """See `RobotArm.require_safe`; trips if the arm is not safe."""
         self._interlock.check_conditions()
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """See `RobotArm.move_to`.
 
         Raises:
-            Refused: Beyond a limit, or the rig has tripped; nothing was sent.
+            Refused: The motion is beyond a limit, or the rig has tripped; nothing was sent.
         """
         deadline = Deadline.after(timeout_s)
         with self._interlock.guard(self._name):
@@ -226,7 +226,7 @@ class GuardedArm(ClosesItself):
 
 
 class GuardedSensor(ClosesItself):
-    """A `FieldSensor` whose faults bring the rig to rest: nobody heats a coil to measure nothing."""
+    """A `FieldSensor` whose faults bring the rig to rest: no coil is heated while nothing is measured."""
 
     def __init__(self, sensor: FieldSensor, interlock: Interlock, *, name: str) -> None:
         self._sensor, self._interlock, self._name = sensor, interlock, name
@@ -251,7 +251,7 @@ class GuardedSensor(ClosesItself):
 
 
 class GuardedThermometer:
-    """A `Thermometer` whose faults bring the rig to rest: a coil that nobody can feel may be burning."""
+    """A `Thermometer` whose faults bring the rig to rest: a coil of unknown temperature may be burning."""
 
     def __init__(self, thermometer: Thermometer, interlock: Interlock, *, name: str) -> None:
         self._thermometer, self._interlock, self._name = thermometer, interlock, name

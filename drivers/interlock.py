@@ -1,4 +1,4 @@
-"""Brings the whole rig to rest when anything in it fails: arms stopped, currents ramped to zero, outputs off."""
+"""Brings the whole rig to rest when any device fails: arms stopped, currents ramped to zero, outputs off."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _LOG = logging.getLogger(__name__)
 
 
 class Interlock:
-    """Joins the devices of a rig; once tripped it refuses every command: somebody has to look, and open the rig anew.
+    """Joins the devices of a rig. Once tripped it refuses every command: the operator must inspect the rig and open it anew.
 
     Attributes:
-        reason: Why it tripped, in one sentence; None while all is well.
-        not_at_rest: What could not be brought to rest, with the reason.
+        reason: Why it tripped, in one sentence; None before.
+        not_at_rest: Devices that could not be brought to rest, with the reason.
     """
 
     def __init__(self) -> None:
@@ -32,25 +32,25 @@ class Interlock:
         self._has_acted = threading.Event()
 
     def add(self, name: str, bring_to_rest: Callable[[], None]) -> None:
-        """Register what brings a device to rest; called from a thread of its own, it must end by itself in due time."""
+        """Register the function that brings a device to rest; it is called in its own thread and must end by itself."""
         self._actions[name] = bring_to_rest
 
     def add_condition(self, name: str, check: Callable[[], None]) -> None:
-        """Register what must hold before each command to any device; it raises where it does not, and takes no time."""
+        """Register a check that runs before each command to any device; it must be fast and raise if the command is unsafe."""
         self._conditions[name] = check
 
     def check_conditions(self) -> None:
-        """Trip where a condition does not hold.
+        """Trip if a condition does not hold.
 
         Raises:
-            DriverError: It does not; the rig has been brought to rest.
+            DriverError: A condition failed; the rig has been brought to rest.
         """
         for name, check in self._conditions.items():
             with self._tripping(name):
                 check()
 
     def require_no_trip(self) -> None:
-        """Refuse a command after a fault, once the rig has been brought to rest: nobody is to get in the way of that.
+        """Refuse a command after a fault; waits first until the rig is at rest, so that nothing interferes.
 
         Raises:
             Refused: The rig has tripped.
@@ -58,11 +58,11 @@ class Interlock:
         if self.reason is not None:
             self._has_acted.wait()
             raise Refused(
-                f"the rig must be opened anew before it goes on; it was brought to rest because {self.reason}"
+                f"the rig must be opened anew before it can continue; it was brought to rest because {self.reason}"
             )
 
     def trip(self, reason: str) -> None:
-        """Bring all devices to rest, at the same time, and wait for it; only the first reason is kept."""
+        """Bring all devices to rest at the same time, and wait for it; only the first reason is kept."""
         with self._lock:
             is_first = self.reason is None
             self.reason = self.reason or reason
@@ -81,7 +81,7 @@ class Interlock:
 
     @contextmanager
     def guard(self, what: str) -> Iterator[None]:
-        """Trip where the block fails, even by Ctrl-C, or a condition of the rig; what was refused sent nothing and trips nothing."""
+        """Trip if the block or a condition of the rig fails, even by Ctrl-C; `Refused` does not trip, for nothing was sent."""
         self.require_no_trip()
         self.check_conditions()
         with self._tripping(what):
@@ -107,7 +107,7 @@ class Interlock:
 
 @contextmanager
 def sigterm_as_exception() -> Iterator[None]:
-    """Let SIGTERM end the program as Ctrl-C does, through all `with` blocks; only in the main thread."""
+    """Let SIGTERM end the program through all `with` blocks, as Ctrl-C does; for the main thread only."""
 
     def end(number: int, _: FrameType | None) -> NoReturn:
         raise SystemExit(128 + number)

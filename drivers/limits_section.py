@@ -1,4 +1,4 @@
-"""The limits that stand in the `devices` section of a rig file; no device is touched here."""
+"""Reads the limits in the `devices` section of a rig file; no device is touched here."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from drivers.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class RigLimits:
-    """What the devices of a rig may be asked for, by their names.
+    """Limits of the devices of a rig, by their names.
 
     Attributes:
-        currents: Of the coils.
+        currents: Limits of the coils.
         slews_A_per_s: Rates at which the supplies ramp.
         arms: Workspaces and speeds.
     """
@@ -25,19 +25,23 @@ class RigLimits:
     arms: dict[str, ArmLimits] = field(default_factory=dict)
 
 
-def limits_of(section: Mapping[str, Any], place: str = "devices") -> RigLimits:
-    """Read the limits that stand in a section; no device is touched.
+def limits_of(section: Mapping[str, Any], location: str = "devices") -> RigLimits:
+    """Read the limits in a `devices` section.
+
+    Args:
+        section: Settings of each device, by its name.
+        location: Key of the section, for messages.
 
     Raises:
-        Refused: One is missing or impossible, or a coil that has a highest temperature has no thermometer.
+        Refused: A limit is missing or impossible, or a coil with a highest temperature has no thermometer.
     """
     limits = RigLimits()
-    felt = {place for mapping in section.values() for place in thermometer_inputs(mapping)}
+    with_thermometer = {target for mapping in section.values() for target in thermometer_inputs(mapping)}
     for name, mapping in section.items():
-        settings = Settings(mapping, f"{place}.{name}")
+        settings = Settings(mapping, f"{location}.{name}")
         if "supply" in settings:
             limits.currents[name] = current_limits(settings)
-            if limits.currents[name].highest_temperature_K is not None and name not in felt:
+            if limits.currents[name].highest_temperature_K is not None and name not in with_thermometer:
                 settings.refuse(
                     "highest_temperature_C",
                     f"must have a thermometer with an input for {name}; there is none",
@@ -49,7 +53,7 @@ def limits_of(section: Mapping[str, Any], place: str = "devices") -> RigLimits:
 
 
 def thermometer_inputs(mapping: Any) -> Mapping[str, Any]:
-    """Inputs of a thermometer by what they feel; none where a device is something else.
+    """Inputs of a thermometer by the coil or sensor that each measures; empty for any other device.
 
     Examples:
         >>> thermometer_inputs({"thermometer": "lakeshore_224", "inputs": {"coil1": "A"}}), thermometer_inputs({"supply": "scpi"})
@@ -60,7 +64,7 @@ def thermometer_inputs(mapping: Any) -> Mapping[str, Any]:
 
 
 def current_limits(settings: Settings) -> CurrentLimits:
-    """Those of one coil."""
+    """Limits of one coil and its supply."""
     has_temperature = settings.has_quantity("highest_temperature", "temperature")
     return CurrentLimits(
         lowest_A=settings.quantity("lowest", "current", 0.0),
@@ -75,7 +79,7 @@ def current_limits(settings: Settings) -> CurrentLimits:
 
 
 def arm_limits(settings: Settings) -> ArmLimits:
-    """Those of one arm."""
+    """Limits of one arm."""
     low_x_m, low_y_m, low_z_m = settings.quantities("workspace_low", "length", 3)
     high_x_m, high_y_m, high_z_m = settings.quantities("workspace_high", "length", 3)
     speed_m_per_s = settings.quantity("highest_speed", "speed")

@@ -1,4 +1,4 @@
-"""What an instrument behind a channel needs besides its protocol: identify, close, and settings made once and again after a fault."""
+"""Base of instruments behind a channel: identify, close, and settings that are made once and again after a fault."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from drivers.transport.port import Port
 _NEVER = -1
 
 _IDENTITY = re.compile(rb'[^"]*[A-Za-z]{3}[^",]*,[^"]*')
-"""Has a word, as no measured value has, and no error state behind it."""
+"""An identity has a word, as no measured value has, and no error state after it."""
 
 
 def identity_landmark(end: bytes, answer_end: bytes) -> Landmark:
-    r"""`*IDN?`, as most instruments know it.
+    r"""The landmark `*IDN?`, which most instruments know.
 
     Args:
-        end: Of lines sent.
-        answer_end: Of lines received.
+        end: Terminator of lines sent.
+        answer_end: Terminator of lines received.
 
     Examples:
         >>> pattern = identity_landmark(b"\n", b"\r\n").pattern
@@ -37,11 +37,17 @@ def identity_landmark(end: bytes, answer_end: bytes) -> Landmark:
 class OnChannel(ClosesItself):
     """An instrument that is set up before its first reading; nothing is sent before the first call.
 
-    After a fault it may have been switched off and on, so it is set up again.
+    It is set up again after a fault, for it may have been switched off and on.
     """
 
     def __init__(self, port: Port, *, quieten: bytes = b"", landmark: Landmark | None = None) -> None:
-        """Own a port; `quieten` is the command that ends a stream, `landmark` a question that finds the way back after a fault."""
+        """Own a port.
+
+        Args:
+            port: Port to own; nothing else may use it.
+            quieten: Command that ends a stream.
+            landmark: Question that brings questions and answers back in step after a fault.
+        """
         self._channel = Channel(port, quieten, landmark.find if landmark else None)
         self._counter = ReadingCounter()
         self._set_up_at_fault = _NEVER
@@ -58,14 +64,14 @@ class OnChannel(ClosesItself):
 
     @abstractmethod
     def _identity(self, deadline: Deadline) -> str:
-        """What the instrument says of itself."""
+        """The instrument's own description."""
 
     def _set_up(self, deadline: Deadline) -> None:
-        """Make all settings; an instrument that needs none leaves it at this."""
+        """Make all settings; does nothing unless overridden."""
 
     @contextmanager
     def _ready(self, timeout_s: float) -> Iterator[Deadline]:
-        """Have the instrument to oneself, set up."""
+        """Hold the instrument exclusively, and set it up if needed."""
         deadline = Deadline.after(timeout_s)
         with self._channel.exchange(deadline):
             if not self._is_set_up:

@@ -1,35 +1,35 @@
-"""Opens the devices of a rig from the `devices` section of its file, each behind the limits that stand beside it.
+"""Opens the devices of a rig from the `devices` section of its file, each behind the limits given there.
 
-A supply runs in a process of its own, which switches it off when this one is gone. With `record`, the conversation with an instrument
-is written down; with `replay`, that transcript takes its place: the same questions again get the same answers (`ReplayedPort`), which
-is enough for `coilcal devices check`, and not for another measurement. Of an arm the calls are written down instead of bytes
-(`drivers.robots.recorded`). As YAML, the section reads
+A supply runs in a child process, which switches it off when this process is gone. `record` writes the conversation with an
+instrument to a transcript. `replay` uses such a transcript instead of the instrument: the same questions get the same answers
+(`ReplayedPort`), which is enough for `coilcal devices check` but not for another measurement. For an arm, calls are recorded instead
+of bytes (`drivers.robots.recorded`). As YAML, the section reads
 
     devices:
       hall: {sensor: lakeshore_f71, tcp: 192.168.0.12, range_mT: 350, averaged_samples: 10}    # or serial: /dev/ttyUSB0
       # sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30
       # sensor: senis_3mh6, serial: /dev/ttyUSB0, rate_Hz: 1000, range_number: 1, full_scale_mT: 100
       # sensor: metrolab_thm1176, visa: 'USB0::0x1BFA::0x0498::0001::INSTR', range_mT: 100, averaged_samples: 100
-      # own_temperature: true    # where its probe has a thermometer (F71, 3MH6): it is recorded with each reading
+      # own_temperature: true    # if its probe has a thermometer (F71, 3MH6): recorded with each reading
       coil1:
         supply: kepco_bop         # or korad_ka3005p, scpi
         serial: /dev/ttyUSB1      # with baud: 9600; or tcp: 192.168.0.13 with port: 5025; or visa: 'GPIB0::6::INSTR'
-        compliance_V: 20          # limit of its voltage
+        compliance_V: 20          # voltage limit
         tolerance_mA: 5           # of set-points read back and of the measured current
-        lowest_A: -5              # 0 where not given; the limits of the coil from here on
+        lowest_A: -5              # 0 if not given; from here on, limits of the coil
         highest_A: 5
         slew_A_per_s: 10
-        continuous_A: 3           # more is allowed until the coil is as warm as by this
+        continuous_A: 3           # more is allowed until the coil is as warm as this makes it
         thermal_time_constant_min: 5
-        highest_temperature_C: 80    # optional; a thermometer below must feel this coil
+        highest_temperature_C: 80    # optional; needs a thermometer on this coil, such as `warmth` below
       arm1:
         arm: ur3e                 # or ur3
-        host: 192.168.0.10        # or replay: arm1.txt, which an arm with record: arm1.txt wrote
+        host: 192.168.0.10        # or replay: arm1.txt, written by an arm with record: arm1.txt
         workspace_low_mm: [0, -300, 0]    # for the flange, in the frame of the arm's base
         workspace_high_mm: [500, 300, 500]
         highest_speed_mm_per_s: 100
-        joint_low_deg: [-180, -180, -150, -180, -180, -360]    # with joint_high_deg; both may be left out
-      warmth: {thermometer: lakeshore_224, tcp: 192.168.0.14, inputs: {coil1: A, hall: C1}}    # which input feels what
+        joint_low_deg: [-180, -180, -150, -180, -180, -360]    # optional, together with joint_high_deg
+      warmth: {thermometer: lakeshore_224, tcp: 192.168.0.14, inputs: {coil1: A, hall: C1}}    # input of each coil or sensor
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ _SCPI_SERIAL = SerialSettings(9600)
 
 @dataclass
 class DeviceSet(ClosesItself):
-    """The open devices of a rig by their names in its file; leaving its `with` block closes all, sources first.
+    """The open devices of a rig, by their names in its file; leaving the `with` block closes all, sources first.
 
     Attributes:
         sensors: Magnetometers.
         sources: Supplies, one for each coil.
         arms: Robot arms.
-        monitors: Instruments that measure temperatures only.
-        thermometers: By the coil or sensor that each feels; those of monitors, and of sensors that feel themselves.
-        interlock: Joins them: a fault of one brings all to rest.
+        monitors: Instruments that only measure temperatures.
+        thermometers: Thermometers of monitors and of sensors with their own, by the coil or sensor that each measures.
+        interlock: A fault of one device brings all to rest.
     """
 
     sensors: dict[str, FieldSensor] = field(default_factory=dict)
@@ -98,48 +98,48 @@ class DeviceSet(ClosesItself):
 
     @property
     def devices(self) -> dict[str, Device]:
-        """All of them."""
+        """All devices, by name."""
         return {**self.sources, **self.arms, **self.sensors, **self.monitors}
 
     def watch(self) -> Watch:
-        """Checks the safety of the arms, and temperature and duty of the coils, all the time in its `with` block."""
+        """A watch that checks safety of the arms, and temperature and duty of the coils, during its `with` block."""
         coils = [source.check_coil for source in self.sources.values() if isinstance(source, GuardedSource)]
         return Watch([self.interlock.check_conditions, *coils])
 
     def begin_with(self, loads: Mapping[str, CoilLoad]) -> None:
-        """Tell the guards of the coils, by name, what these have carried before."""
+        """Start the guards of the coils from the loads that earlier runs have left, by name of the coil."""
         for name, load in loads.items():
             source = self.sources.get(name)
             if isinstance(source, GuardedSource):
                 source.begin_with(load)
 
     def close(self) -> None:
-        """Close all, even where one fails.
+        """Close all devices, even if one fails.
 
         Raises:
-            DriverError: One is not known to be at rest; the others are closed nevertheless.
+            DriverError: A device is not known to be at rest; the others are closed nevertheless.
         """
         with ExitStack() as stack:
             for device in reversed(self.devices.values()):
                 stack.callback(device.close)
 
 
-def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSet:
-    """Open all devices of a section; where one cannot be opened, none stays open.
+def open_devices(section: Mapping[str, Any], location: str = "devices") -> DeviceSet:
+    """Open all devices of a section; if one cannot be opened, none stays open.
 
     Args:
-        section: Name of each device and its settings, as above.
-        place: Of the section, for messages.
+        section: Settings of each device, by its name, as above.
+        location: Key of the section, for messages.
 
     Raises:
-        Refused: The section asks for what there is not.
+        Refused: A setting is missing, unknown or impossible.
         DriverError: A device is not there.
     """
-    limits_of(section, place)
+    limits_of(section, location)
     devices = DeviceSet()
     try:
         for name, mapping in section.items():
-            settings = Settings(mapping, f"{place}.{name}")
+            settings = Settings(mapping, f"{location}.{name}")
             _open(name, settings, devices)
             settings.finish()
     except BaseException:
@@ -151,15 +151,15 @@ def open_devices(section: Mapping[str, Any], place: str = "devices") -> DeviceSe
 def check_device(device: Device, *, timeout_s: float = 5.0) -> tuple[str, str]:
     """Identify one device and read one value; nothing moves and no current changes.
 
-    Returns: What it says of itself, and the value with its unit.
+    Returns: The identity that the device reports, and the value with its unit.
 
     Raises:
-        DriverError: It does not answer, or answers with a fault.
+        DriverError: The device does not answer, or reports a fault.
     """
-    return device.identify(timeout_s=timeout_s), _one_value(device, timeout_s)
+    return device.identify(timeout_s=timeout_s), _value_text(device, timeout_s)
 
 
-def _one_value(device: Device, timeout_s: float) -> str:
+def _value_text(device: Device, timeout_s: float) -> str:
     if isinstance(device, FieldSensor):
         field_reading = device.read_field_T(timeout_s=timeout_s)
         return f"{', '.join(f'{1e3 * value_T:.4g}' for value_T in field_reading.value)} mT"
@@ -170,8 +170,8 @@ def _one_value(device: Device, timeout_s: float) -> str:
         return f"{', '.join(f'{1e3 * value_m:.2f}' for value_m in pose.position_m)} mm"
     if isinstance(device, TemperatureMonitor):
         return ", ".join(
-            f"{place} {thermometer.read_temperature_K(timeout_s=timeout_s).value - ICE_POINT_K:.1f} C"
-            for place, thermometer in device.thermometers.items()
+            f"{target} {thermometer.read_temperature_K(timeout_s=timeout_s).value - ICE_POINT_K:.1f} C"
+            for target, thermometer in device.thermometers.items()
         )
     raise Refused(f"a device must be a sensor, a source, an arm or a thermometer; received {device!r}")
 
@@ -188,23 +188,24 @@ def _open(name: str, settings: Settings, devices: DeviceSet) -> None:
         devices.arms[name] = _open_arm(name, settings, devices.interlock)
     elif "thermometer" in settings:
         devices.monitors[name] = monitor = _open_monitor(settings)
-        for place, thermometer in monitor.thermometers.items():
-            _add_thermometer(devices, place, thermometer, settings)
+        for target, thermometer in monitor.thermometers.items():
+            _add_thermometer(devices, target, thermometer, settings)
     else:
         raise Refused(
-            f"{settings.place} must say what it is: sensor, supply, arm or thermometer; received none of them"
+            f"{settings.location} must be a sensor, supply, arm or thermometer; received none of these keys"
         )
 
 
-def _add_thermometer(devices: DeviceSet, place: str, thermometer: object, settings: Settings) -> None:
+def _add_thermometer(devices: DeviceSet, target: str, thermometer: object, settings: Settings) -> None:
+    """Add the thermometer of a coil or sensor (`target`)."""
     if not isinstance(thermometer, Thermometer):
-        settings.refuse("own_temperature", "must be left out where the sensor cannot be asked for it")
-    if place in devices.thermometers:
+        settings.refuse("own_temperature", "must be left out for a sensor without a thermometer")
+    if target in devices.thermometers:
         raise Refused(
-            f"{settings.place} must not measure the temperature of {place}, which is measured already"
+            f"{settings.location} must not measure the temperature of {target}, which is measured already"
         )
-    name = f"the thermometer of {place}"
-    devices.thermometers[place] = GuardedThermometer(thermometer, devices.interlock, name=name)
+    name = f"the thermometer of {target}"
+    devices.thermometers[target] = GuardedThermometer(thermometer, devices.interlock, name=name)
 
 
 def _open_monitor(settings: Settings) -> TemperatureMonitor:
@@ -271,7 +272,7 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     )
 
     def read_temperature_K() -> float:
-        """Asked when it is needed: the section may name the thermometer after the supply."""
+        """Look the thermometer up on each call: the section may name it after the supply."""
         return devices.thermometers[name].read_temperature_K(timeout_s=_TEMPERATURE_S).value
 
     try:
@@ -297,7 +298,7 @@ def _make_source(
     tolerance_A: float,
     interrupt: threading.Event,
 ) -> RampedSource:
-    """Runs in the process of the source, which owns the port."""
+    """Make a source; runs in its child process, which owns the port."""
     supply: SupplyCommands
     if kind == "korad_ka3005p":
         supply = korad_ka3005p.KoradKA3005P(
@@ -316,7 +317,7 @@ def _make_source(
 
 
 def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
-    # Here, since it needs the compiled ur_rtde only when a rig has an arm.
+    # Imported here: only a rig with an arm needs the compiled ur_rtde.
     from drivers.robots.recorded import RecordingArm, ReplayedArm
     from drivers.robots.universal_robot import JOINT_LIMITS_RAD, UniversalRobot
 
@@ -326,57 +327,61 @@ def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
         low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
         joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
-    way = _way(settings, ("host", "replay"))
-    address = settings.text(way)
-    record = Path(settings.text("record")) if "record" in settings else None
-    if way == "replay":
+    connection = _connection_key(settings, ("host", "replay"))
+    address = settings.text(connection)
+    transcript = Path(settings.text("record")) if "record" in settings else None
+    if connection == "replay":
         return GuardedArm(ReplayedArm(Path(address)), limits, interlock, name=name)
     arm: RobotArm = UniversalRobot(address, model, joint_limits_rad=joint_limits_rad)
-    if record is not None:
+    if transcript is not None:
         try:
-            arm = RecordingArm(arm, record, name=name)
+            arm = RecordingArm(arm, transcript, name=name)
         except OSError:
             arm.close()
             raise
     return GuardedArm(arm, limits, interlock, name=name)
 
 
-def _way(settings: Settings, ways: Sequence[str]) -> str:
-    """The one key that says how a device is reached."""
-    found = [way for way in ways if way in settings]
-    if len(found) != 1:
+def _connection_key(settings: Settings, allowed: Sequence[str]) -> str:
+    """The key that says how a device is connected; exactly one must be given."""
+    given = [key for key in allowed if key in settings]
+    if len(given) != 1:
         raise Refused(
-            f"{settings.place} must have one of {', '.join(ways[:-1])} and {ways[-1]}; received {' and '.join(found) or 'none'}"
+            f"{settings.location} must have one of {', '.join(allowed[:-1])} and {allowed[-1]}; "
+            f"received {' and '.join(given) or 'none'}"
         )
-    return found[0]
+    return given[0]
 
 
 def _port(
     settings: Settings, serial: SerialSettings, tcp_port: int | None = None, *, has_messages: bool = True
 ) -> Callable[[], Port]:
-    """What opens the port of a device; importable, since a supply's process opens its own. VISA is for devices with messages."""
-    way = _way(settings, ("serial", "tcp", *(("visa",) if has_messages else ()), "replay"))
-    address = settings.text(way)
+    """A function that opens the port of a device; picklable, for a supply's child process opens its own.
+
+    `has_messages` allows VISA, which carries messages instead of a stream.
+    """
+    connection = _connection_key(settings, ("serial", "tcp", *(("visa",) if has_messages else ()), "replay"))
+    address = settings.text(connection)
     baud = settings.whole_number("baud", serial.baud)
-    record = Path(settings.text("record")) if "record" in settings else None
+    transcript = Path(settings.text("record")) if "record" in settings else None
     port_number = tcp_port if tcp_port is not None and "port" not in settings else None
-    if way == "tcp" and port_number is None:
+    if connection == "tcp" and port_number is None:
         port_number = settings.whole_number("port")
     line = SerialSettings(baud, serial.data_bits, serial.parity, serial.has_rts_cts)
-    return partial(_open_port, way, address, line, port_number, record)
+    return partial(_open_port, connection, address, line, port_number, transcript)
 
 
 def _open_port(
-    way: str, address: str, line: SerialSettings, port_number: int | None, record: Path | None
+    connection: str, address: str, line: SerialSettings, port_number: int | None, transcript: Path | None
 ) -> Port:
-    if way == "replay":
+    if connection == "replay":
         return ReplayedPort.from_file(Path(address))
     port: Port
-    if way == "serial":
+    if connection == "serial":
         port = SerialPort(address, line)
-    elif way == "visa":
+    elif connection == "visa":
         port = VisaPort(address)
     else:
         assert port_number is not None
         port = TcpPort(address, port_number, timeout_s=_CONNECT_S)
-    return port if record is None else RecordingPort(port, record)
+    return port if transcript is None else RecordingPort(port, transcript)

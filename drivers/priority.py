@@ -1,4 +1,4 @@
-"""Lets a process that must not be late run ahead of others, where the system permits it."""
+"""Lets a process with deadlines run ahead of others, if the system permits it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _LOG = logging.getLogger(__name__)
 
 
 def run_ahead() -> None:
-    """Ask for the lowest of the real-time priorities: ahead of every ordinary process, behind all else that is real-time.
+    """Request the lowest real-time priority: ahead of every ordinary process, behind all other real-time ones.
 
-    An arm stops when its watchdog was not kicked for 0.2 s, and on a computer whose processors are all busy an ordinary process may wait
-    that long. The process must sleep in each of its loops. Permission is `CAP_SYS_NICE` or a limit `rtprio` (man 7 sched); without, it is
-    as before, and an arm stops where it need not have.
+    An arm stops if its watchdog was not kicked for 0.2 s, and an ordinary process may wait that long on a busy computer. The process must
+    sleep in each of its loops. Permission is `CAP_SYS_NICE` or a limit `rtprio` (man 7 sched). Without it the priority stays as it was,
+    and an arm may stop needlessly.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))

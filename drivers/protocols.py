@@ -1,8 +1,8 @@
-"""What a coil rig asks of its instruments: a field sensor, a current source, a robot arm and thermometers.
+"""Protocols of the instruments of a coil rig: field sensor, current source, robot arm and thermometer.
 
-Each call is given the time it may take, `timeout_s`, and raises `drivers.errors.DeadlineExceeded` when that
-is over or `DeviceFault` when the device says no; after either, the state of the device is unknown. `Refused` says
-that nothing was sent. A device is the only user of its port, and does one call at a time: another thread waits.
+Each call gets the time that it may take, `timeout_s`. It raises `drivers.errors.DeadlineExceeded` when that time is
+over, and `DeviceFault` when the device reports a fault; after either, the state of the device is unknown. `Refused`
+means that nothing was sent. A device is the only user of its port and serves one call at a time: other threads wait.
 Leaving its `with` block closes it.
 """
 
@@ -20,27 +20,27 @@ Vector: TypeAlias = tuple[float, float, float]
 
 
 class ReadingFlag(Flag):
-    """What is known to be wrong with a reading."""
+    """Known defects of a reading."""
 
     NONE = 0
     STALE = auto()
     """The device repeated an old value instead of measuring a new one."""
     OVER_RANGE = auto()
-    """The quantity left the range of the device; a component without a number is NaN."""
+    """The quantity exceeds the range of the device; a component without a number is NaN."""
     DROPPED = auto()
     """Readings of the device were lost between the previous one and this one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading(Generic[Value_co]):
-    """One value of one device, with what is known about when it was taken.
+    """One value of one device, with its time stamps.
 
     Attributes:
         sequence: Count of the readings handed out by this device, from 0 and without gaps.
         host_monotonic_s: `time.monotonic()` of the host when the value arrived.
-        device_time_s: Time stamp of the device on its own clock; None where it sends none.
+        device_time_s: Time stamp of the device on its own clock; None if it sends none.
         value: The quantity in SI units.
-        flags: What is wrong with it; `ReadingFlag.NONE` where nothing is known to be.
+        flags: Known defects; `ReadingFlag.NONE` for none.
 
     Examples:
         >>> reading = Reading(0, 12.5, None, (0.0, 0.0, 0.1), ReadingFlag.STALE | ReadingFlag.OVER_RANGE)
@@ -57,7 +57,7 @@ class Reading(Generic[Value_co]):
 
 @dataclass(frozen=True, slots=True)
 class FlangePose:
-    """Where the flange of an arm is, in the frame of the arm's base (base_from_flange).
+    """Pose of an arm's flange in the frame of the arm's base (base_from_flange).
 
     Attributes:
         position_m: Origin of the flange.
@@ -70,16 +70,16 @@ class FlangePose:
 
 @runtime_checkable
 class Device(Protocol):
-    """What all instruments share."""
+    """Any instrument."""
 
     def identify(self, *, timeout_s: float) -> str:
-        """Maker, model and serial number as the device itself gives them."""
+        """Maker, model and serial number as the device reports them."""
         ...
 
     def close(self) -> None:
         """Bring the device to rest (output off, motion stopped) and release it; a second call does nothing.
 
-        A supply that was only looked at, told neither a current nor to switch off, is left as it was found.
+        A supply that was only read from, and never told to set a current or switch off, is left as it was.
 
         Raises:
             DriverError: The device is released, but is not known to be at rest.
@@ -100,14 +100,14 @@ class FieldSensor(Device, Protocol):
     def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
         """Field along the sensor's own axes, measured after the call began.
 
-        Measurements made before, and not read, are thrown away without `DROPPED`: nobody wanted them.
+        Earlier measurements that were not read are discarded without `DROPPED`, for they were not asked for.
         """
         ...
 
     def read_new_T(self, *, timeout_s: float) -> list[Reading[Vector]]:
         """All measurements since the last reading, oldest first; waits until there is one.
 
-        Called often enough, it loses nothing; where it did, the next reading carries `DROPPED`.
+        Nothing is lost if it is called often enough; after a loss, the next reading carries `DROPPED`.
         """
         ...
 
@@ -118,25 +118,25 @@ class CurrentSource(Device, Protocol):
 
     @property
     def slew_A_per_s(self) -> float:
-        """Rate of change that it does not exceed."""
+        """Highest rate of change of the current."""
         ...
 
     @property
     def longest_off_s(self) -> float:
-        """Time that `output_off` may take, from the largest current: what to allow for it."""
+        """Longest time that `output_off` takes, from the largest current."""
         ...
 
     def set_current_A(self, current_A: float, *, timeout_s: float) -> None:
         """Ramp to a current, with the output on; returns when the device has accepted the last set-point.
 
         Args:
-            current_A: Positive out of the positive terminal; a unipolar supply refuses what is negative.
+            current_A: Positive out of the positive terminal; a unipolar supply refuses negative currents.
             timeout_s: Time the call may take.
         """
         ...
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
-        """Current that the supply measures at its output, not the set-point."""
+        """Current that the supply measures at its output, as opposed to the set-point."""
         ...
 
     def output_off(self, *, timeout_s: float) -> None:
@@ -149,14 +149,14 @@ class RobotArm(Device, Protocol):
     """An arm that carries a coil or a sensor on its flange."""
 
     def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
-        """Pose of the flange that the controller measures, also during a motion."""
+        """Pose of the flange as the controller measures it, also during a motion."""
         ...
 
     def require_safe(self) -> None:
-        """Find fault with an arm that a safety stop holds, or that cannot be heard; sends nothing and is quick.
+        """Check that no safety stop holds the arm and that its controller is heard; sends nothing and is fast.
 
         Raises:
-            DriverError: It is held, moving or not, and the text says by what; or its controller has fallen silent.
+            DriverError: A safety stop, named in the text, holds the arm, moving or not; or the controller has fallen silent.
         """
         ...
 
@@ -165,11 +165,11 @@ class RobotArm(Device, Protocol):
 
         Args:
             base_from_flange: Pose to reach.
-            speed_m_per_s: Highest speed of the flange's origin on the way.
+            speed_m_per_s: Highest speed of the flange's origin.
             timeout_s: Time the motion may take, from the call to arrival.
 
         Raises:
-            DeadlineExceeded: The arm may still be moving; `stop` is what to call next.
+            DeadlineExceeded: The arm may still be moving; call `stop` next.
         """
         ...
 
@@ -180,18 +180,18 @@ class RobotArm(Device, Protocol):
 
 @runtime_checkable
 class Thermometer(Protocol):
-    """What measures the temperature of one coil or sensor; an instrument may be several."""
+    """Measures the temperature of one coil or sensor; one instrument may hold several thermometers."""
 
     def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
-        """The last temperature that was measured; NaN where the instrument has no number."""
+        """The temperature measured last; NaN if the instrument has no number."""
         ...
 
 
 @runtime_checkable
 class TemperatureMonitor(Device, Protocol):
-    """An instrument whose only task is to measure temperatures."""
+    """An instrument that only measures temperatures."""
 
     @property
     def thermometers(self) -> Mapping[str, Thermometer]:
-        """By the coil or sensor that each is fixed to."""
+        """Thermometers by the coil or sensor that each is fixed to."""
         ...

@@ -1,4 +1,4 @@
-"""Numbers the readings of one device and remembers that some were lost until the next one says so."""
+"""Numbers the readings of one device, flags losses, and decodes numbers as instruments write them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SCPI_NO_NUMBER = 9e37
 
 
 class ReadingCounter:
-    """The count behind `Reading.sequence`.
+    """Counts readings for `Reading.sequence`, and marks the first one after a loss.
 
     Examples:
         >>> counter = ReadingCounter()
@@ -33,7 +33,7 @@ class ReadingCounter:
         self._has_lost = False
 
     def note_loss(self) -> None:
-        """The next reading carries `DROPPED`."""
+        """Mark the next reading as `DROPPED`."""
         self._has_lost = True
 
     def reading(
@@ -44,7 +44,7 @@ class ReadingCounter:
         host_monotonic_s: float | None = None,
         device_time_s: float | None = None,
     ) -> Reading[Value]:
-        """The next reading; it arrived now where no other time is given."""
+        """The next reading; its time of arrival is now unless given."""
         if self._has_lost:
             flags |= ReadingFlag.DROPPED
         arrived_s = time.monotonic() if host_monotonic_s is None else host_monotonic_s
@@ -55,10 +55,10 @@ class ReadingCounter:
 
 
 def number(text: str, what: str) -> float:
-    """A number as instruments write it; what SCPI writes for "no number" is NaN.
+    """A number as instruments write it; SCPI's infinity and not-a-number become NaN.
 
     Raises:
-        DeviceFault: It is none.
+        DeviceFault: The text is not a number.
 
     Examples:
         >>> number("+1.5E-3", "a current"), number("9.91E37", "a field")
@@ -72,7 +72,7 @@ def number(text: str, what: str) -> float:
 
 
 def ascii_text(data: bytes) -> str:
-    """An answer of an instrument that writes ASCII.
+    """Decode an answer as ASCII.
 
     Raises:
         DeviceFault: It holds other bytes.
@@ -84,5 +84,5 @@ def ascii_text(data: bytes) -> str:
 
 
 def over_range(field_T: Vector) -> ReadingFlag:
-    """`OVER_RANGE` where a component is NaN."""
+    """`OVER_RANGE` if a component is NaN."""
     return ReadingFlag.OVER_RANGE if any(math.isnan(value) for value in field_T) else ReadingFlag.NONE

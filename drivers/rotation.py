@@ -1,4 +1,4 @@
-"""Rotation vectors, as Universal Robots reports orientations: axis times angle, with two names for every turn by half a circle."""
+"""Rotation vectors (axis times angle), as Universal Robots reports orientations; every half turn has two of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def quaternion(rotation_vector_rad: Vector) -> Quaternion:
 
 
 def rotation_vector_rad(rotation: Quaternion) -> Vector:
-    """Rotation vector of a unit quaternion, with an angle of at most half a circle."""
+    """Rotation vector of a unit quaternion, with an angle of at most half a turn."""
     w, x, y, z = rotation if rotation[0] >= 0 else tuple(-part for part in rotation)
     sine = math.hypot(x, y, z)
     scale = 2.0 if sine < 1e-12 else 2 * math.atan2(sine, w) / sine
@@ -32,7 +32,7 @@ def rotation_vector_rad(rotation: Quaternion) -> Vector:
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation `b`, then `a`."""
+    """The rotation `b` followed by `a`."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -42,12 +42,12 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(a: Quaternion) -> Quaternion:
-    """The rotation back."""
+    """The inverse rotation of a unit quaternion."""
     return a[0], -a[1], -a[2], -a[3]
 
 
 def angle_between_rad(first_rad: Vector, second_rad: Vector) -> float:
-    """Angle of the turn from one orientation to another.
+    """Angle between two orientations.
 
     Examples:
         >>> angle_between_rad((3.1415, 0.0, 0.0), (-3.1415, 0.0, 0.0))

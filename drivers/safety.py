@@ -1,4 +1,4 @@
-"""Limits of a rig and the checks before each command; no device is touched here (`drivers.guarded` does that)."""
+"""Limits of a rig and the checks before each command; no device is touched here (see `drivers.guarded`)."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from drivers.readings import ICE_POINT_K
 
 @dataclass(frozen=True, slots=True)
 class CurrentLimits:
-    """What a coil and its supply may be asked for.
+    """Limits of a coil and its supply.
 
     Attributes:
-        lowest_A: Least current; zero where the supply is unipolar.
-        highest_A: Greatest current.
+        lowest_A: Lowest current; zero for a unipolar supply.
+        highest_A: Highest current.
         slew_A_per_s: Highest rate of change.
         continuous_A: Current that the coil bears for ever; more is allowed for a while (duty).
-        thermal_time_constant_s: Of the coil; after a few of these its temperature has settled.
-        highest_temperature_K: Where the coil has a thermometer; None without.
+        thermal_time_constant_s: Of the coil; its temperature settles within a few of these.
+        highest_temperature_K: Highest temperature at the coil's thermometer; None if it has none.
     """
 
     lowest_A: float
@@ -42,7 +42,7 @@ class CurrentLimits:
 
 @dataclass(frozen=True, slots=True)
 class ArmLimits:
-    """Where and how fast an arm may go.
+    """Workspace and highest speed of an arm.
 
     Attributes:
         lowest_m: Corner of the workspace box, for the origin of the flange in the frame of the arm's base.
@@ -57,12 +57,13 @@ class ArmLimits:
 
 @dataclass(frozen=True, slots=True)
 class CoilLoad:
-    """How warm a coil is by its own current: its mean square with the weight of a thermal time constant.
+    """Self-heating of a coil: mean square of its current, exponentially weighted with its thermal time constant.
 
-    A coil as one heat capacity follows dT/dt = (R I^2 / C) - T / tau, so that T is in proportion to this mean.
+    A coil with one heat capacity follows dT/dt = (R I^2 / C) - T / tau, where T is its temperature rise, so T is
+    proportional to this mean.
 
     Attributes:
-        time_s: When it was worked out.
+        time_s: When the load was computed.
         mean_square_A2: 0 for a cold coil, `continuous_A` squared for one at its limit.
     """
 
@@ -70,18 +71,18 @@ class CoilLoad:
     mean_square_A2: float
 
     def after(self, current_A: float, now_s: float, limits: CurrentLimits) -> CoilLoad:
-        """The load when a current has flowed until now.
+        """The load at `now_s`, after a constant current has flowed since `time_s`.
 
         Examples:
             >>> limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=100.0)
             >>> CoilLoad(0.0, 0.0).after(5.0, 100.0, limits).mean_square_A2
             15.803
         """
-        left = math.exp(-max(0.0, now_s - self.time_s) / limits.thermal_time_constant_s)
-        return CoilLoad(now_s, current_A**2 + (self.mean_square_A2 - current_A**2) * left)
+        decay = math.exp(-max(0.0, now_s - self.time_s) / limits.thermal_time_constant_s)
+        return CoilLoad(now_s, current_A**2 + (self.mean_square_A2 - current_A**2) * decay)
 
     def time_left_s(self, current_A: float, limits: CurrentLimits) -> float:
-        """How long a current may flow before the coil is at its limit; infinite for a continuous one.
+        """How long a current may flow before the coil reaches its limit; infinite up to `continuous_A`.
 
         Examples:
             >>> limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=100.0)
@@ -100,13 +101,13 @@ def check_current(current_A: float, hold_s: float, load: CoilLoad, limits: Curre
     """Refuse a current that the coil may not carry.
 
     Args:
-        current_A: To be asked for.
-        hold_s: How long it is to flow.
-        load: Of the coil now.
-        limits: Of the coil.
+        current_A: Current to request.
+        hold_s: Time for which it must flow.
+        load: Present load of the coil.
+        limits: Limits of the coil.
 
     Raises:
-        Refused: It is beyond the limits, or would overheat the coil within `hold_s`.
+        Refused: The current is beyond the limits, or would overheat the coil within `hold_s`.
     """
     if not limits.lowest_A <= current_A <= limits.highest_A:
         raise Refused(
@@ -116,15 +117,15 @@ def check_current(current_A: float, hold_s: float, load: CoilLoad, limits: Curre
     if left_s < hold_s:
         raise Refused(
             f"coil.current_A beyond {limits.continuous_A:g} A must leave time to cool: {current_A:g} A may flow for {left_s:.1f} s now; "
-            f"{hold_s:g} s are asked for"
+            f"{hold_s:g} s are needed"
         )
 
 
 def check_temperature(temperature_K: float, limits: CurrentLimits) -> None:
-    """Find fault with a coil that is too hot, or whose thermometer gives no number.
+    """Check that a coil is not too hot, and that its thermometer gives a number.
 
     Raises:
-        DeviceFault: It is; other than a wish beyond a limit, this does not wait.
+        DeviceFault: The check failed. Unlike `Refused`, this trips the rig.
 
     Examples:
         >>> limits = CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=353.15)
@@ -144,10 +145,10 @@ def check_temperature(temperature_K: float, limits: CurrentLimits) -> None:
 
 
 def check_motion(start: FlangePose, target: FlangePose, speed_m_per_s: float, limits: ArmLimits) -> None:
-    """Refuse a straight line that leaves the workspace, or is too fast; a box holds a line where it holds both ends.
+    """Refuse a straight motion that leaves the workspace or is too fast; a box that holds both ends holds the line.
 
     Raises:
-        Refused: It does.
+        Refused: The speed, the start or the target is beyond the limits.
 
     Examples:
         >>> limits = ArmLimits((-0.1, -0.1, 0.0), (0.1, 0.1, 0.3), highest_speed_m_per_s=0.1)
@@ -161,13 +162,13 @@ def check_motion(start: FlangePose, target: FlangePose, speed_m_per_s: float, li
         raise Refused(
             f"arm.speed_m_per_s must be > 0 and at most {limits.highest_speed_m_per_s:g}; received {speed_m_per_s:g}"
         )
-    for place, pose in (("start", start), ("target", target)):
+    for end, pose in (("start", start), ("target", target)):
         for axis, low_m, value_m, high_m in zip(
             "xyz", limits.lowest_m, pose.position_m, limits.highest_m, strict=True
         ):
             if not low_m <= value_m <= high_m:
                 raise Refused(
-                    f"arm.{place}.{axis}_m must be within {low_m:g} and {high_m:g}; received {value_m:g}"
+                    f"arm.{end}.{axis}_m must be within {low_m:g} and {high_m:g}; received {value_m:g}"
                 )
     if not all(math.isfinite(angle_rad) for angle_rad in target.rotation_vector_rad):
         raise Refused(f"arm.target.rotation_vector_rad must be finite; received {target.rotation_vector_rad}")

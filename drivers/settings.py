@@ -1,4 +1,4 @@
-"""Reads the settings of a device from a mapping, as a rig file holds them; every quantity carries its unit in its key."""
+"""Reads the settings of a device from a mapping of a rig file; every quantity carries its unit in its key."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ZEROS = {"temperature": ICE_POINT_K}
 
 
 class Settings:
-    """One mapping; each key must be taken before `finish`.
+    """Settings of one device; each key must be read before `finish`.
 
     Examples:
         >>> settings = Settings({"range_mT": 350, "sensor": "lakeshore_f71"}, "devices.hall")
@@ -34,44 +34,44 @@ class Settings:
         >>> settings.finish()
     """
 
-    def __init__(self, mapping: object, place: str) -> None:
+    def __init__(self, mapping: object, location: str) -> None:
         if not isinstance(mapping, Mapping):
-            raise Refused(f"{place} must hold keys and values; received {mapping!r}")
-        self.place = place
+            raise Refused(f"{location} must hold keys and values; received {mapping!r}")
+        self.location = location
         self._mapping: Mapping[Any, Any] = mapping
-        self._untaken = list(mapping)
+        self._unread = list(mapping)
 
     def __contains__(self, key: str) -> bool:
         return key in self._mapping
 
     def refuse(self, key: str, rule: str) -> NoReturn:
-        """Raise `Refused` that names place, rule and value."""
+        """Raise `Refused` with key, rule and value."""
         received = repr(self._mapping[key]) if key in self._mapping else "nothing"
-        raise Refused(f"{self.place}.{key} {rule}; received {received}")
+        raise Refused(f"{self.location}.{key} {rule}; received {received}")
 
     def value(self, key: str) -> Any:
-        """What stands there, which must not be missing."""
+        """The value of a required key."""
         if key not in self._mapping:
             self.refuse(key, "must be given")
-        self._untaken = [left for left in self._untaken if left != key]
+        self._unread = [unread for unread in self._unread if unread != key]
         return self._mapping[key]
 
     def text(self, key: str) -> str:
-        """A text."""
+        """A text that is not empty."""
         value = self.value(key)
         if not isinstance(value, str) or not value:
             self.refuse(key, "must be a text")
         return value
 
     def choice(self, key: str, choices: Sequence[str]) -> str:
-        """One word of a list."""
+        """One of `choices`."""
         value = self.value(key)
         if value not in choices:
             self.refuse(key, f"must be one of {', '.join(choices)}")
         return str(value)
 
     def whole_number(self, key: str, default: int | None = None) -> int:
-        """A whole number; required where there is no default."""
+        """A whole number; required unless there is a default."""
         if default is not None and key not in self._mapping:
             return default
         value = self.value(key)
@@ -80,7 +80,7 @@ class Settings:
         return value
 
     def flag(self, key: str) -> bool:
-        """Yes or no; no where it is not given."""
+        """True or false; false if not given."""
         if key not in self._mapping:
             return False
         value = self.value(key)
@@ -89,25 +89,25 @@ class Settings:
         return value
 
     def texts(self, key: str) -> dict[str, str]:
-        """A text for each of some names, at least one."""
+        """Texts by name, at least one."""
         value = self.value(key)
         if not isinstance(value, Mapping) or not value:
             self.refuse(key, "must hold a text for each name")
         return {str(name): str(text) for name, text in value.items()}
 
     def has_quantity(self, quantity: str, dimension: str) -> bool:
-        """Whether it is there, in any unit."""
+        """Whether the quantity is given, in any unit."""
         return any(f"{quantity}_{unit}" in self._mapping for unit in _UNITS[dimension])
 
     def quantity(self, quantity: str, dimension: str, default: float | None = None) -> float:
-        """A quantity in SI; required where there is no default."""
+        """A quantity in SI; required unless there is a default."""
         if default is not None and not self.has_quantity(quantity, dimension):
             return default
         key, factor = self._key(quantity, dimension)
         return _ZEROS.get(dimension, 0.0) + factor * self._number(key, self.value(key))
 
     def quantities(self, quantity: str, dimension: str, length: int) -> tuple[float, ...]:
-        """So many numbers with one unit, in SI."""
+        """A list of `length` numbers with one unit, in SI."""
         key, factor = self._key(quantity, dimension)
         values = self.value(key)
         if not isinstance(values, list | tuple) or len(values) != length:
@@ -115,19 +115,20 @@ class Settings:
         return tuple(factor * self._number(key, value) for value in values)
 
     def finish(self) -> None:
-        """Refuse keys that nobody took."""
-        if self._untaken:
-            raise Refused(f"{self.place}.{self._untaken[0]} is not a known key")
+        """Refuse keys that were not read."""
+        if self._unread:
+            raise Refused(f"{self.location}.{self._unread[0]} is not a key that is known here")
 
     def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
-        found = [(f"{quantity}_{unit}", factor) for unit, factor in _UNITS[dimension].items()]
-        present = [item for item in found if item[0] in self._mapping]
+        """Key of a quantity and the factor of its unit."""
+        factors = {f"{quantity}_{unit}": factor for unit, factor in _UNITS[dimension].items()}
+        present = [key for key in factors if key in self._mapping]
         if len(present) != 1:
             self.refuse(
-                present[1][0] if present else found[0][0],
-                f"must be given once, as {' or '.join(key for key, _ in found)}",
+                present[1] if present else next(iter(factors)),
+                f"must be given once, as {' or '.join(factors)}",
             )
-        return present[0]
+        return present[0], factors[present[0]]
 
     def _number(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

@@ -1,8 +1,8 @@
-"""A device in a process of its own, which outlives the process that uses it for as long as it takes to bring the device to rest.
+"""Runs a device in a child process, which outlives its parent until the device is at rest.
 
-Why: the end of the host's program, even by SIGKILL, closes the pipe between the two; the child sees that, ramps the current to
-zero or stops the arm, and ends. And a library that crashes (ur_rtde does when its connection drops) takes the child with it, not
-the measurement. What it cannot help against is the death of the whole computer: that takes the watchdogs of the instruments.
+The end of the parent, even by SIGKILL, closes the pipe between the two. The child sees that, ramps the current to zero or stops
+the arm, and ends. And a library that crashes (ur_rtde does when its connection drops) takes the child with it, not the
+measurement. If the whole computer dies, only the watchdogs of the instruments help.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _LOG = logging.getLogger(__name__)
 _SPAWN = multiprocessing.get_context("spawn")
 _KEEP_ALIVE_S = 0.05
 _GRACE_S = 0.5
-"""Time that the answer of a call may take beyond its deadline, which the child keeps by itself."""
+"""Time that an answer may take beyond the deadline of its call; the child keeps the deadline itself."""
 
 
 @runtime_checkable
 class KeptAlive(Protocol):
-    """A device that must be talked to, and whose connection may be beyond repair."""
+    """A device that expects a regular sign of life, and whose connection may break for good."""
 
     is_lost: bool
-    """True lets the process end at once, without another word to the device."""
+    """True ends the process at once, without another message to the device."""
 
     def keep_alive(self) -> None:
-        """Called every 50 ms while there is nothing else to do."""
+        """Give a sign of life; called every 50 ms while idle."""
         ...
 
 
@@ -65,33 +65,33 @@ _LOST = 3
 
 
 def end_at_once() -> None:
-    """End this process without even destructors: a library that reconnects might send its last command again."""
+    """End this process without running destructors: a library that reconnects might send its last command again."""
     os._exit(_LOST)
 
 
 class Supervised:
-    """The near end: calls methods of a device in a child process."""
+    """The parent's end: calls methods of a device in a child process."""
 
     def __init__(self, make: Callable[[threading.Event], Any], name: str, *, start_timeout_s: float) -> None:
         """Start the child and wait until its device is made.
 
         Args:
-            make: Makes the device in the child; importable. Its argument is set when the call that is going on should end.
-            name: What to call it in messages.
-            start_timeout_s: Time for both.
+            make: Importable function that makes the device in the child. Its argument is set when the current call should end.
+            name: Name of the device in messages.
+            start_timeout_s: Time for starting the child and making the device.
 
         Raises:
             DriverError: The child ended, or took too long.
         """
         self.name = name
-        self._connection, there = _SPAWN.Pipe()
-        # Not a daemon: those are killed when their parent ends, and this one still has to bring its device to rest.
-        self._process = _SPAWN.Process(target=_serve, args=(make, there), name=name, daemon=False)
+        self._connection, child_connection = _SPAWN.Pipe()
+        # Not a daemon: daemons are killed when their parent ends, but this child must still bring its device to rest.
+        self._process = _SPAWN.Process(target=_serve, args=(make, child_connection), name=name, daemon=False)
         self._process.start()
-        there.close()
+        child_connection.close()
         self._lock, self._send_lock = threading.RLock(), threading.Lock()
         self._number = 0
-        # At its end this process waits for its children, and the child for the end of the pipe: the pipe goes first.
+        # On exit this process waits for its children, and the child waits for the end of the pipe: close the pipe first.
         atexit.register(self._connection.close)
         try:
             self._receive(0, Deadline.after(start_timeout_s))
@@ -101,25 +101,25 @@ class Supervised:
 
     @property
     def pid(self) -> int | None:
-        """Number of the child."""
+        """Process id of the child."""
         return self._process.pid
 
     @property
     def has_ended(self) -> bool:
-        """Whether the child is gone."""
+        """Whether the child has ended."""
         return self._process.exitcode is not None
 
     def call(self, method: str, *, timeout_s: float, is_urgent: bool = False, **arguments: Any) -> Any:
-        """Call a method of the device and return what it returns or raise what it raises; never sent twice.
+        """Call a method of the device; return its result or raise its error. No call is ever sent twice.
 
         Args:
-            method: Its name; it gets `timeout_s`, too.
+            method: Name of the method; it gets `timeout_s` too.
             timeout_s: Time that it may take.
-            is_urgent: Ends the call that is going on, to be done instead.
-            arguments: By name.
+            is_urgent: Ends the current call and goes first.
+            arguments: Arguments by name.
 
         Raises:
-            DeadlineExceeded: No answer; the device may still be doing it.
+            DeadlineExceeded: No answer; the device may still be at work.
             DeviceFault: The child has ended.
         """
         deadline = Deadline.after(timeout_s)
@@ -137,7 +137,7 @@ class Supervised:
             self._lock.release()
 
     def kill(self) -> None:
-        """End a child that does not answer, at once; what it leaves behind is for the watchdog of its device."""
+        """End an unresponsive child at once; the watchdog of its device has to do the rest."""
         self._process.kill()
         self._process.join(_GRACE_S)
         self._abandon()
@@ -146,7 +146,7 @@ class Supervised:
         """Let the child bring its device to rest and end.
 
         Raises:
-            DriverError: It is not known to be at rest.
+            DriverError: The device is not known to be at rest.
         """
         if self._process.exitcode is not None and self._connection.closed:
             return
@@ -184,18 +184,18 @@ class Supervised:
         self._process.join(_GRACE_S)
         code = self._process.exitcode
         reason = "its connection to the device broke" if code == _LOST else f"it ended with code {code}"
-        return DeviceFault(f"{self.name} must have its process; {reason}")
+        return DeviceFault(f"the process of {self.name} must be running; {reason}")
 
     def _abandon(self) -> None:
         atexit.unregister(self._connection.close)
         self._connection.close()
         if self._process.exitcode is None:
-            _LOG.warning("%s still brings its device to rest", self.name)
+            _LOG.warning("%s is still bringing its device to rest", self.name)
 
 
 def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> None:
-    """Body of the child."""
-    os.setsid()  # Ctrl-C in the terminal is for the host's program, which then closes the device in order
+    """Main function of the child."""
+    os.setsid()  # Ctrl-C in the terminal goes to the parent only, which then closes the device in order
     interrupt, is_given_up = threading.Event(), threading.Event()
     calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
 
@@ -238,7 +238,7 @@ def _work(
         if call is None or call.method == "close":
             break
         if call.is_urgent or is_given_up.is_set():
-            # Whoever interrupted the call before is served now, or had no patience left; this one is another.
+            # The interrupt has served its purpose: its caller is served now, or has given up.
             interrupt.clear()
             is_given_up.clear()
         _answer(connection, _carry_out(device, call))
@@ -253,8 +253,8 @@ def _work(
     if call is not None:
         _answer(connection, _Answer(call.number, None, error))
     elif error is not None:
-        _LOG.error("the host is gone, and bringing the device to rest failed: %s", error)
-    # The device is closed; the destructors of ur_rtde would only take another second.
+        _LOG.error("the parent is gone, and bringing the device to rest failed: %s", error)
+    # The device is closed; the destructors of ur_rtde would only take one more second.
     logging.shutdown()
     os._exit(0)
 
@@ -271,10 +271,8 @@ def _next_call(device: Any, calls: queue.SimpleQueue[_Call | None]) -> _Call | N
 
 def _carry_out(device: Any, call: _Call) -> _Answer:
     if call.deadline.is_over:
-        # Too late is as bad as wrong: the caller has gone on meanwhile.
-        error = call.deadline.exceeded(
-            f"{call.method} must begin", "the device was busy, so it was not begun"
-        )
+        # A late call must not be carried out: the caller has moved on.
+        error = call.deadline.exceeded(f"{call.method} must begin", "the device was busy, so it did not")
         return _Answer(call.number, None, error)
     try:
         value = getattr(device, call.method)(timeout_s=call.deadline.remaining_s, **call.arguments)
@@ -284,7 +282,7 @@ def _carry_out(device: Any, call: _Call) -> _Answer:
 
 
 def _portable(error: Exception) -> Exception:
-    """An error that travels through a pipe: those of libraries may not."""
+    """An error that can be pickled for the pipe; errors of libraries may not be."""
     return error if isinstance(error, DriverError) else DeviceFault(f"{type(error).__name__}: {error}")
 
 
@@ -292,4 +290,4 @@ def _answer(connection: Connection, answer: _Answer) -> None:
     try:
         connection.send(answer)
     except OSError:
-        _LOG.info("the host did not wait for answer %d at %.3f s", answer.number, time.monotonic())
+        _LOG.info("the parent did not wait for answer %d at %.3f s", answer.number, time.monotonic())

@@ -1,4 +1,4 @@
-"""Looks after the rig while nothing else asks: during a motion, a ramp, a pause, a long average, and while an arm stands."""
+"""Checks the rig between commands: during a motion, a ramp, a pause, a long average, and while an arm stands."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from types import TracebackType
 from drivers.errors import DriverError
 
 WATCH_S = 0.2
-"""Between two looks: a coil needs minutes to warm up, and whoever presses an emergency stop expects it at once."""
+"""Time between two checks: a coil takes minutes to warm up, but an emergency stop must act at once."""
 
 
 class Watch:
-    """Runs checks again and again in its `with` block, each in a thread of its own, until it fails: then it has brought the rig to rest.
+    """Repeats checks during its `with` block, each in its own thread, until the check fails and has brought the rig to rest.
 
-    One thermometer that takes seconds to fail does not keep an emergency stop from being heard. The thread that measures
-    hears of a failure at its next command, which is refused with the reason.
+    A thermometer that takes seconds to fail therefore does not delay an emergency stop. The measuring thread learns of a
+    failure at its next command, which is refused with the reason.
     """
 
     def __init__(self, checks: Sequence[Callable[[], None]], every_s: float = WATCH_S) -> None:

@@ -1,8 +1,8 @@
 r"""Lake Shore 460 gaussmeter over RS-232, 9600 baud, 7 bits, odd parity; lines end with CR LF.
 
 Protocol: as used by the MPIMeasurements.jl driver (`LakeShore460GaussMeter.jl`), after part 3.4 and chapter 4 of the
-manual. Fields come without their prefix: `FIELDM?` says for the channel chosen with `CHNL` whether they are in u, m, k or
-plain tesla, and this changes with the range. So the range is fixed at the start and the prefixes are asked for then.
+manual. Fields come without their prefix: `FIELDM?` tells whether the channel chosen with `CHNL` sends u, m, k or plain
+tesla, and this changes with the range. So the range is fixed during set-up and the prefixes are read then.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ RANGES_T = (3.0, 0.3, 0.03, 0.003)
 """Full scale of `RANGE 0` to `RANGE 3` with a high-sensitivity probe (manual, part 3.4, page 3-7)."""
 
 UPDATE_S = 0.25
-"""Between two readings of the instrument; its answers do not say whether they are new."""
+"""Time between two readings of the instrument; its answers do not say whether they are new."""
 
 _PREFIXES = {"u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3}
 _COMMAND_GAP_S = 0.05
-"""Commands have no answer: the instrument needs this long for one."""
+"""Time that the instrument needs for a command; commands have no answer."""
 
 
 def choose_range(highest_T: float) -> int:
     """Number of the most sensitive range that holds a field.
 
     Raises:
-        Refused: None does.
+        Refused: The field is beyond every range.
 
     Examples:
         >>> choose_range(0.02), choose_range(0.2)
@@ -48,7 +48,7 @@ def choose_range(highest_T: float) -> int:
 
 
 def decode_prefix(text: str) -> float:
-    """Tesla per unit of what the channel sends.
+    """Tesla per unit of a channel, from the answer to `FIELDM?`.
 
     Examples:
         >>> decode_prefix("m"), decode_prefix(" ")
@@ -61,7 +61,7 @@ def decode_prefix(text: str) -> float:
 
 
 def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
-    """Field from the answer to `ALLF?`: x, y, z and a fourth number without a meaning here.
+    """Field from the answer to `ALLF?`: x, y, z and a fourth number, which is not used.
 
     Args:
         text: `OL` stands for a component beyond its range; it becomes NaN.
@@ -84,8 +84,8 @@ def decode_fields(text: str, tesla_per_unit: Vector) -> Vector:
 class LakeShore460(HallSensor):
     """A `FieldSensor` in one fixed range.
 
-    It keeps nothing and does not say when it measured: a new reading is there an update after the last, and a fresh one after two, for
-    the first may hold an old field.
+    The instrument has no buffer and no time stamps. A new reading is there one update after the last, and a fresh one after two, for the
+    first may hold an older field.
     """
 
     def __init__(self, port: Port, *, range_T: float, update_s: float = UPDATE_S) -> None:

@@ -1,7 +1,7 @@
 r"""Lake Shore F71 teslameter, over its serial port (115200 8N1, RTS/CTS) or TCP port 7777.
 
 Protocol: as used by Lake Shore's own Python driver (github.com/lakeshorecryotronics/python-driver, `teslameter.py`
-and `xip_instrument.py`). Commands end with a line feed, answers with CR LF; `;:` joins several in one line.
+and `xip_instrument.py`). Commands end with a line feed, answers with CR LF; `;:` joins several commands in one line.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ SERIAL = SerialSettings(115200, has_rts_cts=True)
 TCP_PORT = 7777
 
 SAMPLE_S = 0.01
-"""Base of the buffer's clock; a point of the buffer averages a whole number of samples."""
+"""Sampling interval; each point of the buffer averages a whole number of samples."""
 
 READ_BUFFER = ":FETC:BUFF:DC?;:STAT:OPER:COND?"
 READ_TEMPERATURE = ":FETC:TEMP?"
-"""Of the probe, in degrees Celsius; a probe without a thermometer has no number."""
+"""Temperature of the probe in degrees Celsius; not a number if the probe has no thermometer."""
 
 CLEAR_BUFFER = ":FETC:BUFF:CLE"
-"""As in the NICOS driver. A full buffer takes seconds over the serial line, so what nobody wants is not read."""
+"""As in the NICOS driver. A full buffer takes seconds over the serial line, so unwanted points are cleared instead of read."""
 
 _ERRORS = ";:SYST:ERR:ALL?"
 _OVERLOAD_BIT = 1 << 1
@@ -39,7 +39,7 @@ _POLL_S = 0.004
 
 @dataclass(frozen=True, slots=True)
 class BufferPoint:
-    """One entry of the buffer.
+    """One point of the buffer.
 
     Attributes:
         device_time_s: Seconds since 1970 on the instrument's clock.
@@ -66,7 +66,7 @@ def encode_setup(range_T: float | None, n_averaged: int) -> str:
 
 
 def split_answers(line: str) -> list[str]:
-    """The answers in a line, without the quotation marks around a whole one.
+    """The answers in a line, without the quotation marks around a whole answer.
 
     Examples:
         >>> split_answers('"a;b";2;0,"No error"')
@@ -86,11 +86,11 @@ def decode_buffer(text: str) -> list[BufferPoint]:
     """Points of the buffer, oldest first.
 
     Args:
-        text: `time,magnitude,x,y,z,state;...`; with a field controller its set-point stands before the state. The
-            magnitude comes first: it is no component.
+        text: `time,magnitude,x,y,z,state;...`; a field controller puts its set-point before the state. The magnitude
+            comes first and is not a component.
 
     Raises:
-        DeviceFault: It reads otherwise.
+        DeviceFault: The text has another format.
 
     Examples:
         >>> decode_buffer("2026-11-21T08:00:00.010,0.3,0.1,-0.2,0.2,0;")
@@ -112,7 +112,7 @@ def decode_buffer(text: str) -> list[BufferPoint]:
 
 
 class LakeShoreF71(HallSensor):
-    """A `FieldSensor`: reads the instrument's buffer, so that polling neither repeats nor misses a point; its probe is a `Thermometer`."""
+    """A `FieldSensor` that reads the instrument's buffer, so polling neither repeats nor misses a point; also a `Thermometer`."""
 
     def __init__(self, port: Port, *, range_T: float | None = None, n_averaged: int = 1) -> None:
         super().__init__(port, landmark=identity_landmark(b"\n", b"\r\n"))
@@ -135,8 +135,8 @@ class LakeShoreF71(HallSensor):
 
     def _read_fresh(self, deadline: Deadline) -> Reading[Vector]:
         self._ask(CLEAR_BUFFER, 0, deadline)
-        self._last_time_s = None  # what is thrown away is not lost
-        self._wait(deadline)  # the first was begun before the call
+        self._last_time_s = None  # points cleared on purpose do not count as lost
+        self._wait(deadline)  # the first point was begun before the call
         points, overload = self._wait(deadline)
         return self._reading(points[-1], overload, time.monotonic())
 

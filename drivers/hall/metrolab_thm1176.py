@@ -1,8 +1,8 @@
 r"""Metrolab THM1176 three-axis Hall magnetometer, the sensor of the paper, over USBTMC (`VisaPort`).
 
 Protocol: public Python drivers (pyTHM1176 of Hyperfine). The three axes are measured one after the other, each averaged over all its
-samples before the next begins: about 5 ms between them at 100 samples, so the field has to stand still meanwhile. `:CAL:INIT` and
-`:DIAG:UPGR` write to the probe's flash and `:MEAS` resets it: none of them is ever sent.
+samples before the next begins: about 5 ms apart at 100 samples, so the field must be constant meanwhile. `:CAL:INIT` and `:DIAG:UPGR`
+write to the probe's flash, and `:MEAS` resets it: none of them is ever sent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drivers.transport.port import Port
 RANGES_T = (0.1, 0.3, 1.0, 3.0)
 
 MEASURE = ":INIT;:FETC:ARR:X? 1,5;:FETC:ARR:Y? 1,5;:FETC:ARR:Z? 1,5;:FETC:TIM?;*STB?"
-"""Begin and wait for one acquisition: five digits of each axis, its time stamp, and whether errors wait."""
+"""Start one acquisition and wait for it: five digits of each axis, the time stamp, and whether errors are queued."""
 
 _OVER_RANGE, _OVERRUNS = 205, (204, 206)
 _MOST_ERRORS = 20
@@ -31,9 +31,9 @@ class Acquisition:
     """The answer to `MEASURE`.
 
     Attributes:
-        field_T: Along x, y, z.
-        device_time_s: When it ended, on the probe's clock.
-        has_errors: Whether the queue of errors is not empty.
+        field_T: Along x, y, z of the probe.
+        device_time_s: End of the acquisition, on the probe's clock.
+        has_errors: Whether errors are queued.
     """
 
     field_T: Vector
@@ -45,7 +45,7 @@ def choose_range_T(highest_T: float) -> float:
     """The smallest range that holds a field.
 
     Raises:
-        Refused: None does.
+        Refused: The field is beyond every range.
 
     Examples:
         >>> choose_range_T(0.05), choose_range_T(0.5)
@@ -58,7 +58,7 @@ def choose_range_T(highest_T: float) -> float:
 
 
 def encode_setup(range_T: float, n_averaged: int) -> str:
-    """Settings for single acquisitions at once.
+    """Settings for single acquisitions that start at once.
 
     Examples:
         >>> encode_setup(0.1, 100)
@@ -74,7 +74,7 @@ def decode_acquisition(line: str) -> Acquisition:
     """The answer to `MEASURE`.
 
     Raises:
-        DeviceFault: It reads otherwise.
+        DeviceFault: The line has another format.
 
     Examples:
         >>> decode_acquisition("+0.00123 T;-0.00045 T;+0.01000 T;0x3B9ACA00;0")
@@ -92,7 +92,7 @@ def decode_acquisition(line: str) -> Acquisition:
 
 
 class MetrolabTHM1176(HallSensor):
-    """A `FieldSensor` that measures when it is asked; it keeps nothing between."""
+    """A `FieldSensor` that measures on demand and has no buffer."""
 
     def __init__(self, port: Port, *, range_T: float, n_averaged: int = 100) -> None:
         """Choose its settings.
@@ -100,7 +100,7 @@ class MetrolabTHM1176(HallSensor):
         Args:
             port: Connection to the probe.
             range_T: Largest field to expect.
-            n_averaged: Samples of each axis in a reading; one alone scatters by 0.5 mT.
+            n_averaged: Samples of each axis in a reading; a single one scatters by 0.5 mT.
         """
         super().__init__(port, landmark=identity_landmark(b"\n", b"\n"))
         self._range_T, self._n_averaged = choose_range_T(range_T), n_averaged
@@ -126,7 +126,7 @@ class MetrolabTHM1176(HallSensor):
         return [self._read_fresh(deadline)]
 
     def _read_errors(self, deadline: Deadline) -> ReadingFlag:
-        """Empty the queue of errors; those that belong to a reading become its flags."""
+        """Empty the queue of errors; errors of a reading become its flags, others raise."""
         flags = ReadingFlag.NONE
         for _ in range(_MOST_ERRORS):
             answer = self._ask(":SYST:ERR?", deadline)
@@ -139,7 +139,7 @@ class MetrolabTHM1176(HallSensor):
                 flags |= ReadingFlag.DROPPED
             else:
                 raise DeviceFault(f"THM1176 must accept its commands; it says {answer}")
-        raise DeviceFault(f"THM1176 must have an end of its errors; after {_MOST_ERRORS} there are more")
+        raise DeviceFault(f"THM1176 must queue fewer than {_MOST_ERRORS} errors; it has sent as many")
 
     def _ask(self, commands: str, deadline: Deadline) -> str:
         return ascii_text(self._channel.query(f"{commands}\n".encode("ascii"), b"\n", deadline)).strip()

@@ -2,7 +2,7 @@ r"""Senis 3MH6 teslameter: a binary stream of up to 15000 packets a second over 
 
 Protocol: public Python drivers. `S` stops the stream, `C` asks for calibrated values, `K<code>` sets the rate (answer: `K`
 and the code as one byte), `mr1` to `mr4` the range, `B` starts packets of 25 bytes: 0x42, big-endian floats Bx, temperature,
-By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no serial number can be asked for.
+By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no command returns a serial number.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SERIAL = SerialSettings(3_000_000)
 RATE_CODES = {
     10: 0x23, 30: 0x53, 50: 0x63, 60: 0x72, 100: 0x82, 500: 0x92, 1000: 0xA1, 2000: 0xB0, 3750: 0xC0, 7500: 0xD0, 15000: 0xE0,
 }  # fmt: skip
-"""Packets per second and the code of `K`."""
+"""Codes of `K` by packets per second."""
 
 _PACKET = struct.Struct(">Bffff7sB")
 _START, _END = 0x42, 0x0D
@@ -32,46 +32,46 @@ _QUIET_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of the stream, in the units of the instrument; its temperature is taken to be in degrees Celsius."""
+    """One packet of the stream, in the units of the instrument; the temperature is taken to be in degrees Celsius."""
 
     field: Vector
     temperature: float
 
 
 def split_packets(stream: bytes) -> tuple[list[Packet], int, bytes]:
-    r"""Packets of a piece of the stream.
+    r"""Split a piece of the stream into packets.
 
-    A byte 0x42 also occurs inside of packets: one begins where 0x0D stands at its end, and another 0x42 after that. While in
-    step, the last packet may do without.
+    The start byte 0x42 also occurs inside packets. So a packet must end with 0x0D and be followed by another 0x42; in step,
+    the last packet need not be followed by anything.
 
     Args:
         stream: Bytes from anywhere in the stream.
 
-    Returns: Packets, number of bytes that belong to none, and the rest, which may be the start of another packet.
+    Returns: Packets, number of bytes outside any packet, and the rest, which may be the start of another packet.
 
     Examples:
         >>> packet = encode_packet(Packet((1.0, 2.0, -3.0), 25.0))
         >>> split_packets(b"?" + packet + packet[:3])
         ([Packet(field=(1.0, 2.0, -3.0), temperature=25.0)], 1, b'B?\x80')
     """
-    packets, n_skipped, place = [], 0, 0
-    while len(stream) - place >= _PACKET.size:
-        end = place + _PACKET.size
-        looks_whole = stream[place] == _START and stream[end - 1] == _END
+    packets, n_skipped, start = [], 0, 0
+    while len(stream) - start >= _PACKET.size:
+        end = start + _PACKET.size
+        looks_whole = stream[start] == _START and stream[end - 1] == _END
         if looks_whole and end == len(stream) and n_skipped:
             break  # out of step a moment ago: the next byte will tell
         if looks_whole and stream[end : end + 1] in {b"", b"\x42"}:
-            _, x, temperature, y, z, _, _ = _PACKET.unpack_from(stream, place)
+            _, x, temperature, y, z, _, _ = _PACKET.unpack_from(stream, start)
             packets.append(Packet((x, y, z), temperature))
-            place = end
+            start = end
         else:
             n_skipped += 1
-            place += 1
-    return packets, n_skipped, stream[place:]
+            start += 1
+    return packets, n_skipped, stream[start:]
 
 
 def encode_packet(packet: Packet, seven_more: bytes = bytes(7)) -> bytes:
-    """A packet as the instrument sends it; what its seven other bytes mean is not known."""
+    """A packet as the instrument sends it; the meaning of its seven other bytes is unknown."""
     x, y, z = packet.field
     return _PACKET.pack(_START, x, packet.temperature, y, z, seven_more, _END)
 
@@ -80,7 +80,7 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
     """Check the answer to `K<code>`.
 
     Raises:
-        DeviceFault: It names another rate.
+        DeviceFault: The answer does not confirm the code.
 
     Examples:
         >>> decode_rate_answer(bytes([0x4B, 0x82]), 0x82)
@@ -90,7 +90,7 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
 
 
 class Senis3MH6(HallSensor):
-    """A `FieldSensor` and `Thermometer` that streams; a packet lost on the way shows as bytes that fit into no packet."""
+    """A `FieldSensor` and `Thermometer` that streams; a lost packet shows as bytes that fit into no packet."""
 
     def __init__(
         self,
@@ -107,9 +107,8 @@ class Senis3MH6(HallSensor):
             port: Connection to the instrument.
             rate_Hz: One of `RATE_CODES`.
             range_number: 1 to 4, as in `mr1` to `mr4`.
-            full_scale_T: Field where that range ends; it depends on the probe, and beyond it a reading is flagged.
-            tesla_per_unit: Value of the unit of the packets; the drivers at hand do not state it, and millitesla is what
-                the display shows.
+            full_scale_T: Limit of that range, which depends on the probe; a reading beyond it is flagged.
+            tesla_per_unit: Unit of the packets. The public drivers do not state it; the display shows millitesla.
         """
         if rate_Hz not in RATE_CODES:
             raise Refused(
@@ -126,7 +125,7 @@ class Senis3MH6(HallSensor):
         self._temperatures = ReadingCounter()
 
     def read_temperature_K(self, *, timeout_s: float) -> Reading[float]:
-        """See `Thermometer.read_temperature_K`: that of the last packet read; the first call waits for one."""
+        """See `Thermometer.read_temperature_K`; from the last packet read, and the first call waits for one."""
         with self._ready(timeout_s) as deadline:
             while self._last_packet is None:
                 self._receive(deadline)
@@ -135,7 +134,7 @@ class Senis3MH6(HallSensor):
             )
 
     def close(self) -> None:
-        """See `Device.close`; ends the stream, for one that nobody reads fills the buffers of the port."""
+        """See `Device.close`; ends the stream, which would fill the buffers of the port unread."""
         deadline = Deadline.after(0.5)
         try:
             if self._is_set_up:
@@ -146,13 +145,13 @@ class Senis3MH6(HallSensor):
             self._channel.close()
 
     def _identity(self, deadline: Deadline) -> str:
-        """The instrument can only say what it is set to, and has to be silent for that."""
+        """Model and settings; the instrument confirms no more than these, and only while it does not stream."""
         self._forget_set_up()
         self._choose_range_and_rate(deadline)
         return f"Senis, 3MH6, range {self._range_number}, {self._rate_Hz} Hz"
 
     def _set_up(self, deadline: Deadline) -> None:
-        """Begin the stream; what passed since an earlier one ended is lost."""
+        """Begin the stream; packets since the end of an earlier stream are lost."""
         self._choose_range_and_rate(deadline)
         self._channel.send(b"B", deadline)
         if self._has_streamed:
@@ -174,13 +173,13 @@ class Senis3MH6(HallSensor):
         while True:
             for packet in self._receive(deadline):
                 n_passed += 1
-                if n_passed > 1:  # the first was begun before the call
+                if n_passed > 1:  # the first packet was begun before the call
                     return self._reading(packet, self._channel.arrived_s)
 
     def _read_new(self, deadline: Deadline) -> list[Reading[Vector]]:
         readings: list[Reading[Vector]] = []
         while not readings or (self._channel.has_arrived() and not deadline.is_over):
-            # Each piece of the stream with the time of its own arrival.
+            # Each piece of the stream gets its own arrival time.
             packets = self._receive(deadline)
             readings += [self._reading(packet, self._channel.arrived_s) for packet in packets]
         return readings

@@ -1,4 +1,4 @@
-"""What the Hall sensors share: the two ways to read a field, each on an instrument that is set up."""
+"""Base of the Hall sensors: two ways to read a field from an instrument that is set up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.protocols import Reading, Vector
 
 
 class HallSensor(OnChannel):
-    """A `FieldSensor`; each kind of instrument says how it is set up and read."""
+    """A `FieldSensor`; each model defines how it is set up and read."""
 
     def read_field_T(self, *, timeout_s: float) -> Reading[Vector]:
         """See `FieldSensor.read_field_T`."""

@@ -1,1 +1,1 @@
-"""Robot arms: reading poses and moving."""
+"""Robot arms: read poses and move."""

@@ -1,7 +1,7 @@
-r"""A recorded arm: what it was asked and what it answered, as a transcript (`drivers.transport.transcript`) that takes its place later.
+r"""Records the calls of an arm and its answers as a transcript (`drivers.transport.transcript`), and replays them.
 
-Other instruments are recorded as bytes of their port. An arm has three ports and a library that talks to them by itself, so what is
-written down are the calls of `RobotArm`: a line such as `read_pose` one way and JSON the other.
+Other instruments are recorded as bytes of their port. An arm has three ports and a library that uses them by itself, so its transcript
+holds calls of `RobotArm` instead: a line such as `read_pose` one way, and JSON the other.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def encode_motion(base_from_flange: FlangePose, speed_m_per_s: float) -> bytes:
 
 
 def encode_pose(reading: Reading[FlangePose]) -> dict[str, Any]:
-    """What of a reading does not depend on when it is replayed.
+    """The part of a reading that does not depend on when it is replayed.
 
     Examples:
         >>> encode_pose(Reading(7, 12.5, 0.25, FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0)), ReadingFlag.STALE))
@@ -54,10 +54,10 @@ def encode_pose(reading: Reading[FlangePose]) -> dict[str, Any]:
 
 
 def decode_pose(answer: Any) -> tuple[FlangePose, float | None, ReadingFlag]:
-    """Pose, time of the device and flags of a recorded reading.
+    """Pose, device time and flags of a recorded reading.
 
     Raises:
-        DeviceFault: It is none.
+        DeviceFault: The answer has another format.
 
     Examples:
         >>> decode_pose({"pose": [0.3, 0.0, 0.2, 0.0, 3.0, 0.0], "device_time_s": 0.25, "flags": ["STALE"]})[1:]
@@ -76,22 +76,22 @@ def decode_pose(answer: Any) -> tuple[FlangePose, float | None, ReadingFlag]:
 
 
 class RecordingArm(ClosesItself):
-    """Writes down what an arm is asked and answers, its faults too; calls of two threads stand in the order in which they ended.
+    """Records the calls of an arm and its answers and faults; calls of two threads stand in the order in which they ended.
 
-    Not written down is what a replay has no use for: `require_safe`, which is called at any time, and `stop`.
+    `stop`, and `require_safe`, which is called at any time, are not recorded: a replay has no use for them.
     """
 
     def __init__(self, arm: RobotArm, path: Path, *, name: str) -> None:
-        """Record to a file; what it held is kept. The arm is called `name` in messages."""
+        """Record to a file; an existing file is appended to. The arm is called `name` in messages."""
         self._arm, self._file = arm, TranscriptFile(path, name)
 
     def identify(self, *, timeout_s: float) -> str:
         """See `Device.identify`."""
-        return self._written(_IDENTIFY, lambda: self._arm.identify(timeout_s=timeout_s), str)
+        return self._recorded(_IDENTIFY, lambda: self._arm.identify(timeout_s=timeout_s), str)
 
     def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
         """See `RobotArm.read_pose`."""
-        return self._written(_READ_POSE, lambda: self._arm.read_pose(timeout_s=timeout_s), encode_pose)
+        return self._recorded(_READ_POSE, lambda: self._arm.read_pose(timeout_s=timeout_s), encode_pose)
 
     def require_safe(self) -> None:
         """See `RobotArm.require_safe`."""
@@ -103,7 +103,7 @@ class RecordingArm(ClosesItself):
         def move() -> None:
             self._arm.move_to(base_from_flange, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
-        self._written(encode_motion(base_from_flange, speed_m_per_s), move, lambda _: "arrived")
+        self._recorded(encode_motion(base_from_flange, speed_m_per_s), move, lambda _: "arrived")
 
     def stop(self, *, timeout_s: float) -> None:
         """See `RobotArm.stop`."""
@@ -116,7 +116,7 @@ class RecordingArm(ClosesItself):
         finally:
             self._file.close()
 
-    def _written(self, question: bytes, ask: Callable[[], Value], encode: Callable[[Value], Any]) -> Value:
+    def _recorded(self, question: bytes, ask: Callable[[], Value], encode: Callable[[Value], Any]) -> Value:
         asked = Chunk(self._file.now_s, ">", question)
 
         def write(answer: Any) -> None:
@@ -132,16 +132,16 @@ class RecordingArm(ClosesItself):
 
 
 class ReplayedArm(ClosesItself):
-    """Plays an arm out of its recording, at the pace of then; it must be asked what the arm was asked (see `ReplayedPort`).
+    """Plays a recorded arm, with the recorded timing; the calls must be the recorded ones (see `ReplayedPort`).
 
-    Nothing moves, so it can always be stopped and no safety stop holds it.
+    Nothing moves, so `stop` always succeeds and no safety stop holds it.
     """
 
     def __init__(self, path: Path) -> None:
         """Read the recording.
 
         Raises:
-            DeviceFault: It cannot be read.
+            DeviceFault: The file cannot be read.
         """
         self._channel = Channel(ReplayedPort.from_file(path))
         self._counter = ReadingCounter()
@@ -151,7 +151,7 @@ class ReplayedArm(ClosesItself):
         return self._ask(_IDENTIFY, str, timeout_s)
 
     def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
-        """See `RobotArm.read_pose`: with the flags and the device's time of the recording."""
+        """See `RobotArm.read_pose`; flags and device time are the recorded ones."""
         pose, device_time_s, flags = self._ask(_READ_POSE, decode_pose, timeout_s)
         return self._counter.reading(
             pose, flags, host_monotonic_s=self._channel.arrived_s, device_time_s=device_time_s
@@ -161,7 +161,7 @@ class ReplayedArm(ClosesItself):
         """See `RobotArm.require_safe`."""
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
-        """See `RobotArm.move_to`: takes as long as it took, and ends as it ended."""
+        """See `RobotArm.move_to`; takes as long as the recorded motion, and ends as it ended."""
         self._ask(encode_motion(base_from_flange, speed_m_per_s), str, timeout_s)
 
     def stop(self, *, timeout_s: float) -> None:
@@ -172,10 +172,10 @@ class ReplayedArm(ClosesItself):
         self._channel.close()
 
     def _ask(self, question: bytes, decode: Callable[[Any], Value], timeout_s: float) -> Value:
-        """What was answered.
+        """The recorded answer.
 
         Raises:
-            DriverError: That was an error, or something else was asked then.
+            DriverError: The arm answered with an error, or another question was recorded.
         """
         deadline = Deadline.after(timeout_s)
         with self._channel.exchange(deadline):

@@ -1,4 +1,4 @@
-"""Universal Robots' real-time data exchange (RTDE, TCP port 30004): packages as bytes and back.
+"""Encodes and decodes packages of Universal Robots' real-time data exchange (RTDE, TCP port 30004).
 
 Protocol: "Real-Time Data Exchange (RTDE) Guide", Universal Robots. A package is `uint16 size, uint8 type, payload`, big-endian,
 where the size counts its own three bytes of header.
@@ -35,7 +35,7 @@ _FORMATS = {
 
 
 class PackageType(IntEnum):
-    """The letter that follows the size."""
+    """Type of a package: the letter after its size."""
 
     REQUEST_PROTOCOL_VERSION = ord("V")
     GET_CONTROLLER_VERSION = ord("v")
@@ -69,22 +69,22 @@ def split(stream: bytes) -> tuple[list[Package], bytes]:
     r"""Whole packages of a stream, and the rest.
 
     Raises:
-        DeviceFault: It is no RTDE.
+        DeviceFault: The stream is not RTDE.
 
     Examples:
         >>> split(b"\x00\x04S\x01\x00\x04")
         ([Package(type=<PackageType.START: 83>, payload=b'\x01')], b'\x00\x04')
     """
-    packages, place = [], 0
-    while len(stream) - place >= _HEADER.size:
-        size, letter = _HEADER.unpack_from(stream, place)
+    packages, start = [], 0
+    while len(stream) - start >= _HEADER.size:
+        size, letter = _HEADER.unpack_from(stream, start)
         if size < _HEADER.size or letter not in set(PackageType):
-            raise DeviceFault(f"RTDE must send packages; received {stream[place : place + 20]!r}")
-        if len(stream) - place < size:
+            raise DeviceFault(f"RTDE must send packages; received {stream[start : start + 20]!r}")
+        if len(stream) - start < size:
             break
-        packages.append(Package(PackageType(letter), stream[place + _HEADER.size : place + size]))
-        place += size
-    return packages, stream[place:]
+        packages.append(Package(PackageType(letter), stream[start + _HEADER.size : start + size]))
+        start += size
+    return packages, stream[start:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +92,9 @@ class Recipe:
     """Variables of a data package, in their order.
 
     Attributes:
-        number: That the controller gave it.
-        names: Of the variables.
-        types: As the controller calls them.
+        number: Number assigned by the controller.
+        names: Names of the variables.
+        types: Types in the controller's notation.
     """
 
     number: int
@@ -103,7 +103,7 @@ class Recipe:
 
 
 def encode_output_request(names: Sequence[str], frequency_Hz: float) -> Package:
-    r"""Ask for variables at a rate (protocol version 2).
+    r"""Request variables at a rate (protocol version 2).
 
     Examples:
         >>> encode_output_request(["timestamp"], 500.0).payload
@@ -126,18 +126,18 @@ def decode_recipe(payload: bytes, names: Sequence[str]) -> Recipe:
     """
     types = tuple(payload[1:].decode("ascii", "replace").split(","))
     if len(types) != len(names) or any(kind not in _FORMATS for kind in types):
-        bad = [f"{name} {kind}" for name, kind in zip(names, types, strict=False) if kind not in _FORMATS]
+        refused = [f"{name} {kind}" for name, kind in zip(names, types, strict=False) if kind not in _FORMATS]
         raise DeviceFault(
-            f"RTDE must know all variables asked for; it says {', '.join(bad) or repr(payload)}"
+            f"RTDE must know all requested variables; it says {', '.join(refused) or repr(payload)}"
         )
     return Recipe(payload[0], tuple(names), types)
 
 
 def decode_data(payload: bytes, recipe: Recipe) -> dict[str, Value]:
-    """Values of a data package; all are of one control cycle.
+    """Values of a data package, all of one control cycle.
 
     Raises:
-        DeviceFault: It is of another recipe, or cut.
+        DeviceFault: The package belongs to another recipe, or is cut short.
 
     Examples:
         >>> recipe = Recipe(1, ("timestamp", "runtime_state"), ("DOUBLE", "UINT32"))
@@ -159,7 +159,7 @@ def decode_data(payload: bytes, recipe: Recipe) -> dict[str, Value]:
 
 
 def encode_data(recipe: Recipe, values: Sequence[Value]) -> Package:
-    """A data package, as either side sends it."""
+    """A data package, as the controller or a client sends it."""
     flat: list[bool | int | float] = []
     for value in values:
         flat.extend(value if isinstance(value, tuple) else (value,))

@@ -1,7 +1,7 @@
-"""Every data package of a Universal Robots controller, none lost on this side and each with all its values of one control cycle.
+"""Reads every data package of a Universal Robots controller, without loss and with all values of one control cycle together.
 
-The getters of ur_rtde read one variable after the other while its thread may take over the next package between them, and
-only the newest package is kept; for data this reader takes the packages themselves.
+The getters of ur_rtde read one variable after the other, its thread may take over the next package in between, and only the
+newest package is kept. So this reader takes the packages themselves.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from drivers.robots import rtde
 from drivers.robots.rtde import Package, PackageType, Recipe, Value
 from drivers.transport.port import Port
 
-_KEPT = 60_000
-"""Packages that nobody has taken yet: two minutes at 500 Hz."""
+_MOST_SAMPLES = 60_000
+"""Limit of the packages that may wait here: two minutes at 500 Hz."""
 
 _WAKE_S = 0.2
 
@@ -30,9 +30,9 @@ class Sample:
 
     Attributes:
         host_monotonic_s: When its last byte arrived.
-        device_time_s: The controller's clock.
-        values: By the name of the variable; all of one control cycle.
-        is_after_loss: Whether packages between this one and the one before never arrived, or waited too long here.
+        device_time_s: Time on the controller's clock.
+        values: Values by name of the variable, all of one control cycle.
+        is_after_loss: Whether packages just before this one never arrived, or were dropped here.
     """
 
     host_monotonic_s: float
@@ -42,7 +42,7 @@ class Sample:
 
 
 class RtdeReader:
-    """Owns an RTDE connection; a thread takes packages as they come, so that their arrival times are those of the network."""
+    """Owns an RTDE connection; a thread receives packages as they come, so arrival times are those of the network."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class RtdeReader:
             names: Variables besides `timestamp`.
             frequency_Hz: At most 125 for a UR3, 500 for a UR3e.
             timeout_s: Time for the set-up.
-            on_loss: Called by the reader's thread at the moment the connection breaks.
+            on_loss: Called by the reader's thread as soon as the connection breaks.
 
         Raises:
             DriverError: The controller refuses, or does not answer.
@@ -86,15 +86,15 @@ class RtdeReader:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the connection has broken; it does not come back."""
+        """Whether the connection has broken; it is never restored."""
         return self._error is not None
 
     def read_new(self, *, timeout_s: float) -> list[Sample]:
         """All samples since the last call, oldest first; waits until there is one.
 
         Raises:
-            DeadlineExceeded: None came.
-            DeviceFault: The connection is lost; what came before it is handed out first.
+            DeadlineExceeded: No sample came.
+            DeviceFault: The connection is lost; samples that came before are returned first.
         """
         deadline = Deadline.after(timeout_s)
         with self._news:
@@ -106,7 +106,7 @@ class RtdeReader:
             return samples
 
     def read_after(self, host_monotonic_s: float, *, timeout_s: float) -> Sample:
-        """The first sample that arrived after a moment and that has not been handed out; older ones are thrown away."""
+        """The first sample, of those not yet returned, that arrived after a moment; older ones are discarded."""
         deadline = Deadline.after(timeout_s)
         while True:
             samples = self.read_new(timeout_s=deadline.remaining_s)
@@ -117,13 +117,13 @@ class RtdeReader:
                     return sample
 
     def latest(self, *, at_most_s: float) -> Sample:
-        """The newest sample, without taking it.
+        """The newest sample, left in the queue.
 
         Args:
-            at_most_s: Age from which on it is no longer believed.
+            at_most_s: Highest age that is accepted.
 
         Raises:
-            DeadlineExceeded: It is older: the stream has stalled.
+            DeadlineExceeded: The newest sample is older, so the stream has stalled.
             DeviceFault: The connection is lost.
         """
         with self._news:
@@ -157,7 +157,7 @@ class RtdeReader:
         return recipe
 
     def _ask(self, package: Package, deadline: Deadline) -> Package:
-        """The answer, which has the type of the question; the controller may say other things before it."""
+        """Ask, and return the answer, which has the type of the question; the controller may send other packages before it."""
         self._port.send(rtde.encode(package), deadline)
         while True:
             packages, self._rest = rtde.split(self._rest)
@@ -188,16 +188,16 @@ class RtdeReader:
         arrived_s = time.monotonic()
         for package in packages:
             if package.type is PackageType.DATA:
-                self._keep(rtde.decode_data(package.payload, self._recipe), arrived_s)
+                self._add_sample(rtde.decode_data(package.payload, self._recipe), arrived_s)
 
-    def _keep(self, values: dict[str, Value], arrived_s: float) -> None:
+    def _add_sample(self, values: dict[str, Value], arrived_s: float) -> None:
         device_time_s = values["timestamp"]
         assert isinstance(device_time_s, float)
         last = self._latest
         has_gap = last is not None and device_time_s - last.device_time_s > 1.5 * self._period_s
         with self._news:
             sample = Sample(arrived_s, device_time_s, values, has_gap or self._has_overflowed)
-            self._has_overflowed = len(self._samples) >= _KEPT
+            self._has_overflowed = len(self._samples) >= _MOST_SAMPLES
             if self._has_overflowed:
                 self._samples.clear()
             else:

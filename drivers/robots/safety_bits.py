@@ -1,4 +1,4 @@
-"""What the status bits of a Universal Robots controller say to an operator (RTDE guide, table of output fields)."""
+"""Turns the status bits of a Universal Robots controller into sentences for the operator (RTDE guide, table of output fields)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STOPS = (
     (1 << 5, "an emergency stop of the system is pressed: release it and restart the arm at the pendant"),
     (1 << 9, "its safety system has a fault: see the pendant"),
     (1 << 8, "its safety system found a violation: see the pendant"),
-    (1 << 2, "it is in protective stop: look what it met, then unlock it at the pendant"),
+    (1 << 2, "it is in protective stop: find out what it hit, then unlock it at the pendant"),
     (1 << 4, "a safeguard stop holds it: close the guard"),
     (1 << 3, "it is in recovery mode: move it back by hand"),
     (1 << 10, "its safety system has stopped it: see the pendant"),
@@ -21,33 +21,33 @@ _STOPS = (
 
 
 def why_stopped(values: dict[str, Value]) -> str | None:
-    """One sentence for the operator where a safety stop holds the arm, moving or not; None where none does.
+    """One sentence for the operator if a safety stop holds the arm, moving or not; None otherwise.
 
     Args:
-        values: With `safety_status_bits`.
+        values: Variables of a sample, with `safety_status_bits`.
 
     Examples:
         >>> why_stopped({"safety_status_bits": 1}) is None
         True
         >>> why_stopped({"safety_status_bits": 4})
-        'it is in protective stop: look what it met, then unlock it at the pendant'
+        'it is in protective stop: find out what it hit, then unlock it at the pendant'
     """
     bits = values["safety_status_bits"]
     if not isinstance(bits, int):
-        return "it does not tell its safety status"
+        return "it does not report its safety status"
     for bit, sentence in _STOPS:
         if bits & bit:
             return sentence
-    if not bits & _NORMAL and not bits & 1 << 1:  # reduced mode is slow, but obeys
-        return "its safety system is in no normal mode: see the pendant"
+    if not bits & _NORMAL and not bits & 1 << 1:  # in reduced mode the arm is slow, but obeys
+        return "its safety system is not in normal mode: see the pendant"
     return None
 
 
 def why_not_running(values: dict[str, Value]) -> str | None:
-    """One sentence for the operator; None where the arm obeys.
+    """One sentence for the operator if the arm does not obey; None if it does.
 
     Args:
-        values: With `safety_status_bits` and `runtime_state`.
+        values: Variables of a sample, with `safety_status_bits` and `runtime_state`.
 
     Examples:
         >>> why_not_running({"safety_status_bits": 1, "runtime_state": 1})

@@ -1,7 +1,7 @@
 """UR3 and UR3e as a `RobotArm`: poses from a lossless RTDE reader, motion in a supervised child process.
 
-Poses are those of the flange as long as the tool centre point set at the pendant is zero; the first motion checks that. A real
-arm must be in remote control (UR3e). 0.2 s after a child was killed its arm is stopped by the watchdog of the controller.
+Poses are those of the flange only if the tool centre point set at the pendant is zero; the first motion checks that. A real
+arm must be in remote control (UR3e). If the child is killed, the watchdog of the controller stops the arm after 0.2 s.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _LOG = logging.getLogger(__name__)
 DASHBOARD_PORT = 29999
 FREQUENCY_HZ = {"UR3": 125.0, "UR3e": 500.0}
 JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
-"""Range of the joints of a UR3 (its last one turns without end); a rig with cables states narrower ones."""
+"""Range of the joints of a UR3 (the last one turns without end); a rig with cables states narrower limits."""
 
 _START_S, _CLOSE_S = 20.0, 10.0
 _STILL_S = 2.0
 _CONNECT_S = 3.0
-_OLDEST_S = 2.0  # while the arm stands; during a motion its child is stricter
+_OLDEST_S = 2.0  # for an arm at rest; during a motion the child is stricter
 
 
 class UniversalRobot(ClosesItself):
-    """One arm. Reading needs no child; it starts with the first motion."""
+    """One arm. The child process starts with the first motion; reading needs none."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class UniversalRobot(ClosesItself):
 
         Args:
             host: Address of the controller.
-            model: Decides the rate of its control cycle.
+            model: Sets the rate of the control cycle.
             joint_limits_rad: Lowest and highest angle of each of the six joints.
 
         Raises:
@@ -72,7 +72,7 @@ class UniversalRobot(ClosesItself):
 
     @property
     def motion_pid(self) -> int | None:
-        """Number of the child process; None before the first motion."""
+        """Process id of the child; None before the first motion."""
         return self._motion.pid if self._motion else None
 
     def identify(self, *, timeout_s: float) -> str:
@@ -85,17 +85,17 @@ class UniversalRobot(ClosesItself):
 
     def read_pose(self, *, timeout_s: float) -> Reading[FlangePose]:
         """See `RobotArm.read_pose`; the first package that arrives after the call."""
-        sample = self._hearing_reader().read_after(time.monotonic(), timeout_s=timeout_s)
+        sample = self._connected_reader().read_after(time.monotonic(), timeout_s=timeout_s)
         return self._reading(sample)
 
     def require_safe(self) -> None:
-        """See `RobotArm.require_safe`; from the newest package, which is not taken."""
+        """See `RobotArm.require_safe`; from the newest package, which stays in the queue."""
         sample = self._reader.latest(at_most_s=_OLDEST_S)
         if reason := why_stopped(sample.values):
             raise DeviceFault(f"{self._name} must be free to move; {reason}")
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
-        """See `RobotArm.move_to`; a fault says whether the arm is known to stand. Nothing is ever sent twice."""
+        """See `RobotArm.move_to`; a fault says whether the arm is known to stand still. No command is ever sent twice."""
         deadline = Deadline.after(timeout_s)
         try:
             if self._motion is None or self._motion.has_ended:
@@ -112,14 +112,14 @@ class UniversalRobot(ClosesItself):
             raise type(error)(f"{error}; {self._standing()}") from error
 
     def stop(self, *, timeout_s: float) -> None:
-        """See `RobotArm.stop`; where the child is gone or does not answer, the program is stopped through the dashboard."""
+        """See `RobotArm.stop`; if the child is gone or does not answer, the program is stopped through the dashboard."""
         deadline = Deadline.after(timeout_s)
         try:
             if self._motion is not None and not self._motion.has_ended:
                 self._motion.call("stop", timeout_s=deadline.remaining_s / 2, is_urgent=True)
         except DriverError as error:
-            # Alive, it would go on kicking the watchdog and keep its inputs from the next child.
-            _LOG.warning("stopping by the watchdog and the dashboard, since the child failed: %s", error)
+            # A living child would go on kicking the watchdog and keep the controller's inputs from its successor.
+            _LOG.warning("stopping by the watchdog and the dashboard because the child failed: %s", error)
             if self._motion is not None:
                 self._motion.kill()
             self._motion = None
@@ -143,8 +143,8 @@ class UniversalRobot(ClosesItself):
         port = TcpPort(self._host, rtde.PORT, timeout_s=_CONNECT_S)
         return RtdeReader(port, NAMES, self._frequency_Hz, timeout_s=_CONNECT_S)
 
-    def _hearing_reader(self) -> RtdeReader:
-        """The reader; a new one where the connection of the last was lost. That sends nothing to the arm."""
+    def _connected_reader(self) -> RtdeReader:
+        """The reader, replaced if its connection was lost; that sends nothing to the arm."""
         if self._reader.is_lost:
             self._reader.close()
             self._reader = self._connect()
@@ -164,29 +164,29 @@ class UniversalRobot(ClosesItself):
         )
 
     def _standing(self) -> str:
-        """Whether the arm stands, for the end of a sentence."""
+        """Whether the arm stands still, for the end of a sentence."""
         deadline = Deadline.after(_STILL_S)
         try:
             if self._motion is None or self._motion.has_ended:
                 self._dashboard(("stop",), deadline)
             self._wait_until_still(deadline)
         except DriverError:
-            return "whether the arm stands is unknown"
+            return "whether the arm stands still is unknown"
         return "the arm stands still"
 
     def _wait_until_still(self, deadline: Deadline) -> None:
-        reader = self._hearing_reader()
+        reader = self._connected_reader()
         while True:
             sample = reader.read_after(time.monotonic(), timeout_s=max(0.1, deadline.remaining_s))
             if is_still(sample):
                 return
             if deadline.is_over:
                 raise DeadlineExceeded(
-                    f"{self._name} must stand within {deadline.allowed_s:g} s; it still moves"
+                    f"{self._name} must stand still within {deadline.allowed_s:g} s; it still moves"
                 )
 
     def _dashboard(self, lines: Sequence[str], deadline: Deadline) -> list[str]:
-        """Answers of the dashboard, each to one line."""
+        """Answers of the dashboard, one for each line."""
         port = TcpPort(self._host, DASHBOARD_PORT, timeout_s=max(0.1, deadline.remaining_s))
         channel = Channel(port)
         try:

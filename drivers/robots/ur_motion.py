@@ -1,9 +1,9 @@
-"""Moves a Universal Robots arm through ur_rtde; lives in a child process (`drivers.supervised`) and nowhere else.
+"""Moves a Universal Robots arm through ur_rtde; runs only in a child process (`drivers.supervised`).
 
-What was measured of ur_rtde 1.6.5 shapes this file: its constructors hold the interpreter; one dropped connection crashes it
-while it reconnects, and it may send its last command again then; `False` says that something went wrong, not that the arm
-stands; and a stalled network goes unnoticed for 2.5 s. So there are only asynchronous moves, one loop kicks the controller's
-watchdog, watches an RTDE stream of its own and the way, and a connection once lost ends the process.
+Measurements of ur_rtde 1.6.5 shape this file. Its constructors hold the interpreter lock. A dropped connection crashes it while it
+reconnects, and it may then send its last command again. `False` means that something went wrong, not that the arm stands still.
+A stalled network goes unnoticed for 2.5 s. So all moves are asynchronous; one loop kicks the controller's watchdog and watches the
+motion through its own RTDE stream; and a lost connection ends the process.
 """
 
 from __future__ import annotations
@@ -27,21 +27,16 @@ from drivers.supervised import end_at_once
 from drivers.transport.tcp import TcpPort
 
 WATCHDOG_HZ = 5.0
-"""The controller stops the program when nothing came for 0.2 s; with this the arm went 3 mm on after its client was killed."""
+"""The controller stops the program when no kick came for 0.2 s; the arm then moved 3 mm further after its client was killed."""
 
 NAMES = ("actual_TCP_pose", "actual_TCP_speed", "actual_q", "safety_status_bits", "runtime_state")
 
-_OLDEST_S = 0.3  # longer than the pauses of a busy computer; where the arm hears nothing either, its own watchdog is quicker
-_UPLOADS = (
-    3  # of the control script to an arm that stands still: on a busy computer its watchdog may bite at once
-)
+_OLDEST_S = 0.3  # longer than the pauses of a busy computer; if the connection is dead, the arm's own watchdog is faster
+_UPLOADS = 3  # attempts to start the control script: on a busy computer the watchdog may stop it at once
 _SCRIPT_S = 5.0
 _LOOP_S = 0.01
-_CHECKED_SHARES = (
-    0.25,
-    0.5,
-    0.75,
-)  # of a way, besides its end; each costs two questions, 10 ms to a UR3e and 40 ms to a UR3
+# Fractions of a motion that are checked besides its end; each costs two questions, 10 ms on a UR3e and 40 ms on a UR3.
+_CHECKED_SHARES = (0.25, 0.5, 0.75)
 _ACCELERATION_M_PER_S2 = 0.25
 _BRAKE_M_PER_S2 = 2.0
 _STILL_M_PER_S, _STILL_RAD_PER_S = 1e-3, 5e-3
@@ -66,7 +61,7 @@ class UrMotion:
             host: Address of the controller.
             frequency_Hz: 125 for a UR3, 500 for a UR3e.
             joint_limits_rad: Lowest and highest angle of each joint.
-            interrupt: Set when the motion that is going on should end.
+            interrupt: Set when the current motion should end.
         """
         run_ahead()  # before ur_rtde starts its threads, which inherit it
         import rtde_control  # type: ignore[import-not-found]  # compiled, without types
@@ -74,7 +69,7 @@ class UrMotion:
         self.is_lost = False
         self._interrupt, self._joint_limits_rad = interrupt, tuple(joint_limits_rad)
         port = TcpPort(host, rtde.PORT, timeout_s=_CONNECT_S)
-        # ur_rtde would connect again by itself, upload its script without the watchdog and may repeat the last motion.
+        # ur_rtde would reconnect by itself, upload its script without the watchdog, and perhaps repeat the last motion.
         self._reader = RtdeReader(port, NAMES, frequency_Hz, timeout_s=_CONNECT_S, on_loss=end_at_once)
         self._control: Any = rtde_control.RTDEControlInterface(host, frequency_Hz)
         self._name = f"arm at {host}"
@@ -83,7 +78,7 @@ class UrMotion:
         offset = self._control.getTCPOffset()
         if math.dist(offset, (0.0,) * 6) > _TCP_OFFSET_M:
             raise DeviceFault(
-                f"{self._name} must have its tool centre point at the flange, for poses are those of the flange; it is at {offset}: "
+                f"{self._name} must have its tool centre point at the flange, because poses are those of the flange; it is at {offset}: "
                 "set it to zero in the installation at the pendant"
             )
 
@@ -96,9 +91,9 @@ class UrMotion:
         """See `RobotArm.move_to`.
 
         Raises:
-            Refused: The pose, or one of a few on the way, is beyond the safety limits of the controller or the joint limits given; nothing
+            Refused: The pose, or one of a few on the way, is beyond the safety limits of the controller or the given joint limits; nothing
                 was sent.
-            DeviceFault: The arm does not obey, or was interrupted; the text says which, and whether it stands.
+            DeviceFault: The arm does not obey or was interrupted; the text says which, and whether it stands still.
         """
         deadline = Deadline.after(timeout_s)
         self._require_obedience()
@@ -148,7 +143,7 @@ class UrMotion:
             raise DeviceFault(f"{self._name} must obey; {reason}")
 
     def _upload(self) -> bool:
-        """Start the control script; ur_rtde returns before it runs, and takes no command until then."""
+        """Start the control script, and wait until it runs: ur_rtde returns before that, but takes no command."""
         if not self._control.reuploadScript():
             return False
         deadline = Deadline.after(_SCRIPT_S)
@@ -173,17 +168,17 @@ class UrMotion:
                 )
 
     def _watch(self, deadline: Deadline) -> None:
-        """One turn of the loop of a motion; anything wrong ends the motion and is raised."""
+        """One iteration of the loop during a motion; any fault ends the motion and is raised."""
         self._kick()
         reason = why_not_running(self._fresh_sample().values)
         if reason is not None:
             raise DeviceFault(f"{self._name} must finish its motion; {reason}")
         if self._interrupt.is_set():
             self._brake()
-            raise DeviceFault(f"{self._name} must finish its motion; it was interrupted and stands")
+            raise DeviceFault(f"{self._name} must finish its motion; it was interrupted and stands still")
         if deadline.is_over:
             self._brake()
-            raise deadline.exceeded(f"{self._name} must arrive", "it was stopped on the way and stands")
+            raise deadline.exceeded(f"{self._name} must arrive", "it was stopped on the way and stands still")
         time.sleep(_LOOP_S)
 
     def _brake(self) -> None:
@@ -226,15 +221,15 @@ class UrMotion:
             ) from error
 
     def _kick(self) -> None:
-        """Tell the controller's watchdog that somebody is here."""
+        """Kick the controller's watchdog."""
         if self._control.isConnected() and self._control.kickWatchdog():
             return
-        # Refused where the program has ended, and the next package says why.
+        # The kick is refused once the program has ended; the next package says why.
         reason = why_not_running(self._next_sample().values)
         if reason is None:
             self.is_lost = True
             raise self._fault(
-                "does not take the watchdog's kick, so its watchdog stops it, which is not confirmed"
+                "does not accept kicks of its watchdog, so the watchdog stops it, which is not confirmed"
             )
         raise DeviceFault(f"{self._name} must finish its motion; {reason}")
 
@@ -243,12 +238,12 @@ class UrMotion:
 
 
 def numbers_of(pose: FlangePose) -> list[float]:
-    """A pose as ur_rtde takes it."""
+    """A pose in the notation of ur_rtde."""
     return [*pose.position_m, *pose.rotation_vector_rad]
 
 
 def pose_of(sample: Sample) -> FlangePose:
-    """Pose in a sample; the tool centre point is at the flange."""
+    """Pose of the flange in a sample; the tool centre point is at the flange."""
     numbers = sample.values["actual_TCP_pose"]
     assert isinstance(numbers, tuple)
     x_m, y_m, z_m, x_rad, y_rad, z_rad = numbers

@@ -1,1 +1,1 @@
-"""A rig without hardware: each instrument is a process of its own behind the real protocol, and all share one world."""
+"""Simulated rig: each instrument runs in its own process behind the real protocol, and all share one world."""

@@ -1,4 +1,4 @@
-"""Faults that a simulator shows on request, as cables and instruments do."""
+"""Faults of cables and instruments that a simulator shows on request."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from drivers.simulated.world import SPAWN
 
 
 class Fault(IntEnum):
-    """What is wrong with an instrument."""
+    """Fault of an instrument."""
 
     NONE = 0
     MUTE = 1
-    """It takes commands and says nothing."""
+    """It takes commands and sends nothing."""
     STALL = 2
-    """It says and hears nothing until the fault is taken away, then goes on where it was."""
+    """It neither sends nor receives until the fault is cleared, then continues where it was."""
     DROP = 3
     """The connection breaks."""
     GARBAGE = 4
-    """Bytes that no instrument sends come before each answer."""
+    """Meaningless bytes come before each answer."""
     PARTIAL = 5
     """Answers end in the middle."""
     SLOW = 6
-    """Answers come in pieces with pauses."""
+    """Answers come in pieces, with pauses."""
     PROTECTIVE_STOP = 7
-    """An arm meets an obstacle; it stays stopped until that is unlocked."""
+    """An arm hits an obstacle; it stays stopped until it is unlocked."""
     EMERGENCY_STOP = 8
-    """Somebody presses the button of an arm."""
+    """Somebody presses the emergency stop of an arm."""
 
 
 GARBAGE = bytes([0xFF, 0x00, 0x42, 0x0D, 0x0A, 0xFE])
-"""Holds an end of line and the first and last byte of a Senis packet."""
+"""Includes an end of line, and the first and last byte of a Senis packet."""
 
 
 class FaultSwitch:
-    """The fault of one simulator, set by another process."""
+    """The fault of one simulator; another process may set it."""
 
     def __init__(self) -> None:
         self._value = SPAWN.Value("i", 0)
 
     @property
     def fault(self) -> Fault:
-        """What is wrong now."""
+        """The present fault."""
         return Fault(self._value.value)
 
     @fault.setter
@@ -50,7 +50,7 @@ class FaultSwitch:
 
 
 def spoil(data: bytes, fault: Fault) -> list[bytes]:
-    """What becomes of an answer: the pieces that are sent.
+    """The pieces of an answer that are sent under a fault.
 
     Examples:
         >>> spoil(b"1.500", Fault.PARTIAL), spoil(b"1.500", Fault.MUTE), spoil(b"1.5", Fault.SLOW)
@@ -63,5 +63,5 @@ def spoil(data: bytes, fault: Fault) -> list[bytes]:
     if fault is Fault.PARTIAL:
         return [data[: len(data) // 2]] if len(data) > 1 else []
     if fault is Fault.SLOW:
-        return [data[place : place + 1] for place in range(len(data))]
+        return [data[index : index + 1] for index in range(len(data))]
     return [data]

@@ -1,4 +1,4 @@
-"""Simulated Lake Shore F71 and 460 and Senis 3MH6."""
+"""Simulated Hall sensors: Lake Shore F71 and 460, Senis 3MH6."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from drivers.simulated.world import FieldFunction, Snapshot, World
 
 _BUFFER_POINTS = 1000
 _CHIP_WARMTH_K = 3.0
-"""By which a probe is warmer than the room."""
+"""Temperature rise of a probe above the room."""
 
 
 class SimulatedF71:
-    """A Lake Shore F71: the buffer fills by its own clock, whoever asks."""
+    """A Lake Shore F71, whose buffer fills on its own clock."""
 
     def __init__(self, world: World, field: FieldFunction, full_scale_T: float = 0.35) -> None:
         self._world, self._field, self._full_scale_T = world, field, full_scale_T
@@ -53,13 +53,13 @@ class SimulatedF71:
         return self._interpreter.take(data)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`; nothing is sent, the buffer is filled."""
+        """See `Instrument.stream`; sends nothing but fills the buffer."""
         while (now_s := time.monotonic()) >= self._next_s:
             field_T = self._field(self._world.snapshot())
             self._is_overload = any(abs(value_T) > self._full_scale_T for value_T in field_T)
             self._points.append((self._next_s + self._clock_offset_s, field_T))
             del self._points[:-_BUFFER_POINTS]
-            # After a stall the clock goes on where it is now: the points between were never made.
+            # After a stall the clock continues from now: the points in between were never measured.
             self._next_s += (
                 SAMPLE_S * self._n_averaged * (1 + int((now_s - self._next_s) / SAMPLE_S / self._n_averaged))
             )
@@ -98,7 +98,7 @@ class SimulatedF71:
 
 
 class Simulated460:
-    """A Lake Shore 460: line commands without answers, one active channel, prefixes that follow the range."""
+    """A Lake Shore 460: commands without answers, one active channel, prefixes that follow the range."""
 
     def __init__(self, world: World, field: FieldFunction, update_s: float = lakeshore_460.UPDATE_S) -> None:
         self._world, self._field, self._update_s = world, field, update_s
@@ -119,7 +119,7 @@ class Simulated460:
         return b"".join(f"{answer}\r\n".encode("ascii") for answer in answers if answer is not None)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`; nothing is sent, the display is renewed."""
+        """See `Instrument.stream`; sends nothing but renews the display."""
         if (now_s := time.monotonic()) >= self._next_s:
             self._measured_T = self._field(self._world.snapshot())
             self._next_s = now_s + self._update_s
@@ -159,7 +159,7 @@ class Simulated460:
 
 
 class SimulatedSenis:
-    """A Senis 3MH6: streams at its rate, and says nothing of which packet is which."""
+    """A Senis 3MH6, which streams packets without count or time."""
 
     def __init__(self, world: World, field: FieldFunction) -> None:
         self._world, self._field = world, field
@@ -170,7 +170,7 @@ class SimulatedSenis:
         self._begin_s, self._n_sent = 0.0, 0
 
     def take(self, data: bytes) -> bytes:
-        """See `Instrument.take`; commands have no terminator, their first letter says how long they are."""
+        """See `Instrument.take`; commands have no terminator, so the first letter tells the length."""
         self._arrived += data
         answers = []
         lengths = {b"S": 1, b"B": 1, b"C": 1, b"K": 3, b"m": 3}
@@ -183,7 +183,7 @@ class SimulatedSenis:
         return b"".join(answers)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`; packets of one call share the field of its moment."""
+        """See `Instrument.stream`; all packets of one call hold the same field."""
         if not self._is_streaming:
             return b""
         n_before = self._n_sent
@@ -193,7 +193,7 @@ class SimulatedSenis:
         now = self._world.snapshot()
         x_T, y_T, z_T = self._field(now)
         packet = Packet((1e3 * x_T, 1e3 * y_T, 1e3 * z_T), _chip_C(now))
-        # The real ones carry no count; here the bytes without a known meaning do, so that tests see a loss.
+        # Real packets carry no count; here the bytes of unknown meaning do, so that tests see a loss.
         counts = range(n_before, self._n_sent)
         return b"".join(encode_packet(packet, count.to_bytes(7, "big")) for count in counts)
 

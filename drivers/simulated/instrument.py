@@ -1,4 +1,4 @@
-"""What a simulated instrument is: bytes in, bytes out; `drivers.simulated.process` serves it."""
+"""Protocol of a simulated instrument: bytes in, bytes out; `drivers.simulated.process` serves it."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ class Instrument(Protocol):
         ...
 
     def stream(self) -> bytes:
-        """What it sends unasked, since the last call."""
+        """Bytes that it has sent unasked since the last call."""
         ...

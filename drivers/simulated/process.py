@@ -1,4 +1,4 @@
-"""Runs a simulated instrument in a process of its own, behind a pseudo-terminal or a TCP port."""
+"""Runs a simulated instrument in a child process, behind a pseudo-terminal or a TCP port."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ _TICK_S = 0.002
 _START_S = 30.0
 _SLOW_S = 0.01
 _HANDSHAKE_S = 10.0
-"""USB makes an instrument wait for its host, which may pause for seconds; who reads nothing for longer is gone."""
+"""USB makes an instrument wait for its host, which may pause for seconds; a host that reads nothing for longer is gone."""
 
 
 class Simulator(ClosesItself):
-    """A running simulator; leaving its `with` block ends it, and so does the death of this process.
+    """A running simulator; it ends when its `with` block or this process ends.
 
     Attributes:
         address: Path of the pseudo-terminal, `host:port`, or the host of an arm.
-        faults: What is wrong with it; may be changed at any time.
+        faults: Sets the simulator's fault; may be changed at any time.
     """
 
     def __init__(self, run: Callable[[FaultSwitch, Connection], None]) -> None:
-        """Start it and wait until it listens.
+        """Start the simulator and wait until it listens.
 
         Args:
-            run: Body of its process; sends its address once it listens.
+            run: Main function of the child process; sends its address once it listens.
         """
         self.faults = FaultSwitch()
-        here, there = SPAWN.Pipe(duplex=False)
-        self._process = SPAWN.Process(target=run, args=(self.faults, there), daemon=True)
+        receiver, sender = SPAWN.Pipe(duplex=False)
+        self._process = SPAWN.Process(target=run, args=(self.faults, sender), daemon=True)
         self._process.start()
-        there.close()
+        sender.close()
         try:
-            if not here.poll(_START_S):
+            if not receiver.poll(_START_S):
                 raise DriverError(f"a simulator must start within {_START_S:g} s; it did not")
-            self.address: str = here.recv()
+            self.address: str = receiver.recv()
         except EOFError as error:
             raise DriverError("a simulator must start; it ended, see its error output") from error
         except BaseException:
@@ -58,36 +58,36 @@ class Simulator(ClosesItself):
 
     @classmethod
     def on_serial_line(cls, make: Callable[[], Instrument]) -> Self:
-        """An instrument behind a pseudo-terminal.
+        """Start an instrument behind a pseudo-terminal.
 
         Args:
-            make: Makes the instrument in its process; with the world among its arguments (`functools.partial`).
+            make: Makes the instrument in the child process; the world is among its arguments (`functools.partial`).
         """
         return cls(partial(_serve_line, make, None))
 
     @classmethod
     def on_tcp(cls, make: Callable[[], Instrument], host: str = "127.0.0.1") -> Self:
-        """An instrument behind a TCP port that the system chooses; `make` as above."""
+        """Start an instrument behind a TCP port that the system chooses; `make` as above."""
         return cls(partial(_serve_line, make, host))
 
     @property
     def pid(self) -> int | None:
-        """Number of its process."""
+        """Process id of the simulator."""
         return self._process.pid
 
     @property
     def is_running(self) -> bool:
-        """Whether its process lives."""
+        """Whether the simulator is running."""
         return self._process.is_alive()
 
     def close(self) -> None:
-        """End it, as pulling its cable would."""
+        """End the simulator at once, as if its cable were pulled."""
         self._process.kill()
         self._process.join()
 
 
 def exit_with_parent() -> None:
-    """End this process when the one that started it is gone, however it ended."""
+    """End this process when its parent has ended for any reason."""
     parent = parent_process()
     if parent is None:
         raise DriverError("a simulator must be started by another process; it has no parent")
@@ -102,14 +102,14 @@ def exit_with_parent() -> None:
 class _PtyLine:
     def __init__(self) -> None:
         self._master, slave = os.openpty()
-        # Kept open here too, so that the line outlives one client and waits for the next.
+        # Stays open here too, so that the line outlives one client and waits for the next.
         self._slave = slave
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self.address = os.ttyname(slave)
 
     def wait_for_data(self) -> bytes | None:
-        """What arrived within a tick; None where the other side has gone."""
+        """Bytes that arrived within a tick; None if the other side is gone."""
         if not select.select([self._master], [], [], _TICK_S)[0]:
             return b""
         try:
@@ -121,9 +121,8 @@ class _PtyLine:
         while data:
             try:
                 data = data[os.write(self._master, data) :]
-            except (
-                BlockingIOError
-            ):  # as on a line with handshake; where nobody reads at all, the rest is lost
+            except BlockingIOError:
+                # Wait, as on a line with handshake; if nobody reads at all, the rest is lost.
                 if not select.select([], [self._master], [], _HANDSHAKE_S)[1]:
                     return
 
@@ -179,7 +178,7 @@ def _serve_line(
     while True:
         if faults.fault is Fault.DROP:
             line.drop()
-            if host is None:  # a pseudo-terminal that was closed does not come back
+            if host is None:  # a closed pseudo-terminal does not come back
                 return
             while faults.fault is Fault.DROP:
                 time.sleep(_TICK_S)

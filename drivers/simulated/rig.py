@@ -1,4 +1,4 @@
-"""Simulates all devices of a rig file, so that the rig can be measured without hardware."""
+"""Simulates all devices of a rig file, so that the rig can be used without hardware."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _PORTS = ("serial", "tcp", "visa", "port", "replay", "host", "baud", "record")
 
 
 class SimulatedRig(ClosesItself):
-    """Running simulators of a rig; leaving its `with` block ends them, and so does the death of this process.
+    """Running simulators of a rig; they end when the `with` block or this process ends.
 
     Attributes:
-        section: The `devices` section with the addresses of the simulators: what `open_devices` takes.
-        simulators: By the name of the device.
-        world: Its coils are the supplies and its flanges the arms, in the order of the section.
+        section: The `devices` section with the addresses of the simulators, for `open_devices`.
+        simulators: Simulators by the name of the device.
+        world: One coil for each supply and one flange for each arm, in the order of the section.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class SimulatedRig(ClosesItself):
 
         Args:
             section: The `devices` section of a rig file; its ports are replaced.
-            fields: Field at each sensor, by its name; importable, for each is worked out in the simulator's process.
+            fields: Field at each sensor, by its name; importable, because the simulator's process evaluates it.
             circuits: One for each supply.
-            homes: Pose of each arm at the start.
-            first_host: Address of the first arm; the next ones follow.
+            homes: Initial pose of each arm.
+            first_host: Address of the first arm; the addresses of the others follow.
 
         Raises:
-            Refused: A device, a field, a circuit or a home is missing or too many.
+            Refused: A device cannot be simulated, a field is missing, or the number of circuits or homes is wrong.
         """
         self.world = World(circuits, homes or [FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
         self.simulators: dict[str, Simulator] = {}
@@ -71,17 +71,17 @@ class SimulatedRig(ClosesItself):
             )
         try:
             for name, settings in section.items():
-                kept = {key: value for key, value in settings.items() if key not in _PORTS}
+                without_ports = {key: value for key, value in settings.items() if key not in _PORTS}
                 if "arm" in settings:
                     network, _, number = first_host.rpartition(".")
                     host = f"{network}.{int(number) + arms.index(name)}"
                     run = partial(serve_ur, self.world, arms.index(name), _VERSIONS[settings["arm"]], host)
                     self.simulators[name] = Simulator(run)
-                    self.section[name] = {**kept, "host": host}
+                    self.section[name] = {**without_ports, "host": host}
                     continue
                 make = self._instrument(name, settings, fields, sources)
                 self.simulators[name] = Simulator.on_serial_line(make)
-                self.section[name] = {**kept, "serial": self.simulators[name].address}
+                self.section[name] = {**without_ports, "serial": self.simulators[name].address}
         except BaseException:
             self.close()
             raise
@@ -97,10 +97,10 @@ class SimulatedRig(ClosesItself):
         kind = settings.get("sensor") or settings.get("supply") or settings.get("thermometer")
         if kind == "lakeshore_224":
             inputs = thermometer_inputs(settings)
-            felt = {
-                plug: sources.index(place) if place in sources else None for place, plug in inputs.items()
+            coils = {
+                name: sources.index(target) if target in sources else None for target, name in inputs.items()
             }
-            return partial(Simulated224, self.world, felt)
+            return partial(Simulated224, self.world, coils)
         if kind in _SENSORS:
             if name not in fields:
                 raise Refused(

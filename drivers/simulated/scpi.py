@@ -1,4 +1,4 @@
-"""Understands SCPI as an instrument does: short and long forms, several commands in a line, a queue of errors."""
+"""Interprets SCPI as an instrument does: short and long forms, several commands in a line, an error queue."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 Handler: TypeAlias = Callable[[str], str | None]
-"""Takes the arguments of a command, returns the answer of a query; raises ScpiError."""
+"""Takes the arguments of a command and returns the answer to a query; may raise ScpiError."""
 
 
 class ScpiError(Exception):
@@ -15,7 +15,7 @@ class ScpiError(Exception):
 
 
 def short_form(header: str) -> str:
-    """Header in short form: four letters of each word, three where the fourth is a vowel (SCPI-99, volume 1, 6.2.1).
+    """Header in short form: four letters of each word, or three if the fourth is a vowel (SCPI-99, volume 1, 6.2.1).
 
     Examples:
         >>> short_form("SYSTem:ERRor:ALL?"), short_form(":outp"), short_form("*IDN?")
@@ -32,7 +32,7 @@ def _shorten(word: str) -> str:
 
 
 class ScpiInterpreter:
-    """Answers lines with a table of handlers."""
+    """Answers lines by means of a table of handlers."""
 
     def __init__(self, handlers: dict[str, Handler], terminator: str) -> None:
         self._handlers: dict[str, Handler] = {
@@ -48,11 +48,11 @@ class ScpiInterpreter:
 
     @property
     def has_errors(self) -> bool:
-        """Whether the queue of errors is not empty."""
+        """Whether errors are queued."""
         return bool(self._errors)
 
     def take(self, data: bytes) -> bytes:
-        """Answers to the lines that are complete."""
+        """Answers to all complete lines."""
         *lines, self._arrived = (self._arrived + data).split(b"\n")
         return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
 

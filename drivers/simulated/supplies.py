@@ -17,19 +17,19 @@ class SupplyOutput:
         self.set_point_A, self.limit_V, self.is_on = 0.0, 0.0, False
 
     def apply(self) -> None:
-        """Let the coil feel the settings."""
+        """Drive the coil with the present settings."""
         highest_A = self.limit_V / self._world.circuits[self._coil].resistance_ohm
         target_A = max(-highest_A, min(highest_A, self.set_point_A)) if self.is_on else 0.0
         self._world.drive(self._coil, target_A)
 
     @property
     def current_A(self) -> float:
-        """In the coil now."""
+        """Present current in the coil."""
         return self._world.snapshot().currents_A[self._coil]
 
     @property
     def voltage_V(self) -> float:
-        """Across the coil when its current has settled."""
+        """Voltage across the coil at a steady current."""
         return self.current_A * self._world.circuits[self._coil].resistance_ohm
 
     @property
@@ -40,7 +40,7 @@ class SupplyOutput:
 
 
 class SimulatedScpiSupply:
-    """A supply with SCPI; starts, as after `*RST` on some, with a set-point far from zero and its output off."""
+    """A SCPI supply; starts with its set-point far from zero and its output off, as some supplies do after `*RST`."""
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ class SimulatedScpiSupply:
 
 
 def simulated_scpi_supply(world: World, coil: int, highest_A: float) -> SimulatedScpiSupply:
-    """A unipolar supply with plain SCPI."""
+    """A unipolar supply that speaks plain SCPI."""
     model = "COILCAL,SCPI SUPPLY,0,1.0"
     return SimulatedScpiSupply(
         world, coil, lowest_A=0.0, highest_A=highest_A, model=model, terminator="\n", is_kepco=False
@@ -122,7 +122,7 @@ def simulated_scpi_supply(world: World, coil: int, highest_A: float) -> Simulate
 
 
 def simulated_kepco(world: World, coil: int, highest_A: float) -> SimulatedScpiSupply:
-    """A Kepco BOP: bipolar, obeys only under remote control, and leaves flow control bytes in its answers."""
+    """A Kepco BOP: bipolar, obeys only under remote control, and leaves flow-control bytes in its answers."""
     return SimulatedScpiSupply(
         world,
         coil,
@@ -135,7 +135,7 @@ def simulated_kepco(world: World, coil: int, highest_A: float) -> SimulatedScpiS
 
 
 class SimulatedKorad:
-    """A Korad KA3005P: no terminators, and commands that follow too fast are lost."""
+    """A Korad KA3005P: no terminators, and commands in quick succession are lost."""
 
     _COMMAND = re.compile(
         rb"\*IDN\?|STATUS\?|[IV](?:SET|OUT)1\?|ISET1:\d\.\d{3}|VSET1:\d{1,2}\.\d\d|OUT[01]|O[CV]P[01]"

@@ -1,4 +1,4 @@
-"""A simulated Lake Shore 224: feels coils and the room of the world."""
+"""A simulated Lake Shore 224, which measures the coils and the room of the world."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ _OPEN_INPUT = "+0.00000", 128
 
 
 class Simulated224:
-    """A Lake Shore 224; an input without a sensor reads 0 K, and only its status says why."""
+    """A Lake Shore 224; an input without a sensor reads 0 K, and only its status marks that as invalid."""
 
     def __init__(self, world: World, inputs: Mapping[str, int | None]) -> None:
         """Plug in the sensors.
 
         Args:
-            world: Of the rig.
-            inputs: By the name of the input the coil that it feels, or None for the room.
+            world: World of the rig.
+            inputs: Index of the coil that each input measures, by name of the input; None for the room.
         """
         self._world, self._inputs = world, dict(inputs)
         self._arrived = b""
@@ -51,7 +51,7 @@ class Simulated224:
         return None
 
     def _read(self, name: str) -> tuple[str, int]:
-        """What the input shows, and its status."""
+        """Value and status of an input."""
         if name not in self._inputs:
             return _OPEN_INPUT
         coil, now = self._inputs[name], self._world.snapshot()

@@ -1,4 +1,4 @@
-"""A simulated Metrolab THM1176; on a serial line here, which carries the same messages as its USB."""
+"""A simulated Metrolab THM1176, on a serial line that carries the same messages as the real USB."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from drivers.simulated.scpi import ScpiError, ScpiInterpreter
 from drivers.simulated.world import FieldFunction, World
 
 _SAMPLE_S = 50e-6
-"""Of one axis: 100 samples take 5 ms."""
+"""Time for one sample of one axis: 100 samples take 5 ms."""
 
 
 class SimulatedTHM1176:
-    """Measures each axis at its own moment, one after the other."""
+    """A THM1176, which measures the axes one after the other."""
 
     def __init__(self, world: World, field: FieldFunction) -> None:
         self._world, self._field = world, field

@@ -1,8 +1,8 @@
-"""Inside of a simulated Universal Robots controller: registers, the control script of ur_rtde, safety, dashboard.
+"""State of a simulated Universal Robots controller: registers, the control script of ur_rtde, safety, dashboard.
 
-It understands what the script that ur_rtde 1.6 uploads would make of its commands: a command number in input register 0 is carried
-out once, output register 0 says 2 when that is done and 1 when the number is back at zero. The joints of this arm are
-not those of a real one: they are the six numbers of its pose, so that reading them and asking for them agree.
+It does what the script that ur_rtde 1.6 uploads would do with its commands: a command number in input register 0 is carried out once;
+output register 0 becomes 2 when that is done, and 1 when the number is back at zero. The joint angles are not those of a real arm: they
+are the six numbers of the pose, so that readings of the joints agree with the inverse kinematics.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _POWER_ON_BIT, _PROGRAM_RUNNING_BIT = 1 << 0, 1 << 1
 _ASYNC_RUNNING = 1 << 15
 _FASTEST_ROTATION_RAD_PER_S = 1.0
 _SHOULDER_M = 0.152
-"""Height of the shoulder, from which an arm reaches."""
+"""Height of the shoulder, from which the reach of an arm is measured."""
 
 _KINDS = (
     (r"actual_joint_voltage", "VECTOR6D"),
@@ -37,7 +37,7 @@ _KINDS = (
     (r"actual_tool_accelerometer|payload_(cog|inertia)", "VECTOR3D"),
     (r"(actual|target)_\w+|joint_\w+|ft_raw_wrench|external_force_torque", "VECTOR6D"),
 )
-"""Types of the variables that ur_rtde and this package ask for; the first pattern counts."""
+"""Types of the variables that ur_rtde and this package request; the first matching pattern counts."""
 
 
 def kind_of(name: str) -> str:
@@ -71,13 +71,13 @@ class UrController:
         self._last = (self._start_s, self._pose, (0.0, 0.0))
 
     def upload(self, script: str) -> None:
-        """Run a program; ur_rtde uploads its control script."""
+        """Run a program, such as the control script of ur_rtde."""
         if self._safety_bits == _NORMAL_BIT and "rtde_cmd" in script:
             self._runtime_state, self._is_executing, self._watchdog_s = _PLAYING, False, math.inf
             self._outputs["output_int_register_0"] = 1
 
     def set_inputs(self, names: Sequence[str], values: Sequence[Value]) -> None:
-        """A data package of the client."""
+        """Take over the values of a client's data package."""
         self.inputs.update(zip(names, values, strict=True))
         if "input_int_register_0" in names:
             self._kicked_s = time.monotonic()
@@ -109,15 +109,15 @@ class UrController:
         return "could not understand"
 
     def protective_stop(self) -> None:
-        """Something held the arm back."""
+        """Stop, as if the arm had hit an obstacle."""
         self._safety_stop(_PROTECTIVE_BIT)
 
     def emergency_stop(self) -> None:
-        """Somebody pressed the button."""
+        """Stop, as if somebody had pressed the emergency stop."""
         self._safety_stop(_EMERGENCY_BIT)
 
     def tick(self) -> None:
-        """One control cycle."""
+        """Run one control cycle."""
         if self._runtime_state != _PLAYING:
             return
         if time.monotonic() - self._kicked_s > self._watchdog_s:
@@ -136,11 +136,11 @@ class UrController:
             self._outputs["output_int_register_0"] = 2
 
     def outputs(self, names: Sequence[str], cycle_s: float) -> list[Value]:
-        """Values of variables now, all of one instant.
+        """Present values of variables, all at the same instant.
 
         Args:
-            names: Of the variables.
-            cycle_s: When the control cycle was due; its clock ticks evenly, however late this process is.
+            names: Names of the variables.
+            cycle_s: When the control cycle was due; the time stamp follows this even if the process is late.
         """
         now_s = time.monotonic()
         pose = self._pose
@@ -196,11 +196,11 @@ class UrController:
                 self._stop_program()
 
     def _move(self, numbers: tuple[float, ...], speed: float, *, is_async: bool) -> None:
-        here = self._pose
+        start = self._pose
         x_m, y_m, z_m, x_rad, y_rad, z_rad = numbers
         target = FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))
-        turn_rad = angle_between_rad(here.rotation_vector_rad, target.rotation_vector_rad)
-        duration_s = max(distance_m(here, target) / speed, turn_rad / _FASTEST_ROTATION_RAD_PER_S)
+        turn_rad = angle_between_rad(start.rotation_vector_rad, target.rotation_vector_rad)
+        duration_s = max(distance_m(start, target) / speed, turn_rad / _FASTEST_ROTATION_RAD_PER_S)
         self._world.move(self._arm, target, duration_s)
         self._is_async = is_async
         if is_async:
@@ -213,7 +213,7 @@ class UrController:
 
     def _stop_program(self) -> None:
         self._world.halt(self._arm)
-        self._is_async = False  # its register keeps saying that it runs: nobody is left to write it
+        self._is_async = False  # its register still says "running": no program is left to write it
         self._runtime_state = _STOPPED
         self._outputs["output_int_register_0"] = 0
 

@@ -1,6 +1,6 @@
-"""The ports of a simulated Universal Robots controller: RTDE (30004), dashboard (29999) and script (30003).
+"""Serves the ports of a simulated Universal Robots controller: RTDE (30004), dashboard (29999) and script (30003).
 
-The ports are fixed in every client, so each arm gets an address of its own, 127.x.y.z.
+Clients cannot choose other ports, so each arm gets its own address, 127.x.y.z.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _RtdeClient:
         return b"".join(rtde.encode(answer) for package in packages for answer in self._answer(package))
 
     def due(self) -> bytes:
-        """The data packages since the last call; after a long pause those of the pause are left out."""
+        """The data packages due since the last call; those of a long pause are skipped."""
         now_s = time.monotonic()
         if not self.is_started or self.outputs is None:
             return b""
@@ -113,7 +113,7 @@ class _ScriptClient:
 
 
 class _UrServer:
-    """All connections of one controller, served by one loop, as its real-time thread would."""
+    """All connections of one controller, served by one loop like the real-time thread of a real one."""
 
     def __init__(self, controller: UrController, host: str) -> None:
         self._controller = controller
@@ -125,7 +125,7 @@ class _UrServer:
         self._clients: dict[socket.socket, _Client] = {}
 
     def cycle(self, fault: Fault, wait_s: float) -> None:
-        """Serve what has arrived within a while, then send what is due."""
+        """Serve what arrives within `wait_s`, then send the packages that are due."""
         for ready in select.select([*self._servers, *self._clients], [], [], wait_s)[0]:
             if ready in self._servers:
                 self._accept(ready)
@@ -175,18 +175,18 @@ def _names(payload: bytes) -> tuple[str, ...]:
 
 
 def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitch, ready: Connection) -> None:
-    """Body of the simulator's process.
+    """Main function of the simulator's process.
 
     Args:
-        world: Of the rig.
-        arm: Which of its arms this is.
-        version: Of PolyScope, four numbers: 3.x for a UR3, 5.x for a UR3e.
+        world: World of the rig.
+        arm: Index of this arm in the world.
+        version: Version of PolyScope, four numbers: 3.x for a UR3, 5.x for a UR3e.
         host: Address to listen on.
-        faults: What is wrong with it.
-        ready: Told the address.
+        faults: Fault to show.
+        ready: Receives the address once the ports are open.
     """
     exit_with_parent()
-    run_ahead()  # as the real-time thread of a real one
+    run_ahead()  # like the real-time thread of a real controller
     controller = UrController(world, arm, version=version, serial_number=f"2019530000{arm + 1}")
     server = _UrServer(controller, host)
     ready.send(host)
@@ -195,7 +195,7 @@ def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitc
         fault = faults.fault
         if fault is Fault.STALL:
             time.sleep(0.002)
-            controller.tick()  # the arm goes on, only the network does not
+            controller.tick()  # the arm goes on; only the network stalls
             continue
         if fault is Fault.DROP:
             server.drop_rtde()

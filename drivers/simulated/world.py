@@ -1,6 +1,6 @@
-"""The physical world of a simulated rig, in memory that the simulators' processes share.
+"""The physical world of a simulated rig, in memory shared by the processes of the simulators.
 
-Nothing runs in it: it holds when each current and motion began and where it leads, and whoever looks works out what is now.
+No process updates it: it stores start and target of each current and motion, and a reader computes the present state.
 `time.monotonic()` is one clock for all processes of a host.
 """
 
@@ -23,7 +23,7 @@ SPAWN: SpawnContext = multiprocessing.get_context("spawn")
 ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 ROOM_K, ROOM_SWING_K, ROOM_PERIOD_S = 295.15, 1.0, 1200.0
-"""Temperature of a room whose air conditioning goes on and off."""
+"""Mean, amplitude and period of the temperature of a room with air conditioning."""
 
 _COIL_CELLS = 4
 _MOTION_CELLS = 14
@@ -34,11 +34,11 @@ class Snapshot:
     """The world at one moment: all that the field depends on.
 
     Attributes:
-        time_s: Since the world began.
-        currents_A: In each coil.
+        time_s: Time since the world began.
+        currents_A: Current in each coil.
         base_from_flange: Pose of each arm's flange, in the frame of its own base.
-        coil_temperatures_K: Of each coil.
-        room_temperature_K: Of all else.
+        coil_temperatures_K: Temperature of each coil.
+        room_temperature_K: Temperature of everything else.
     """
 
     time_s: float
@@ -49,18 +49,18 @@ class Snapshot:
 
 
 FieldFunction: TypeAlias = Callable[[Snapshot], Vector]
-"""Field at the sensor, in tesla along its axes. Must be importable, since it travels to another process."""
+"""Field at the sensor, in tesla along its axes. Must be importable, because it is sent to another process."""
 
 
 @dataclass(frozen=True, slots=True)
 class CoilCircuit:
-    """What a supply feels of a coil, and how it warms up by its losses.
+    """Electrical load of a coil on its supply, and its warming by ohmic losses.
 
     Attributes:
-        resistance_ohm: With the leads.
-        inductance_H: Zero lets the current follow at once.
-        kelvin_per_W: By which it is warmer than the room in the end.
-        thermal_time_constant_s: After which 63 % of that are reached.
+        resistance_ohm: Resistance with the leads.
+        inductance_H: Inductance; with zero, the current follows at once.
+        kelvin_per_W: Steady temperature rise above the room per watt (thermal resistance).
+        thermal_time_constant_s: Time to reach 63 % of that rise.
     """
 
     resistance_ohm: float
@@ -73,16 +73,20 @@ class CoilCircuit:
         """L / R."""
         return self.inductance_H / self.resistance_ohm
 
-    def warmth_K(self, warmth_K: float, current_A: float, elapsed_s: float) -> float:
-        """How much warmer than the room it is when a current has flowed for a while; one heat capacity, one way out.
+    def temperature_rise_K(self, start_K: float, current_A: float, elapsed_s: float) -> float:
+        """Temperature rise above the room after a constant current; one heat capacity, one thermal resistance.
+
+        Args:
+            start_K: Rise at the start.
+            current_A: Current that has flowed since.
+            elapsed_s: Time since the start.
 
         Examples:
-            >>> CoilCircuit(2.0, 0.0, kelvin_per_W=1.0, thermal_time_constant_s=100.0).warmth_K(0.0, 3.0, 100.0)
+            >>> CoilCircuit(2.0, 0.0, kelvin_per_W=1.0, thermal_time_constant_s=100.0).temperature_rise_K(0.0, 3.0, 100.0)
             11.378
         """
-        in_the_end_K = self.kelvin_per_W * self.resistance_ohm * current_A**2
-        left = math.exp(-elapsed_s / self.thermal_time_constant_s)
-        return in_the_end_K + (warmth_K - in_the_end_K) * left
+        steady_K = self.kelvin_per_W * self.resistance_ohm * current_A**2
+        return steady_K + (start_K - steady_K) * math.exp(-elapsed_s / self.thermal_time_constant_s)
 
 
 class World:
@@ -96,7 +100,7 @@ class World:
     """
 
     def __init__(self, circuits: Sequence[CoilCircuit], homes: Sequence[FlangePose] = (ORIGIN,)) -> None:
-        """All currents are zero, all coils as warm as the room, and each flange is at its home."""
+        """Start with all currents at zero, all coils at room temperature and each flange at its home."""
         self.circuits = tuple(circuits)
         self._n_arms = len(homes)
         self._start_s = time.monotonic()
@@ -111,31 +115,31 @@ class World:
         with self._cells:
             currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
             poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
-            warmth_K = [self._warmth_K(coil, now_s) for coil in range(len(self.circuits))]
+            rises_K = [self._rise_K(coil, now_s) for coil in range(len(self.circuits))]
         time_s = now_s - self._start_s
         room_K = ROOM_K + ROOM_SWING_K * math.sin(2.0 * math.pi * time_s / ROOM_PERIOD_S)
-        return Snapshot(time_s, currents_A, poses, tuple(room_K + own_K for own_K in warmth_K), room_K)
+        return Snapshot(time_s, currents_A, poses, tuple(room_K + rise_K for rise_K in rises_K), room_K)
 
     def drive(self, coil: int, current_A: float) -> None:
-        """Let the current of a coil approach a value, with the time constant of its circuit."""
+        """Let the current of a coil approach a target, with the time constant of its circuit."""
         now_s = time.monotonic()
         with self._cells:
-            present_A, warmth_K = self._current_A(coil, now_s), self._warmth_K(coil, now_s)
-            self._cells[self._coil(coil)] = [present_A, current_A, now_s, warmth_K]
+            present_A, rise_K = self._current_A(coil, now_s), self._rise_K(coil, now_s)
+            self._cells[self._coil(coil)] = [present_A, current_A, now_s, rise_K]
 
     def move(self, arm: int, target: FlangePose, duration_s: float) -> None:
-        """Send a flange from where it is to another pose."""
+        """Move a flange from its present pose to another one."""
         with self._cells:
             self._write_motion(arm, self._pose(arm, time.monotonic()), target, duration_s)
 
     def halt(self, arm: int) -> None:
-        """Leave a flange where it is."""
+        """Stop a flange at its present pose."""
         with self._cells:
-            here = self._pose(arm, time.monotonic())
-            self._write_motion(arm, here, here, 0.0)
+            pose = self._pose(arm, time.monotonic())
+            self._write_motion(arm, pose, pose, 0.0)
 
     def is_moving(self, arm: int) -> bool:
-        """Whether a flange is on its way."""
+        """Whether a flange is moving."""
         with self._cells:
             begin_s, duration_s = self._cells[self._motion(arm)][12:]
         return bool(time.monotonic() < begin_s + duration_s)
@@ -143,13 +147,13 @@ class World:
     def _current_A(self, coil: int, now_s: float) -> float:
         first_A, target_A, begin_s, _ = self._cells[self._coil(coil)]
         time_constant_s = self.circuits[coil].time_constant_s
-        left = math.exp(-(now_s - begin_s) / time_constant_s) if time_constant_s > 0 else 0.0
-        return float(target_A + (first_A - target_A) * left)
+        decay = math.exp(-(now_s - begin_s) / time_constant_s) if time_constant_s > 0 else 0.0
+        return float(target_A + (first_A - target_A) * decay)
 
-    def _warmth_K(self, coil: int, now_s: float) -> float:
-        """By the current that was asked for: it is there in milliseconds, and the heat takes minutes."""
-        _, target_A, begin_s, warmth_K = self._cells[self._coil(coil)]
-        return self.circuits[coil].warmth_K(warmth_K, target_A, now_s - begin_s)
+    def _rise_K(self, coil: int, now_s: float) -> float:
+        """Rise by the target current: the current settles in milliseconds, the temperature in minutes."""
+        _, target_A, begin_s, start_K = self._cells[self._coil(coil)]
+        return self.circuits[coil].temperature_rise_K(start_K, target_A, now_s - begin_s)
 
     def _pose(self, arm: int, now_s: float) -> FlangePose:
         cells = self._cells[self._motion(arm)]

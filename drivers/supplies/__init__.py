@@ -1,1 +1,1 @@
-"""Power supplies: the commands of each model, and the source that ramps any of them."""
+"""Power supplies: the commands of each model, and the source that ramps them."""

@@ -1,8 +1,8 @@
 """Korad KA3005P, unipolar, 30 V and 5 A; its serial port runs at 9600 8N1.
 
-Protocol: "Series remote control syntax V2.0", as in the public drivers. Nothing ends a command or an answer, so the length
-of an answer is known beforehand; there is no error queue, so every set-point is read back; commands that follow each other
-within 80 ms get lost. Answer to `ISET1?`: some firmware adds a sixth character, taken with the silence after it.
+Protocol: "Series remote control syntax V2.0", as in the public drivers. Commands and answers have no terminator, so the
+length of an answer must be known. There is no error queue, so every set-point is read back. Commands within 80 ms of each
+other get lost. Some firmware adds a sixth character to the answer to `ISET1?`; it is discarded before the next command.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RESOLUTION_A = 1e-3
 
 _GAP_S = 0.1
 STEP_S = 0.25
-"""Between two set-points: two gaps, one for the set-point and one for reading it back, and its answer."""
+"""Time between two set-points: two gaps, for the set-point and for reading it back, and the answer."""
 
 _NUMBER_BYTES = 5
 _NAME = re.compile(rb"[A-Z]{3}")
@@ -33,7 +33,7 @@ _CONSTANT_VOLTAGE_BIT, _OUTPUT_BIT = 1 << 0, 1 << 6
 
 
 def encode_current(current_A: float) -> bytes:
-    """Ask for a current.
+    """Command that requests a current.
 
     Examples:
         >>> encode_current(1.5)
@@ -43,7 +43,7 @@ def encode_current(current_A: float) -> bytes:
 
 
 def encode_voltage(voltage_V: float) -> bytes:
-    """Set the voltage limit.
+    """Command that sets the voltage limit.
 
     Examples:
         >>> encode_voltage(12.0)
@@ -53,7 +53,7 @@ def encode_voltage(voltage_V: float) -> bytes:
 
 
 def decode_number(answer: bytes) -> float:
-    """Number of five characters, such as an answer to `IOUT1?`.
+    """A number of five characters, such as an answer to `IOUT1?`.
 
     Examples:
         >>> decode_number(b"1.499")
@@ -65,7 +65,7 @@ def decode_number(answer: bytes) -> float:
 def decode_status(answer: bytes) -> tuple[bool, bool]:
     """Whether the output is on, and whether the supply holds the current.
 
-    In the public drivers, bit 0 tells the regulation and bit 6 the output; bit 0 set means constant voltage.
+    As in the public drivers: bit 0 set means constant voltage, bit 6 set means output on.
 
     Examples:
         >>> decode_status(bytes([0b0100_0000]))
@@ -90,7 +90,7 @@ class KoradKA3005P:
         self.highest_A = min(highest_A, HIGHEST_A)
 
     def identify(self, deadline: Deadline) -> str:
-        """See `SupplyCommands.identify`; its length is not known, so silence ends it."""
+        """See `SupplyCommands.identify`; the length of this answer is unknown, so silence ends it."""
         with self._channel.exchange(deadline):
             self._send(b"*IDN?", deadline)
             first = self._channel.read_exactly(1, deadline)
@@ -136,7 +136,7 @@ class KoradKA3005P:
         self._channel.close()
 
     def _find_step(self, channel: Channel, deadline: Deadline) -> None:
-        """See `Landmark`: only its name has letters, but for the stray one."""
+        """Find an answer that holds a name (see `Landmark`): other answers have at most one stray letter."""
         self._send(b"*IDN?", deadline)
         while not _NAME.search(
             channel.read_exactly(1, deadline) + channel.read_until_silent(_GAP_S, deadline)
@@ -145,9 +145,9 @@ class KoradKA3005P:
 
     def _send(self, command: bytes, deadline: Deadline) -> None:
         deadline.sleep(
-            max(0.0, self._next_s - time.monotonic()), "KA3005P must have taken the command before"
+            max(0.0, self._next_s - time.monotonic()), "KA3005P must have taken the previous command"
         )
-        self._channel.take_arrived(deadline)  # the stray sixth character of an answer before
+        self._channel.take_arrived(deadline)  # the stray sixth character of the previous answer
         self._channel.send(command, deadline)
         self._next_s = time.monotonic() + _GAP_S
 

@@ -1,4 +1,4 @@
-"""A current source out of the commands of a supply: it changes the current in small steps and reads each one back."""
+"""Turns the commands of a supply into a current source, which changes the current in small steps and reads each one back."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _LOG = logging.getLogger(__name__)
 _COMMANDS_S = 5.0
 _ONE_COMMAND_S = 1.0
 _SLOWNESS = 2.0
-"""A ramp may take this many times as long as it should on a busy computer before it is cut short."""
+"""A ramp on a busy computer may take this many times as long as planned before it is cut short."""
 
 
 def longest_off_s(largest_A: float, slew_A_per_s: float) -> float:
     """Time to allow for a ramp to zero and for switching off.
 
     Args:
-        largest_A: Absolute value of the largest current there can be.
+        largest_A: Largest possible absolute current.
         slew_A_per_s: Rate of the ramp.
 
     Examples:
@@ -36,11 +36,11 @@ def longest_off_s(largest_A: float, slew_A_per_s: float) -> float:
 
 
 def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: float) -> list[float]:
-    """Set-points of a ramp, without the start and with the target.
+    """Set-points of a ramp, from the first step to the target.
 
     Args:
-        start_A: Where it begins.
-        target_A: Where it ends.
+        start_A: Current at the start, which is not among the set-points.
+        target_A: Current at the end.
         slew_A_per_s: Highest rate of change.
         step_s: Time between two set-points.
 
@@ -55,19 +55,19 @@ def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: flo
 
 
 class RampedSource(ClosesItself):
-    """A `CurrentSource` that never changes its set-point faster than the coil may.
+    """A `CurrentSource` that never changes its set-point faster than the coil allows.
 
-    Where the present current is not known, as at the start and after a fault, the supply is asked for it.
+    If the present current is unknown, as at the start and after a fault, the supply is asked for it.
     """
 
     def __init__(
         self, supply: SupplyCommands, *, slew_A_per_s: float, interrupt: threading.Event | None = None
     ) -> None:
-        """Nothing is sent before the first call.
+        """Wrap the commands of a supply; nothing is sent before the first call.
 
         Args:
             supply: Commands of the model.
-            slew_A_per_s: Highest rate of change, from inductance and compliance of the coil: U / L.
+            slew_A_per_s: Highest rate of change: voltage limit of the supply over inductance of the coil, U / L.
             interrupt: Set by another thread to end a ramp of `set_current_A` early, as `output_off` does by itself.
         """
         if not slew_A_per_s > 0:
@@ -107,26 +107,26 @@ class RampedSource(ClosesItself):
             self._lock.release()
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
-        """See `CurrentSource.read_current_A`; `OVER_RANGE` where the voltage limit holds the current back."""
+        """See `CurrentSource.read_current_A`; flagged `OVER_RANGE` if the voltage limit holds the current back."""
         measured = self._supply.measure(Deadline.after(timeout_s))
         return self._counter.reading(
             measured.current_A, ReadingFlag.NONE if measured.is_regulating else ReadingFlag.OVER_RANGE
         )
 
     def output_off(self, *, timeout_s: float) -> None:
-        """See `CurrentSource.output_off`; where the ramp fails, the output is switched off at once.
+        """See `CurrentSource.output_off`; if the ramp fails, the output is switched off at once.
 
         Raises:
             DriverError: The output is not known to be off.
         """
         deadline, self._was_told = Deadline.after(timeout_s), True
         self._is_switching_off.set()  # the ramp of another thread ends at its next step
-        is_mine = self._lock.acquire(timeout=deadline.remaining_s)
+        has_lock = self._lock.acquire(timeout=deadline.remaining_s)
         try:
             self._switch_off(deadline)
         finally:
             self._is_switching_off.clear()
-            if is_mine:
+            if has_lock:
                 self._lock.release()
 
     def close(self) -> None:
@@ -145,12 +145,13 @@ class RampedSource(ClosesItself):
         needed_s = abs(current_A - start_A) / self.slew_A_per_s
         if needed_s > deadline.allowed_s:
             raise Refused(
-                f"a ramp from {start_A:g} to {current_A:g} A must have {needed_s:.1f} s; received {deadline.allowed_s:g} s ({self.name})"
+                f"a ramp from {start_A:g} to {current_A:g} A must be allowed {needed_s:.1f} s; "
+                f"received {deadline.allowed_s:g} s ({self.name})"
             )
         for step_A in ramp_steps(start_A, current_A, self.slew_A_per_s, self._supply.step_s):
             if self._interrupt.is_set() or self._is_switching_off.is_set():
                 raise DeviceFault(
-                    f"the ramp to {current_A:g} A must end; it was interrupted at {self._set_point_A} A ({self.name})"
+                    f"the ramp to {current_A:g} A must finish; it was interrupted at {self._set_point_A} A ({self.name})"
                 )
             if step_A != start_A:
                 self._write(step_A, deadline)
@@ -164,7 +165,7 @@ class RampedSource(ClosesItself):
                 self._ramp_down(deadline)
         except DriverError as error:
             _LOG.error("ramp to zero failed, switching off at once: %s", error)
-            # Past its deadline or not, the last attempt gets the time of a few commands.
+            # Even past the deadline, the last attempt gets the time of a few commands.
             deadline = Deadline.after(max(deadline.remaining_s, 3 * _ONE_COMMAND_S))
         if is_on:
             self._supply.switch_output(False, deadline)
@@ -172,7 +173,7 @@ class RampedSource(ClosesItself):
                 raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
 
     def _prepared_set_point_A(self, deadline: Deadline) -> float:
-        """The present set-point, with the output on; switching on happens at zero."""
+        """The present set-point, with the output on; an output that was off is switched on at zero."""
         supply, self._was_told = self._supply, True
         if self._set_point_A is None:
             supply.prepare(deadline)
@@ -195,7 +196,7 @@ class RampedSource(ClosesItself):
         self._set_point_A = None
 
     def _write(self, current_A: float, deadline: Deadline, *, is_step: bool = True) -> None:
-        """One set-point, read back; in a ramp, the pause after it makes the slope."""
+        """Write one set-point and read it back; in a ramp, the pause after it sets the rate."""
         next_step = Deadline.after(self._supply.step_s if is_step else 0.0)
         self._set_point_A = None
         self._supply.write_set_point(current_A, deadline)

@@ -1,7 +1,7 @@
-r"""Power supplies that speak SCPI, and the Kepco BOP with its own habits.
+r"""Commands of power supplies that speak SCPI, and of the Kepco BOP, which departs from it.
 
-Protocol: SCPI-99, volume 2 (chapters on OUTPut, SOURce, MEASure, SYSTem). Every command is followed by `SYST:ERR?` in the
-same line, so that its error is its own and not found later. `*RST` is never sent: a Keysight E3633A sits at 20 A after it.
+Protocol: SCPI-99, volume 2 (chapters on OUTPut, SOURce, MEASure, SYSTem). Every command is followed by `SYST:ERR?` in the same
+line, so an error is reported with its own command. `*RST` is never sent: a Keysight E3633A is set to 20 A after it.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _FLOW_CONTROL = "\x11\x13"
 """XON and XOFF, which a Kepco leaves in its answers."""
 
 STEP_S = 0.1
-"""Between two set-points; at 9600 baud one and its reading back are 80 characters."""
+"""Time between two set-points; at 9600 baud, writing one and reading it back take 80 characters."""
 
 _NO_ERROR_STATE = re.compile(rb'[^"]*[A-Za-z][^"]*,[^"]*')
-"""The answer to `*IDN?`: the only one without the quotation marks of an error state."""
+"""Matches the answer to `*IDN?`, the only one without the quotation marks of an error state."""
 
 _COMPLIANCE_SHARE = 0.98
-"""At this share of the voltage limit the supply is taken to regulate the voltage."""
+"""From this fraction of the voltage limit on, the supply is taken to regulate the voltage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class ScpiDialect:
     """How a model departs from plain SCPI.
 
     Attributes:
-        preparation: Commands for remote control and regulation of the current; `{compliance_V}` is filled in.
+        preparation: Commands for remote control and current regulation; `{compliance_V}` is filled in.
         terminator: End of a line sent.
-        longest_line: Bytes that its input takes; 0 for no limit.
+        longest_line: Largest number of bytes in a line sent; 0 for no limit.
     """
 
     preparation: tuple[str, ...]
@@ -52,7 +52,7 @@ swings the output from one maximum to the other."""
 
 
 def encode_line(command: str, dialect: ScpiDialect) -> bytes:
-    r"""A command or query and the question for its error.
+    r"""A line with a command or query, and the query for its error.
 
     Raises:
         DeviceFault: The line is longer than the device can take.
@@ -70,10 +70,10 @@ def encode_line(command: str, dialect: ScpiDialect) -> bytes:
 
 
 def decode_line(line: bytes, n_answers: int, command: str) -> list[str]:
-    r"""The answers in a line that ends with that of `SYST:ERR?`.
+    r"""The answers in a line that ends with the answer to `SYST:ERR?`.
 
     Raises:
-        DeviceFault: The device reports an error, or does not answer what was asked.
+        DeviceFault: The device reports an error, or gives another number of answers.
 
     Examples:
         >>> decode_line(b'\x13+1.499E+00;0,"No error"\x11', 1, "MEAS:CURR?")
@@ -116,7 +116,7 @@ class ScpiSupply:
         self.lowest_A, self.highest_A, self.resolution_A = lowest_A, highest_A, resolution_A
 
     def identify(self, deadline: Deadline) -> str:
-        """See `SupplyCommands.identify`; asked alone, since names may hold a semicolon."""
+        """See `SupplyCommands.identify`; asked in its own line, because names may hold a semicolon."""
         with self._channel.exchange(deadline):
             line = self._channel.query(f"*IDN?{self._dialect.terminator}".encode("ascii"), b"\n", deadline)
             return ascii_text(line).strip(_FLOW_CONTROL + " \r")

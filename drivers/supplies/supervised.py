@@ -1,4 +1,4 @@
-"""A current source in a process of its own: when the host's program is gone, it ramps the current to zero and switches off."""
+"""Runs a current source in a child process, which ramps the current to zero and switches off when its parent is gone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOG = logging.getLogger(__name__)
 
 _START_S = 10.0
 _CLOSE_S = 2.0
-"""Beyond switching off."""
+"""Time to allow beyond switching off."""
 
 
 class SupervisedSource(ClosesItself):
@@ -33,9 +33,9 @@ class SupervisedSource(ClosesItself):
 
         Args:
             make: Makes the source in the child; the event ends a ramp.
-            name: What to call it in messages.
-            slew_A_per_s: Of the source that is made.
-            longest_off_s: Of the source that is made.
+            name: Name of the source in messages.
+            slew_A_per_s: As of the source that is made.
+            longest_off_s: As of the source that is made.
         """
         self.slew_A_per_s, self.longest_off_s = slew_A_per_s, longest_off_s
         self._make, self._name = make, name
@@ -44,7 +44,7 @@ class SupervisedSource(ClosesItself):
 
     @property
     def pid(self) -> int | None:
-        """Number of the child process."""
+        """Process id of the child."""
         return self._supervised.pid
 
     def identify(self, *, timeout_s: float) -> str:

@@ -1,8 +1,8 @@
 r"""Lake Shore 224 temperature monitor, over USB serial (57600 baud, 7 bits, odd parity) or TCP port 7777.
 
 Protocol: as used by Lake Shore's own Python driver (github.com/lakeshorecryotronics/python-driver, `model_224.py`). Questions end
-with a line feed, answers with CR LF, and `;` joins several in one line. The models 218, 335, 336 and 350 have the same two
-questions in their manuals (a 218 wants `baud: 9600`, and its inputs are 1 to 8); only the 224 has been looked at.
+with a line feed, answers with CR LF, and `;` joins several in one line. The manuals of the models 218, 335, 336 and 350 have the same
+two questions (a 218 needs `baud: 9600`, and its inputs are 1 to 8); only the 224 has been checked.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ TCP_PORT = 7777
 
 _INPUT = re.compile(r"[A-D][1-5]?|[1-8]")
 _NO_NUMBER_BITS = 0b1111_0001
-"""Of `RDGST?`: reading invalid, temperature and sensor below or above their ranges (manual of the 340, page 9-40)."""
+"""Bits of `RDGST?`: reading invalid, temperature and sensor below or above their ranges (manual of the 340, page 9-40)."""
 
 
 def encode_question(name: str) -> str:
-    """Ask for the temperature of an input, and for what is wrong with it: an open input alone answers 0 K.
+    """Question for the temperature of an input and its status, without which an open input would read 0 K.
 
     Examples:
         >>> encode_question("C1")
@@ -38,10 +38,10 @@ def encode_question(name: str) -> str:
 
 
 def decode_kelvin(line: str) -> float:
-    """Temperature from the answer to `encode_question`, in kelvin; NaN where its status says that it is none.
+    """Temperature in kelvin from the answer to `encode_question`; NaN if the status marks it invalid.
 
     Raises:
-        DeviceFault: It reads otherwise.
+        DeviceFault: The line has another format.
 
     Examples:
         >>> decode_kelvin("+295.150;000"), decode_kelvin("+0.00000;128")
@@ -55,10 +55,10 @@ def decode_kelvin(line: str) -> float:
 
 
 class LakeShore224(OnChannel):
-    """A `TemperatureMonitor`: sensors and curves of its inputs are chosen at its panel.
+    """A `TemperatureMonitor`; types and curves of the inputs are chosen at its panel.
 
     Attributes:
-        thermometers: By the coil or sensor that each is fixed to.
+        thermometers: Thermometers by the coil or sensor that each is fixed to.
     """
 
     def __init__(self, port: Port, inputs: Mapping[str, str]) -> None:
@@ -66,18 +66,18 @@ class LakeShore224(OnChannel):
 
         Args:
             port: Connection to the monitor.
-            inputs: By coil or sensor the input that its thermometer is plugged into: A, B, C1 to C5, D1 to D5.
+            inputs: Input of each thermometer (A, B, C1 to C5, D1 to D5), by the coil or sensor that it is fixed to.
         """
-        for place, name in inputs.items():
+        for target, name in inputs.items():
             if not _INPUT.fullmatch(name):
                 raise Refused(
-                    f"thermometer.inputs.{place} must be A, B, C1 to C5 or D1 to D5; received {name}"
+                    f"thermometer.inputs.{target} must be A, B, C1 to C5 or D1 to D5; received {name}"
                 )
         super().__init__(port, landmark=identity_landmark(b"\n", b"\r\n"))
-        self.thermometers = {place: MonitorInput(self, name) for place, name in inputs.items()}
+        self.thermometers = {target: MonitorInput(self, name) for target, name in inputs.items()}
 
     def read_input_K(self, name: str, *, timeout_s: float) -> float:
-        """Temperature at one input; NaN where there is no number."""
+        """Temperature at one input; NaN if there is no number."""
         with self._ready(timeout_s) as deadline:
             return decode_kelvin(self._ask(encode_question(name), deadline))
 

@@ -1,4 +1,4 @@
-"""Questions and answers over a port: one at a time, each with a deadline, and back in step after a fault."""
+"""Exchanges questions and answers over a port: one at a time, each with a deadline, and back in step after a fault."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from drivers.errors import DeadlineExceeded, DeviceFault, DriverError
 from drivers.transport.port import Port
 
 _QUIET_S = 0.1
-"""Silence after which a late answer is taken to be over: longer than any instrument here pauses inside one."""
+"""Silence after which a late answer is taken to be complete: no instrument here pauses that long inside an answer."""
 
 _LONGEST_ANSWER = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Landmark:
-    """A question whose answer cannot be taken for that of another one: instruments answer in order, so all before it is old.
+    """A question with an unmistakable answer. Instruments answer in order, so everything before that answer is old.
 
     Attributes:
-        question: As it is sent.
-        terminator: End of its answer.
-        pattern: What the whole answer matches, and that of no other question does.
+        question: Bytes to send.
+        terminator: End of the answer.
+        pattern: Matches the whole answer, and no answer to any other question.
     """
 
     question: bytes
@@ -33,7 +33,7 @@ class Landmark:
     pattern: re.Pattern[bytes]
 
     def find(self, channel: Channel, deadline: Deadline) -> None:
-        """Ask, and throw away what comes before the answer; inside `Channel.exchange`."""
+        """Ask, and discard everything before the answer; call inside `Channel.exchange`."""
         channel.send(self.question, deadline)
         while not self.pattern.fullmatch(channel.read_until(self.terminator, deadline)):
             pass
@@ -42,12 +42,12 @@ class Landmark:
 class Channel:
     """The only user of a port.
 
-    After an error the other side may still be talking about the last question, or only begin to. The next exchange then first
-    waits until it is silent, and asks what can be told from all else, so that no answer is taken for that of another question.
+    After an error, the instrument may still answer the last question, or only begin to. The next exchange therefore waits for
+    silence first and asks the landmark, so that no answer is taken for the answer to another question.
 
     Attributes:
         name: Name of the port.
-        n_faults: Errors so far. After one, an instrument may have been switched off and on: what was set is set again.
+        n_faults: Errors so far. After one, an instrument may have been switched off and on, so it must be set up again.
     """
 
     def __init__(
@@ -59,9 +59,9 @@ class Channel:
         """Own a port.
 
         Args:
-            port: Used by nobody else from now on.
+            port: Port to own; nothing else may use it.
             quieten: Command that ends a stream; sent before waiting for silence.
-            find_step: Called after that silence, such as `Landmark.find`; None where answers cannot be confused.
+            find_step: Called after that silence, such as `Landmark.find`; None if answers cannot be confused.
         """
         self._find_step = find_step
         self.name = port.name
@@ -75,15 +75,15 @@ class Channel:
 
     @property
     def arrived_s(self) -> float:
-        """When the bytes read last arrived, as `time.monotonic()` counts."""
+        """Arrival of the bytes read last, on the clock of `time.monotonic()`."""
         return self._port.arrived_s
 
     @contextmanager
     def exchange(self, deadline: Deadline) -> Iterator[None]:
-        """Have the port to oneself; errors inside get the port's name and put the channel out of step.
+        """Hold the port exclusively; errors inside get the port's name and put the channel out of step.
 
         Raises:
-            DeadlineExceeded: Another thread kept the port, or the other side did not fall silent.
+            DeadlineExceeded: Another thread held the port, or the instrument did not fall silent.
             DeviceFault: The channel is closed.
         """
         if not self._lock.acquire(timeout=deadline.remaining_s):
@@ -111,17 +111,17 @@ class Channel:
             self._lock.release()
 
     def send(self, data: bytes, deadline: Deadline) -> None:
-        """Hand over all bytes; inside `exchange`."""
+        """Send all bytes; call inside `exchange`."""
         self._port.send(data, deadline)
 
     def query(self, question: bytes, terminator: bytes, deadline: Deadline) -> bytes:
-        """Answer without its terminator; inside `exchange`. What came before the question is thrown away."""
+        """Ask, and return the answer without its terminator; call inside `exchange`. Bytes that came before are discarded."""
         self.take_arrived(deadline)
         self.send(question, deadline)
         return self.read_until(terminator, deadline)
 
     def read_until(self, terminator: bytes, deadline: Deadline) -> bytes:
-        """Bytes up to the terminator, which is taken and not returned; inside `exchange`."""
+        """Bytes up to the terminator, which is consumed but not returned; call inside `exchange`."""
         searched = 0
         while (end := self._arrived.find(terminator, searched)) < 0:
             searched = max(0, len(self._arrived) - len(terminator) + 1)
@@ -135,7 +135,7 @@ class Channel:
         return answer
 
     def read_exactly(self, n_bytes: int, deadline: Deadline) -> bytes:
-        """So many bytes; inside `exchange`."""
+        """Exactly `n_bytes`; call inside `exchange`."""
         while len(self._arrived) < n_bytes:
             self._receive(f"an answer must have {n_bytes} bytes", deadline)
         answer = bytes(self._arrived[:n_bytes])
@@ -143,13 +143,13 @@ class Channel:
         return answer
 
     def read_some(self, deadline: Deadline) -> bytes:
-        """All that has arrived, at least one byte; inside `exchange`."""
+        """All bytes that have arrived, at least one; call inside `exchange`."""
         if not self._arrived:
             self._receive("the stream must go on", deadline)
         return self._take()
 
     def has_arrived(self) -> bool:
-        """Whether there is something to read without waiting; inside `exchange`."""
+        """Whether bytes can be read without waiting; call inside `exchange`."""
         if not self._arrived:
             try:
                 self._arrived += self._port.receive(Deadline.after(0.0))
@@ -158,10 +158,10 @@ class Channel:
         return True
 
     def read_until_silent(self, quiet_s: float, deadline: Deadline) -> bytes:
-        """What comes until nothing does for `quiet_s`; inside `exchange`.
+        """Bytes that arrive until `quiet_s` of silence; call inside `exchange`.
 
         Raises:
-            DeadlineExceeded: It does not stop.
+            DeadlineExceeded: The instrument does not fall silent.
         """
         while True:
             try:
@@ -172,10 +172,10 @@ class Channel:
                 raise self._still_talking(deadline)
 
     def take_arrived(self, deadline: Deadline) -> bytes:
-        """What has arrived, without waiting for more; inside `exchange`.
+        """Bytes that have arrived, without waiting for more; call inside `exchange`.
 
         Raises:
-            DeadlineExceeded: More and more comes.
+            DeadlineExceeded: Bytes keep coming.
         """
         now = Deadline.after(0.0)
         while True:
@@ -187,7 +187,7 @@ class Channel:
                 raise self._still_talking(deadline)
 
     def close(self) -> None:
-        """Release the port; a second call does nothing. Does not wait for a call of another thread."""
+        """Release the port without waiting for calls of other threads; a second call does nothing."""
         if not self._is_closed:
             self._is_closed = True
             self._port.close()

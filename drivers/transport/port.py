@@ -1,4 +1,4 @@
-"""What all ports have in common: bytes out, bytes in, and how a lost connection reads."""
+"""Protocol of all ports: bytes out, bytes in, and the error of a lost connection."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from drivers.deadline import Deadline
 
 
 class Port(Protocol):
-    """An open connection; it keeps nothing back, and one channel owns it.
+    """An open connection without a send buffer; one channel owns it.
 
     Attributes:
-        name: What the operator knows it by, such as `/dev/ttyUSB0` or `192.168.0.12:7777`.
-        arrived_s: When the bytes handed out last arrived, as `time.monotonic()` counts.
+        name: The operator's name for it, such as `/dev/ttyUSB0` or `192.168.0.12:7777`.
+        arrived_s: Arrival of the bytes returned last, on the clock of `time.monotonic()`.
     """
 
     name: str
     arrived_s: float
 
     def send(self, data: bytes, deadline: Deadline) -> None:
-        """Hand over all bytes.
+        """Send all bytes.
 
         Raises:
             DeadlineExceeded: The port did not take them in time; some may be on their way.
@@ -28,7 +28,7 @@ class Port(Protocol):
         ...
 
     def receive(self, deadline: Deadline) -> bytes:
-        """What has arrived, at least one byte; waits for it until the deadline.
+        """Bytes that have arrived, at least one; waits for it until the deadline.
 
         Raises:
             DeadlineExceeded: Nothing arrived.

@@ -1,4 +1,4 @@
-"""A port that is emptied by a thread, for instruments that talk unasked: the buffer of a serial line holds milliseconds of them."""
+"""A port that a thread empties, for instruments that stream: the buffer of a serial line holds only milliseconds of the stream."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from drivers.transport.port import Port
 
 _WAKE_S = 0.1
 _MOST_BYTES = 50_000_000
-"""Two minutes of the fastest stream here."""
+"""Limit of what may wait: two minutes of the fastest stream here."""
 
 
 class PumpedPort:
-    """Keeps what arrives until it is received, with the time of its arrival."""
+    """Buffers bytes with their arrival times until they are received."""
 
     def __init__(self, port: Port) -> None:
         self.name = port.name
@@ -35,7 +35,7 @@ class PumpedPort:
         self._port.send(data, deadline)
 
     def receive(self, deadline: Deadline) -> bytes:
-        """See `Port.receive`; gives what arrived before an error first."""
+        """See `Port.receive`; returns the bytes that arrived before an error, then raises it."""
         with self._news:
             self._news.wait_for(lambda: self._chunks or self._error, deadline.remaining_s)
             if self._chunks:
@@ -62,7 +62,7 @@ class PumpedPort:
             except DriverError as error:
                 self._end(error)
                 return
-            except Exception as error:  # whatever it is, it must not end in silence
+            except Exception as error:  # no error of any kind may end the thread silently
                 self._end(DeviceFault(f"{self.name} must be read; {error}"))
                 return
             with self._news:
@@ -71,7 +71,9 @@ class PumpedPort:
                 self._news.notify_all()
             if self._n_bytes > _MOST_BYTES:
                 self._end(
-                    DeviceFault(f"{self.name} must be read; {self._n_bytes} bytes wait, so the rest is lost")
+                    DeviceFault(
+                        f"{self.name} must be read; {self._n_bytes} bytes are waiting, so the rest is lost"
+                    )
                 )
                 return
 

@@ -20,7 +20,7 @@ from drivers.errors import DeadlineExceeded, DeviceFault
 _LOG = logging.getLogger(__name__)
 
 _WAKE_S = 0.01
-"""Longest wait inside pyserial. Its timeout is set once, for each change of it sets up the whole port anew."""
+"""Longest wait inside pyserial. Its timeout is set only once, because each change sets up the whole port anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class SerialSettings:
         baud: Bits per second.
         data_bits: Bits in a byte.
         parity: `N`one, `O`dd or `E`ven.
-        has_rts_cts: Whether the two lines of hardware handshake are wired and obeyed.
+        has_rts_cts: Whether the hardware handshake is wired and obeyed.
     """
 
     baud: int
@@ -41,19 +41,19 @@ class SerialSettings:
 
 
 class SerialPort:
-    """Bytes over a serial line, owned by this process alone (`exclusive`)."""
+    """A `Port` on a serial line, owned by this process alone (`exclusive`)."""
 
     def __init__(self, device: str, settings: SerialSettings) -> None:
         """Open the port.
 
         Raises:
-            DeviceFault: It is not there, not permitted, or another process owns it.
+            DeviceFault: The port is not there, not permitted, or owned by another process.
         """
         self.name = device
         self.arrived_s = time.monotonic()
         has_parity = not _is_pseudo_terminal(device)
         try:
-            # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to have them set.
+            # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to set them.
             self._serial = serial.Serial(
                 device,
                 settings.baud,
@@ -68,7 +68,7 @@ class SerialPort:
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """See `Port.send`."""
-        # Not by pyserial, which has one timeout for all writes and sets up the whole port anew for each change of it.
+        # Not through pyserial: it has one timeout for all writes, and each change of it sets up the whole port anew.
         try:
             file = self._serial.fileno()
             while data:
@@ -88,12 +88,10 @@ class SerialPort:
             try:
                 waiting = int(self._serial.in_waiting)
                 data = b"" if is_last and not waiting else bytes(self._serial.read(max(1, waiting)))
-                if data and not waiting:  # the first byte of several
+                if data and not waiting:  # more bytes may have followed the first
                     data += bytes(self._serial.read(self._serial.in_waiting))
-            except (
-                OSError,
-                TypeError,
-            ) as error:  # pyserial meets a file number of None when the port goes meanwhile
+            # TypeError: pyserial meets a file number of None if the port is closed meanwhile.
+            except (OSError, TypeError) as error:
                 raise self._lost(error) from error
             if data:
                 self.arrived_s = time.monotonic()
@@ -113,5 +111,5 @@ class SerialPort:
 
 
 def _is_pseudo_terminal(device: str) -> bool:
-    """Whether it has whole bytes only: the first wish for parity is ignored there, and the second one refused."""
+    """Whether a device is a pseudo-terminal, which has no parity: a first request for it is ignored, a second one refused."""
     return Path(device).resolve().parent == Path("/dev/pts")

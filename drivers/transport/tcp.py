@@ -1,4 +1,4 @@
-"""A TCP connection to an instrument."""
+"""A TCP connection to an instrument, as a `Port`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _CHUNK = 65536
 
 
 class TcpPort:
-    """Bytes over TCP; each is on its way when `send` returns, without Nagle's delay."""
+    """A `Port` over TCP; bytes are on their way when `send` returns, without Nagle's delay."""
 
     def __init__(self, host: str, port: int, *, timeout_s: float) -> None:
         """Connect.
 
         Raises:
-            DeviceFault: Nobody listens there, or did not answer in time.
+            DeviceFault: No server listens there, or it did not answer in time.
         """
         self.name = f"{host}:{port}"
         self.arrived_s = time.monotonic()
@@ -44,7 +44,7 @@ class TcpPort:
         try:
             self._socket.settimeout(deadline.remaining_s)
             data = self._socket.recv(_CHUNK)
-        except (TimeoutError, BlockingIOError) as error:  # the second where no time is left to wait
+        except (TimeoutError, BlockingIOError) as error:  # BlockingIOError if no time is left
             raise deadline.exceeded(f"{self.name} must receive", "nothing came") from error
         except OSError as error:
             raise self._lost(str(error)) from error
@@ -55,7 +55,7 @@ class TcpPort:
 
     def close(self) -> None:
         """See `Port.close`."""
-        with contextlib.suppress(OSError):  # not connected any more
+        with contextlib.suppress(OSError):  # no longer connected
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 

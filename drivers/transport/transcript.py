@@ -1,6 +1,6 @@
-r"""A recorded conversation with an instrument: a text file with one line for each chunk of bytes.
+r"""Writes and replays transcripts: text files of a conversation with an instrument, one line for each chunk of bytes.
 
-A line reads `seconds > b'sent'` or `seconds < b'received'`, bytes as Python writes them; `#` begins a comment.
+A line reads `seconds > b'sent'` or `seconds < b'received'`, with bytes in Python's notation; `#` begins a comment.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Chunk:
     """Bytes that went one way.
 
     Attributes:
-        time_s: Since the recording began.
+        time_s: Time since the recording began.
         direction: `>` to the instrument, `<` from it.
         data: The bytes.
     """
@@ -50,15 +50,15 @@ def encode(chunk: Chunk) -> str:
     return f"{chunk.time_s:.6f} {chunk.direction} {chunk.data!r}"
 
 
-def decode(text: str, place: str) -> list[Chunk]:
+def decode(text: str, name: str) -> list[Chunk]:
     r"""The chunks of a transcript.
 
     Args:
         text: The whole transcript.
-        place: What to call it in messages.
+        name: Name of the transcript in messages.
 
     Raises:
-        DeviceFault: A line is none of a transcript.
+        DeviceFault: A line has another format.
 
     Examples:
         >>> decode("# F71\n0.250000 > b'*IDN?\\n'", "f71.txt")
@@ -75,33 +75,33 @@ def decode(text: str, place: str) -> list[Chunk]:
             data = None
         if match is None or not isinstance(data, bytes):
             raise DeviceFault(
-                f"a transcript must hold lines such as 0.250000 > b'*IDN?\\n'; received {line!r} ({place}, line {number})"
+                f"a transcript must hold lines such as 0.250000 > b'*IDN?\\n'; received {line!r} ({name}, line {number})"
             )
         chunks.append(Chunk(float(match["time_s"]), "<" if match["direction"] == "<" else ">", data))
     return chunks
 
 
 class ReplayedPort:
-    """Plays the instrument's part of a transcript, at the pace of then; the driver must say what it said when it was recorded.
+    """Plays the instrument's part of a transcript, with the recorded timing; the driver must send what it sent then.
 
-    What it is not: an instrument. It answers the questions that were recorded in their order, such as those of `coilcal devices check`,
-    and falls silent at its end; a measurement with other stops, or as many readings at each as it takes, is none of those.
+    It answers only the recorded questions in their order, such as those of `coilcal devices check`, and falls silent at the end. It does
+    not serve another measurement, with other stops or another number of readings at each.
     """
 
     def __init__(self, chunks: list[Chunk], name: str) -> None:
         self.name = name
         self.arrived_s = time.monotonic()
-        self._left = deque(chunks)
+        self._remaining = deque(chunks)
         self._arrived: deque[bytes] = deque()
-        # A moment on the host's clock and on that of the recording; the clocks are set with each command.
+        # The same moment on the host's clock and on the clock of the recording; renewed with each command.
         self._set_s, self._set_recorded_s = time.monotonic(), chunks[0].time_s if chunks else 0.0
 
     @classmethod
     def from_file(cls, path: Path) -> ReplayedPort:
-        """A transcript on disk.
+        """Open a transcript on disk.
 
         Raises:
-            DeviceFault: It cannot be read.
+            DeviceFault: The file cannot be read.
         """
         try:
             text = path.read_text(encoding="utf-8")
@@ -111,31 +111,29 @@ class ReplayedPort:
 
     @property
     def is_over(self) -> bool:
-        """Whether the driver has said everything that was recorded."""
-        return not any(chunk.direction == ">" for chunk in self._left)
+        """Whether the driver has sent everything that was recorded."""
+        return not any(chunk.direction == ">" for chunk in self._remaining)
 
     def send(self, data: bytes, deadline: Deadline) -> None:
-        """See `Port.send`; raises DeviceFault where the recorded driver said something else."""
-        while self._left and self._left[0].direction == "<":
-            self._arrived.append(self._left.popleft().data)
-        expected = self._left.popleft() if self._left else None
+        """See `Port.send`; raises DeviceFault if the recorded driver sent something else."""
+        while self._remaining and self._remaining[0].direction == "<":
+            self._arrived.append(self._remaining.popleft().data)
+        expected = self._remaining.popleft() if self._remaining else None
         if expected is None or data != expected.data:
-            wanted = (
-                "nothing more: the recording ends here" if expected is None else f"{expected.data!r} next"
-            )
-            raise DeviceFault(f"{self.name} must be sent {wanted}; received {data!r}")
+            rule = "nothing more: the recording ends here" if expected is None else f"{expected.data!r} next"
+            raise DeviceFault(f"{self.name} must be sent {rule}; received {data!r}")
         self._set_s, self._set_recorded_s = time.monotonic(), expected.time_s
 
     def receive(self, deadline: Deadline) -> bytes:
         """See `Port.receive`."""
         while not self._arrived:
-            if not any(chunk.direction == "<" for chunk in self._left):
+            if not any(chunk.direction == "<" for chunk in self._remaining):
                 raise deadline.exceeded(f"{self.name} must receive", "the recording ends here")
-            if self._left[0].direction == ">":
+            if self._remaining[0].direction == ">":
                 raise deadline.exceeded(f"{self.name} must receive", "nothing is recorded here")
-            wait_s = self._left[0].time_s - self._set_recorded_s - (time.monotonic() - self._set_s)
+            wait_s = self._remaining[0].time_s - self._set_recorded_s - (time.monotonic() - self._set_s)
             if wait_s <= 0:
-                self._arrived.append(self._left.popleft().data)
+                self._arrived.append(self._remaining.popleft().data)
             elif deadline.is_over:
                 raise deadline.exceeded(f"{self.name} must receive", "what comes next was recorded later")
             else:
@@ -148,17 +146,17 @@ class ReplayedPort:
 
 
 class TranscriptFile:
-    """A transcript that is being written, each call at once, so that a crash leaves all but the last.
+    """A transcript being written. Each call reaches the file at once, so a crash loses at most the last one.
 
-    Where the disk is full the transcript ends and the instrument goes on: a supply must be switched off all the same.
+    If the disk is full, the transcript ends but the instrument goes on: a supply must still be switched off.
     """
 
     def __init__(self, path: Path, name: str) -> None:
-        """Begin it; what the file held is kept.
+        """Begin a transcript; an existing file is appended to.
 
         Args:
-            path: Of the file.
-            name: Of what is recorded, for messages.
+            path: File to write.
+            name: Name of the recorded device in messages.
         """
         self._name = name
         self._file: int | None = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -167,11 +165,11 @@ class TranscriptFile:
 
     @property
     def now_s(self) -> float:
-        """Time since it began."""
+        """Time since the transcript began."""
         return time.monotonic() - self._start_s
 
     def write(self, *chunks: Chunk) -> None:
-        """Add chunks, with nothing of another thread between them."""
+        """Append chunks, with no chunk of another thread between them."""
         with self._lock:
             if self._file is None:
                 return
@@ -182,7 +180,7 @@ class TranscriptFile:
                 self._end()
 
     def close(self) -> None:
-        """End it; a second call does nothing."""
+        """End the transcript; a second call does nothing."""
         with self._lock:
             self._end()
 
@@ -193,10 +191,10 @@ class TranscriptFile:
 
 
 class RecordingPort:
-    """Writes down what passes through a port; one thread may send while another receives (`PumpedPort`)."""
+    """Records what passes through a port; one thread may send while another receives (`PumpedPort`)."""
 
     def __init__(self, port: Port, path: Path) -> None:
-        """Record to a file; what it held is kept."""
+        """Record to a file; an existing file is appended to."""
         self.name = port.name
         self.arrived_s = port.arrived_s
         self._port, self._file = port, TranscriptFile(path, port.name)

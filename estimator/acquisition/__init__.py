@@ -1,1 +1,1 @@
-"""Measuring a session with instruments."""
+"""Acquisition of a session with instruments: the stops of a plan, one after the other, into a journal."""

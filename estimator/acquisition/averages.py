@@ -1,4 +1,4 @@
-"""Averages readings of a sensor at a stop, once they say that the field has come to rest."""
+"""Averages readings of a sensor at a stop, once they show that the field has settled."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from drivers.protocols import FieldSensor, Reading, ReadingFlag, Vector
 from estimator.acquisition.pace import ANSWER_S, SETTLED_SIGMA, Pace
 from estimator.errors import InvalidInput
 
-FLOOR_T = 1e-9  # for a sensor whose readings do not scatter
+FLOOR_T = 1e-9  # difference that is always allowed, for sensors whose readings do not scatter
 
 
 @dataclass(frozen=True)
 class Average:
-    """Readings of one sensor at one stop.
+    """Average of the readings of one sensor at one stop.
 
     Attributes:
-        mean_T, sd_T: Of each component.
-        has_settled: Whether their two halves agreed in time.
-        taken_s: When they were taken, on average, on the host's clock.
+        mean_T, sd_T: Mean and standard deviation of each component.
+        has_settled: Whether the two halves of the readings agreed in time.
+        taken_s: Mean time of the readings, on the host's clock.
         n_gaps: How often the instrument lost readings meanwhile.
-        answer_s: From question to answer, of the first.
+        answer_s: Time from question to answer of the first reading.
     """
 
     mean_T: Tensor
@@ -42,13 +42,13 @@ class Average:
 def average(
     sensor: FieldSensor, name: str, pace: Pace, taken_s: Callable[[Reading[Vector], float], float]
 ) -> Average:
-    """Readings whose two halves agree, or the last ones there was time for.
+    """Average readings whose two halves agree, or the last readings if time runs out.
 
     Args:
-        sensor: To be read.
-        name: For messages.
-        pace: How many readings, and how long to wait for them to agree.
-        taken_s: When a reading was taken, on the host's clock, from it and from when it had been asked for.
+        sensor: Sensor to read.
+        name: Its name, for messages.
+        pace: Number of readings, and how long to wait for them to agree.
+        taken_s: Time at which a reading was taken, on the host's clock, from the reading and the time of the request.
     Raises:
         InvalidInput: The sensor gives no new reading.
     """
@@ -61,22 +61,22 @@ def average(
         field_T = torch.tensor([_components_T(reading) for reading in values]).double()
         has_settled = is_settled(field_T)
         if has_settled or time.monotonic() > asked_s + pace.longest_settle_s:
-            dated_s = fmean(taken_s(reading, asked_s) for reading in values)
-            return Average(field_T.mean(0), field_T.std(dim=0), has_settled, dated_s, n_gaps, answer_s)
+            mean_time_s = fmean(taken_s(reading, asked_s) for reading in values)
+            return Average(field_T.mean(0), field_T.std(dim=0), has_settled, mean_time_s, n_gaps, answer_s)
         values = values[n // 2 :]
 
 
 def is_settled(field_T: Float[Tensor, "reading component"]) -> bool:
-    """Whether the two halves of readings that followed each other agree within what their scatter allows (`estimator.acquisition.pace`)."""
+    """Whether the two halves of successive readings agree within what their scatter allows (`estimator.acquisition.pace`)."""
     n = len(field_T)
     step_T = (field_T[n // 2 :].mean(0) - field_T[: n // 2].mean(0)).abs()
-    # Scatter by neighbours (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow change hardly widens it.
+    # Scatter from successive differences (von Neumann, Ann. Math. Stat. 12 (1941) 367): a slow drift hardly widens it.
     scatter_T = (field_T.diff(dim=0).square().mean(0) / 2.0).sqrt()
     return not bool((step_T > FLOOR_T + SETTLED_SIGMA * 2.0 * scatter_T / math.sqrt(n)).any())
 
 
 def _add(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) -> int:
-    """Add readings that are new until there are enough; how often the instrument lost some."""
+    """Append new readings until there are `n`; return how often the instrument lost some."""
     deadline_s = time.monotonic() + ANSWER_S * n
     n_gaps = 0
     while len(values) < n:
@@ -85,15 +85,15 @@ def _add(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) 
         values += [reading for reading in new if ReadingFlag.STALE not in reading.flags]
         if time.monotonic() > deadline_s:
             raise InvalidInput(
-                f"{name} must give {n} new readings within {ANSWER_S * n:g} s; {len(values)} came"
+                f"{name} must give {n} new readings within {ANSWER_S * n:g} s; it gave {len(values)}"
             )
     del values[n:]
     return n_gaps
 
 
 def _components_T(reading: Reading[Vector]) -> Vector:
-    """NaN for what left the range; all three where the sensor does not say which of them."""
-    is_marked = any(math.isnan(value_T) for value_T in reading.value)
-    if ReadingFlag.OVER_RANGE in reading.flags and not is_marked:
+    """Components of a reading, NaN if out of range; all three are NaN if the sensor does not say which one is."""
+    has_nan = any(math.isnan(value_T) for value_T in reading.value)
+    if ReadingFlag.OVER_RANGE in reading.flags and not has_nan:
         return math.nan, math.nan, math.nan
     return reading.value

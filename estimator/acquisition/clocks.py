@@ -1,4 +1,4 @@
-"""Relates the clock of an instrument to that of the host, by readings that bear a time of both."""
+"""Relates the clock of an instrument to the clock of the host, from readings with time stamps of both."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import math
 from collections import deque
 from statistics import fmean
 
-WINDOW = (
-    200  # readings over which the clocks are taken to run alike: 100 ppm are a millisecond in ten seconds
-)
+WINDOW = 200
+"""Readings over which both clocks are taken to run at the same rate: 100 ppm make a millisecond in ten seconds."""
 
-LONGEST_DELAY_S = 2.0  # beyond, somebody has set the instrument's clock
-SLACK_S = (
-    0.05  # by which two readings may contradict each other: clocks have a resolution, and do not run alike
-)
+LONGEST_DELAY_S = 2.0
+"""After a longer apparent delay, the instrument's clock is taken to have been set."""
+
+SLACK_S = 0.05
+"""Contradiction that is allowed between two readings: clocks have a resolution, and their rates differ."""
 
 
 class DeviceClock:
-    """When a reading was taken on the host's clock, and how late it arrived.
+    """Offset of an instrument's clock from the host's, and delay of its readings.
 
-    The fastest reading of late tells the offset of the clocks, but for the shortest time that a message takes at all: that part
-    of the latency cannot be seen from one side (Mills, Network Time Protocol, RFC 5905, section 8). The other side is when the reading was
-    asked for: no reading was taken before that or after it arrived, and where the bounds of two contradict each other, somebody has set the
-    instrument's clock in between, which then is believed from then on.
+    Of the recent readings, the one that arrived fastest gives the offset, up to the shortest latency of a message: that part cannot be
+    seen from one side (Mills, Network Time Protocol, RFC 5905, section 8). The time of the request bounds the offset from the other
+    side, for a reading is taken after its request and before its arrival. If the bounds of two readings contradict each other, the
+    instrument's clock was set in between, and only the new setting counts from then on.
 
     Examples:
         >>> clock = DeviceClock()
@@ -33,17 +33,16 @@ class DeviceClock:
     """
 
     def __init__(self) -> None:
-        self._bounds_s: deque[tuple[float, float]] = deque(
-            maxlen=WINDOW
-        )  # of the host's clock less the instrument's
+        # Lower and upper bound of the offset from each reading.
+        self._bounds_s: deque[tuple[float, float]] = deque(maxlen=WINDOW)
 
     def add(self, host_s: float, device_s: float, asked_s: float = -math.inf) -> None:
         """Take a reading into account.
 
         Args:
-            host_s: When it arrived.
-            device_s: When the instrument says that it took it.
-            asked_s: Before it was taken, on the host's clock.
+            host_s: Arrival, on the host's clock.
+            device_s: Time stamp, on the instrument's clock.
+            asked_s: Time of the request, before the reading was taken, on the host's clock.
         """
         low_s, high_s = asked_s - device_s, host_s - device_s
         if self._bounds_s:
@@ -55,14 +54,14 @@ class DeviceClock:
 
     @property
     def offset_s(self) -> float:
-        """Host's clock less the instrument's."""
+        """Host's clock minus the instrument's clock."""
         return min(high_s for _, high_s in self._bounds_s)
 
     @property
     def delay_s(self) -> float:
-        """How much later than the fastest of them readings arrive, on average."""
+        """Mean delay of the readings relative to the fastest one."""
         return fmean(high_s for _, high_s in self._bounds_s) - self.offset_s
 
     def on_host_s(self, device_s: float) -> float:
-        """A time of the instrument on the host's clock."""
+        """Convert a time of the instrument to the host's clock."""
         return device_s + self.offset_s

@@ -1,4 +1,4 @@
-"""What carrying out a plan takes: its stops in order, the instruments that it needs, and the time."""
+"""Prepares a run of a plan: its stops in order, the instruments that it needs, and how long it takes."""
 
 from __future__ import annotations
 
@@ -16,36 +16,34 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.rig.rig import Rig
 
-READING_S, MOTION_S = (
-    0.02,
-    0.3,
-)  # guesses of a reading and of what a motion takes besides its way, until it is measured
+# Estimates until measured: duration of a reading, and of a motion besides its travel time.
+READING_S, MOTION_S = 0.02, 0.3
 
-ANSWER_S = 5.0  # to allow an instrument beyond what a ramp, a motion or a measurement takes by itself
+ANSWER_S = 5.0
+"""Time to allow an instrument beyond the duration of a ramp, motion or measurement."""
 
-SETTLED_SIGMA = (
-    4.0  # difference of the two halves of the readings that chance makes at one or two stops in a hundred
-)
+SETTLED_SIGMA = 4.0
+"""Allowed difference of the two halves of the readings, in standard errors; chance exceeds it at one or two stops in a hundred."""
 
 FEWEST_READINGS = 6
-"""Of which the halves tell a field that still changes, however little noise there is.
+"""Number of readings from which on their halves reveal a field that still changes, however small the noise.
 
-A field that changes by b from reading to reading makes the halves of n readings differ by n b / 2. It also widens their scatter by
-neighbours to b / sqrt(2), which allows a difference of SETTLED_SIGMA 2 / sqrt(n) times that: more than there is until n^(3/2) exceeds
-8 sqrt(2).
+A field that changes by b from reading to reading makes the halves of n readings differ by n b / 2. It also raises their scatter from
+successive differences to b / sqrt(2), which allows a difference of SETTLED_SIGMA 2 / sqrt(n) times as much: more than n b / 2 until
+n^(3/2) exceeds 8 sqrt(2).
 """
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How a plan is carried out.
+    """Times, speeds and number of readings of a run.
 
     Attributes:
         settle_s: Time between the last command and the first reading.
-        n_readings: That are averaged at a stop, `FEWEST_READINGS` at least.
-        longest_settle_s: Time after which a field that still changes is taken as it is, and marked so.
-        speed_m_per_s: Of each arm.
-        slew_A_per_s: Of each supply.
+        n_readings: Number of readings averaged at a stop, at least `FEWEST_READINGS`.
+        longest_settle_s: Time after which a field that still changes is averaged as it is, and marked so.
+        speed_m_per_s: Speed of each arm.
+        slew_A_per_s: Ramp rate of each supply.
     """
 
     settle_s: float
@@ -57,42 +55,42 @@ class Pace:
     def __post_init__(self) -> None:
         if self.n_readings < FEWEST_READINGS:
             raise InvalidInput(
-                f"pace.n_readings must be at least {FEWEST_READINGS}, to tell whether the field has settled; received {self.n_readings}"
+                f"pace.n_readings must be at least {FEWEST_READINGS} to tell whether the field has settled; received {self.n_readings}"
             )
 
 
 def stops_of(plan: Plan, rig: Rig, seed: int) -> Observations:
-    """The stops of a plan in the order of the visit, one row each, whatever the number of sensors.
+    """The stops of a plan in the order of the visit, one row each for any number of sensors.
 
     Args:
         plan: Poses and currents.
-        rig: That it was made for.
-        seed: Of the order, where that is random; the same one gives the same order again.
+        rig: The rig of the plan.
+        seed: Seed of a random order; the same seed gives the same order.
     """
     readings = observations_of(plan, rig, np.random.default_rng(seed))
     return readings.rows(torch.arange(0, len(readings), len(rig.sensors)))
 
 
 def digest_of(stops: Observations) -> str:
-    """What identifies the stops of a run: one that was interrupted may go on with the same ones only."""
-    numbers = [stops.current_A, *stops.motion.values(), stops.is_validation.double(), stops.repeat.double()]
-    return hashlib.sha256(b"".join(part.numpy().tobytes() for part in numbers)).hexdigest()
+    """SHA-256 of the stops of a run; an interrupted run may continue only with the same stops."""
+    tensors = [stops.current_A, *stops.motion.values(), stops.is_validation.double(), stops.repeat.double()]
+    return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in tensors)).hexdigest()
 
 
 def check_instruments(stops: Observations, rig: Rig, names: Mapping[str, set[str]]) -> None:
-    """Refuse a plan that needs an instrument which is not there.
+    """Refuse a plan that needs a missing instrument.
 
     Args:
-        stops: To be visited.
-        rig: Names what must be served.
-        names: Of the devices, by `sensors`, `sources` and `arms`.
+        stops: Stops to visit.
+        rig: The rig to measure.
+        names: Names of the devices, by `sensors`, `sources` and `arms`.
     Raises:
-        InvalidInput: A coil is to carry a current without a supply, a mover to move without an arm, or there is no sensor.
+        InvalidInput: A coil that is to carry a current has no supply, a mover has no arm, or there is no sensor.
     """
     driven = {coil.name for i, coil in enumerate(rig.coils) if bool((stops.current_A[:, i] != 0.0).any())}
     moved = {mover.name for mover in rig.movers}
-    for what, wanted in (("sources", driven), ("arms", moved)):
-        missing = sorted(wanted - names[what])
+    for kind, needed in (("sources", driven), ("arms", moved)):
+        missing = sorted(needed - names[kind])
         if missing:
             raise InvalidInput(f"devices must have one for {missing[0]}, which the plan uses; there is none")
     if not names["sensors"]:
@@ -100,23 +98,25 @@ def check_instruments(stops: Observations, rig: Rig, names: Mapping[str, set[str
 
 
 def durations_s(stops: Observations, rig: Rig, pace: Pace) -> list[float]:
-    """Time that each stop will take, by its way, its ramps and its readings.
+    """Expected duration of each stop, from its travel, its ramps and its readings.
 
-    The way to the first stop is not known; it counts as none.
+    The travel to the first stop is unknown and counts as zero.
     """
-    found = []
-    nowhere = Transform.identity()
-    targets = {m.name: flange_to_reach(m, stops.motion[m.name], nowhere).translation_m for m in rig.movers}
+    durations = []
+    reference = Transform.identity()
+    targets_m = {
+        m.name: flange_to_reach(m, stops.motion[m.name], reference).translation_m for m in rig.movers
+    }
     for row in range(len(stops)):
         before = max(row - 1, 0)
         total_s = pace.settle_s + pace.n_readings * READING_S * len(rig.sensors)
         for mover in rig.movers:
             if row == 0 or bool((stops.motion[mover.name][row] != stops.motion[mover.name][before]).any()):
-                way_m = float((targets[mover.name][row] - targets[mover.name][before]).norm())
-                total_s += MOTION_S + way_m / pace.speed_m_per_s[mover.name]
+                distance_m = float((targets_m[mover.name][row] - targets_m[mover.name][before]).norm())
+                total_s += MOTION_S + distance_m / pace.speed_m_per_s[mover.name]
         for i, coil in enumerate(rig.coils):
             if coil.name in pace.slew_A_per_s:
                 from_A = float(stops.current_A[before, i]) if row else 0.0
                 total_s += abs(float(stops.current_A[row, i]) - from_A) / pace.slew_A_per_s[coil.name]
-        found.append(total_s)
-    return found
+        durations.append(total_s)
+    return durations

@@ -198,7 +198,7 @@ def _measure(
             remove_session(out)
         header = new_header(rig, _source(task, devices), digest_of(task.stops), references, len(task.stops))
         journal = stack.enter_context(Journal.create(out, header))
-    n_before = len(journal.records)
+    n_before = len(journal.entries)
     if n_before:
         click.echo(f"coilcal: {n_before} of {len(task.stops)} stops were visited before", err=True)
     with StopReporter(len(task.stops)) as reporter:

@@ -19,7 +19,7 @@ from estimator.live.stream import Estimate, Stream
 from estimator.reporting.plots.style import displays, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
-from estimator.store.journal import JOURNAL, Record
+from estimator.store.journal import JOURNAL, Entry
 from estimator.store.session import Session
 
 POLL_S = 0.01
@@ -73,7 +73,7 @@ class _Live:
         self._follower = Follower(path)
         self._rig = self._follower.rig
         self._stream = Stream(self._rig)
-        self._records: list[Record] = []
+        self._records: list[Entry] = []
         self._n_new, self._n_readings, self._has_ended = 0, 0, False
         self._last_s = time.monotonic()
         self._estimate: Estimate | None = None
@@ -83,7 +83,7 @@ class _Live:
     def step(self, background: Background | None) -> bool:
         """Take what is new; whether there may be more."""
         has_ended = self._follower.has_ended
-        new = self._follower.records()
+        new = self._follower.entries()
         self._n_new = len(new)
         if new:
             readings = observations_of(new, self._rig)

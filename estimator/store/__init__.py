@@ -1,1 +1,1 @@
-"""What is kept on disk: sessions of readings, chains while they grow, calibrations; all zarr v3 with checksummed chunks."""
+"""Storage: sessions of readings, their journals while they are measured, and Markov chains, in zarr v3 with checksums."""

@@ -1,18 +1,18 @@
-"""The emcee backend that keeps an ensemble chain in zarr, so that a killed run continues where it was.
+"""An emcee backend that stores the ensemble's chain in zarr, so that a killed run continues from its last checkpoint.
 
-Every `checkpoint_steps` steps the new steps go to disk in two acts:
+Every `checkpoint_steps` steps, the new steps go to disk in two stages:
 
 1. New rows are written to the arrays: new chunk files, and longer arrays.
-2. The group's `zarr.json` is replaced atomically: this one replacement is the commit. Its attributes hold the
-   number of committed steps, a checksum of each array up to there and the random state.
+2. The group's `zarr.json` is replaced atomically. This replacement is the commit: its attributes hold the number of
+   committed steps, a checksum of the committed rows of each array, and the random state.
 
-A kill between any two file operations leaves the old `zarr.json` in charge; rows beyond its count are ignored
-and later overwritten. (Since 3.1.3 zarr also replaces chunk files and array metadata atomically.) The checksums
-find what zarr lets pass, such as a missing chunk file, which it reads as fill values.
+A kill between any two file operations leaves the old `zarr.json` in force; rows beyond its count are ignored and
+later overwritten. (Since 3.1.3 zarr also replaces chunk files and array metadata atomically.) The checksums detect
+damage that zarr overlooks, such as a missing chunk file, which it reads as fill values.
 
-A continued run gives bitwise the chain of the uninterrupted one, because each checkpoint holds all that the
+A continued run gives, bit by bit, the chain of an uninterrupted one, because each checkpoint holds all that the
 sampler carries from step to step: positions, log-probabilities and the random state. Moves must therefore not
-adapt (`tune=True` changes a move in memory only). One process at a time may write to a store.
+adapt (`tune=True` changes a move in memory only). Only one process at a time may write to a store.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from estimator.errors import CorruptStore, InvalidInput
 
 SCHEMA_VERSION = 1
 
-# Name -> dimensions and fill value, which also sets the type. No fill value is a possible row: zarr leaves
-# out chunks of fill values only, so every chunk is written, and a lost one does not match its checksum.
+# Name -> dimensions and fill value, which also sets the type. No row can equal the fill value. Zarr omits only chunks
+# of fill values, so every chunk is written, and a lost one fails its checksum.
 _ARRAYS: dict[str, tuple[tuple[str, ...], np.generic]] = {
     "chain": (("step", "walker", "coordinate"), np.float64(np.nan)),
     "log_prob": (("step", "walker"), np.float64(np.nan)),
@@ -49,11 +49,11 @@ _ARRAYS: dict[str, tuple[tuple[str, ...], np.generic]] = {
 
 
 class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
-    """An emcee backend that checkpoints to a zarr group, made by `create` and found again by `open`.
+    """An emcee backend that checkpoints to a zarr group, made by `create` and reopened by `open`.
 
-    As in emcee's own `Backend` the whole chain is also in memory, which serves `get_chain` and its kin. The
-    random state returns with `get_last_sample()`, so a run continues with
-    `sampler.sample(backend.get_last_sample(), ...)`; while `iteration` is 0 the caller starts it from its own
+    As in emcee's own `Backend`, the whole chain is also in memory, for `get_chain` and similar methods.
+    `get_last_sample()` includes the random state, so a run continues with
+    `sampler.sample(backend.get_last_sample(), ...)`. While `iteration` is 0, the caller starts the run from its own
     first ensemble and seed. Blobs are not supported.
 
     References:
@@ -63,9 +63,9 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
     Examples:
         >>> import tempfile, emcee
         >>> folder = tempfile.TemporaryDirectory()
-        >>> path, made_from = Path(folder.name) / "chain.zarr", "session A, seed 1"
+        >>> path, fingerprint = Path(folder.name) / "chain.zarr", "session A, seed 1"
         >>> backend = ZarrBackend.create(
-        ...     path, coordinate_names=["x"], n_walkers=4, checkpoint_steps=5, fingerprint=made_from
+        ...     path, coordinate_names=["x"], n_walkers=4, checkpoint_steps=5, fingerprint=fingerprint
         ... )
         >>> def log_prob(x):
         ...     return -0.5 * x[:, 0] ** 2
@@ -74,13 +74,13 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
         >>> ZarrBackend.open(path).iteration
         10
         >>> backend.flush()
-        >>> ZarrBackend.open(path, fingerprint=made_from).get_chain().shape
+        >>> ZarrBackend.open(path, fingerprint=fingerprint).get_chain().shape
         (12, 4, 1)
         >>> folder.cleanup()
     """
 
     def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
-        """Load the committed steps; callers use `create` or `open`."""
+        """Load the committed steps; call `create` or `open` instead."""
         super().__init__(dtype=np.float64)
         self.path = path
         self._committed = attributes
@@ -90,8 +90,8 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
         self.chain, self.log_prob = stored["chain"], stored["log_prob"]
         if self.iteration > 0:
             self.accepted = stored["accepted"][-1].astype(np.float64)
-            generator, key, *others = attributes["random_state"]
-            self.random_state = (generator, np.array(key, dtype=np.uint32), *others)
+            generator, key, *position = attributes["random_state"]
+            self.random_state = (generator, np.array(key, dtype=np.uint32), *position)
 
     @classmethod
     def create(
@@ -107,10 +107,10 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
 
         Args:
             path: Folder that does not exist yet; missing parents are made.
-            coordinate_names: One name per coordinate of a walker, kept as an attribute.
-            n_walkers: Walkers of the ensemble.
+            coordinate_names: One name per coordinate of a walker, stored as an attribute.
+            n_walkers: Number of walkers in the ensemble.
             checkpoint_steps: Steps between commits, and the length of a chunk.
-            fingerprint: Hash of all that decides the chain (session, rig, settings, seed).
+            fingerprint: Hash of everything that determines the chain (session, rig, settings, seed).
 
         Raises:
             InvalidInput: The path exists or cannot be written, or a count is below 1.
@@ -131,7 +131,7 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             raise InvalidInput(
                 f"coordinates, n_walkers and checkpoint_steps must be >= 1; received {counts} ({path})"
             )
-        # Built beside its place and renamed, so that a kill leaves either no store or a whole one.
+        # Built beside the path and renamed, so that a kill leaves either no store or a whole one.
         unfinished = path.with_name(path.name + ".partial")
         with _explained_if_unwritable(path):
             if path.exists():
@@ -159,10 +159,10 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
 
         Args:
             path: Folder made by `create`.
-            fingerprint: What the chain must have been made from; without it any chain is read.
+            fingerprint: Fingerprint that the chain must have; None accepts any chain.
 
         Raises:
-            InvalidInput: There is no store at the path, or it has another fingerprint.
+            InvalidInput: There is no store at the path, or its fingerprint differs.
             CorruptStore: A file is missing, truncated, altered or of another schema version.
         """
         if not path.is_dir():
@@ -176,31 +176,31 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
         return cls(path, attributes)
 
     def reset(self, nwalkers: int, ndim: int) -> None:
-        """Refuse emcee's `sampler.reset()`, which would throw a checkpointed chain away."""
+        """Refuse emcee's `sampler.reset()`, which would discard a checkpointed chain."""
         raise InvalidInput(f"a checkpointed chain must not be reset; use `discard` instead ({self.path})")
 
     def grow(self, ngrow: int, blobs: object) -> None:
         """Make room in memory for `ngrow` steps after the last one."""
         if blobs is not None:
             raise InvalidInput(f"log_prob must return no blobs; received blobs ({self.path})")
-        # Without room left over by an interrupted call: emcee fails when it is more than what is asked for.
+        # Drop room left over by an interrupted call: emcee fails if there is more than it asks for.
         self.chain, self.log_prob = self.chain[: self.iteration], self.log_prob[: self.iteration]
         super().grow(ngrow, blobs)
 
     def save_step(self, state: State, accepted: NDArray[np.bool_]) -> None:
-        """Take one step from the sampler and commit when a chunk is full."""
+        """Store one step of the sampler, and commit when a chunk is full."""
         super().save_step(state, accepted)
         if self.iteration % self._committed["checkpoint_steps"] == 0:
             self.flush()
 
     def flush(self) -> None:
-        """Commit every step taken so far; call it once at the end of a run.
+        """Commit all steps so far; call it once at the end of a run.
 
-        A last chunk that is not full is written again when the run continues. The committed steps in it stay
-        as they are, so a kill then does no harm either.
+        A last chunk that is not full is written again when the run continues. Its committed steps do not change,
+        so a kill at that moment does no harm either.
 
         Raises:
-            InvalidInput: The store cannot be written (no space, no permission); the last commit stays.
+            InvalidInput: The store cannot be written (no space, no permission); the last commit remains.
         """
         before = self._committed
         if self.iteration == before["n_steps"]:
@@ -213,18 +213,18 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             "accepted": self.accepted.astype(np.int64)[np.newaxis],
         }
         old_crc32 = before["array_crc32"]
-        generator, key, *others = self.random_state
+        generator, key, *position = self.random_state
         after = {
             **before,
             "n_steps": self.iteration,
             "n_checkpoints": before["n_checkpoints"] + 1,
             "array_crc32": {n: zlib.crc32(new.tobytes(), old_crc32[n]) for n, new in new_rows.items()},
-            "random_state": [generator, key.tolist(), *others],
+            "random_state": [generator, key.tolist(), *position],
         }
         with _explained_if_unwritable(self.path):
             for name, new in new_rows.items():
                 _append_rows(self.path / name, _layout(name, before)[0], new)
-            # Written inside an array, where whoever lists the group does not meet what a kill left behind.
+            # Written inside an array, so that a file left behind by a kill does not appear in a listing of the group.
             unfinished = self.path / "chain" / "commit.partial"
             unfinished.write_bytes(_render_group(after))
             _sync_to_disk(unfinished)
@@ -242,15 +242,15 @@ def _explained_if_unwritable(path: Path) -> Iterator[None]:
 
 
 def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:
-    """Number of committed rows of an array and shape of its chunks; one checkpoint adds one chunk."""
-    first, *others = _ARRAYS[name][0]
+    """Number of committed rows of an array, and shape of its chunks; each checkpoint adds a chunk."""
+    first, *other_dimensions = _ARRAYS[name][0]
     sizes = {
         "walker": attributes["n_walkers"],
         "coordinate": len(attributes["coordinate_names"]),
         "step": attributes["checkpoint_steps"],
         "checkpoint": 1,
     }
-    return attributes[f"n_{first}s"], tuple(sizes[dimension] for dimension in (first, *others))
+    return attributes[f"n_{first}s"], tuple(sizes[dimension] for dimension in (first, *other_dimensions))
 
 
 def _render_group(attributes: Mapping[str, Any]) -> bytes:
@@ -261,7 +261,7 @@ def _render_group(attributes: Mapping[str, Any]) -> bytes:
 
 
 def _read_attributes(path: Path) -> dict[str, Any]:
-    """Attributes of the last commit; the file must be, byte for byte, what a commit writes."""
+    """Attributes of the last commit; the file must be byte for byte what a commit writes."""
     try:
         content = (path / "zarr.json").read_bytes()
         attributes: dict[str, Any] = json.loads(content)["attributes"]
@@ -289,24 +289,24 @@ def _read_rows(path: Path, name: str, attributes: Mapping[str, Any]) -> NDArray[
         rows: NDArray[Any] = array[:n_rows]
         if zlib.crc32(rows.tobytes()) != attributes["array_crc32"][name]:
             raise ValueError("checksum does not match")
-    except Exception as error:  # a damaged file raises nearly anything inside zarr and its codecs
+    except Exception as error:  # damaged files raise errors of nearly any type inside zarr and its codecs
         raise CorruptStore(f"array {name!r} of chain store {path} has a missing or altered file") from error
     return rows
 
 
 def _append_rows(path: Path, n_rows: int, new: NDArray[Any]) -> None:
-    """Replace whatever follows the first `n_rows` rows of an array, and wait until it is on disk."""
+    """Replace everything after the first `n_rows` rows of an array, and wait until it is on disk."""
     array: Any = zarr.open_array(path, mode="r+")
     array.resize((n_rows + len(new), *array.shape[1:]))
     array[n_rows:] = new
-    length, *others = array.chunks
+    length, *row_shape = array.chunks
     for index in range(n_rows // length, math.ceil(array.shape[0] / length)):
-        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(others))))
+        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(row_shape))))
     _sync_to_disk(path / "zarr.json")
 
 
 def _sync_to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, would survive a loss of power."""
+    """Wait until a file, or the list of names in a folder, would survive a loss of power."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

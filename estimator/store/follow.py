@@ -1,6 +1,6 @@
-"""Reads a session while another process writes it: every record once and in order, however late the reader is.
+"""Reads a session while another process writes it: every entry once and in order, however late the reader is.
 
-The journal is the buffer between the two. The writer never waits for a reader, and what the reader has not taken yet stays on the disk.
+The journal on disk is the buffer between the two, so the writer never waits for a reader.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_from_state
 from estimator.store.growing import GROWING
-from estimator.store.journal import JOURNAL, Record, parsed_lines
+from estimator.store.journal import JOURNAL, Entry, parsed_lines
 from estimator.store.session import is_growing
 
 
 class Follower:
-    """A reader that remembers how far it is.
+    """A reader of a journal that remembers its position.
 
     Attributes:
-        header: First record of the journal.
-        n_read: Records that were handed out.
+        header: First entry of the journal.
+        n_read: Number of entries returned so far.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -30,10 +30,10 @@ class Follower:
             raise InvalidInput(
                 f"session must be one that coilcal acquire writes or wrote; received {folder}, which has no journal"
             )
-        self._waiting = self._more()
-        if not self._waiting or self._waiting[0].get("kind") != GROWING:
+        self._unread = self._new_entries()
+        if not self._unread or self._unread[0].get("kind") != GROWING:
             raise InvalidInput(f"session must be of kind {GROWING!r}; {folder} is not")
-        self.header = self._waiting.pop(0)
+        self.header = self._unread.pop(0)
 
     @property
     def rig(self) -> Rig:
@@ -42,21 +42,21 @@ class Follower:
 
     @property
     def has_ended(self) -> bool:
-        """Whether no more will come; ask before `records`, or the last ones may be missed."""
+        """Whether the session is complete; check it before calling `entries`, or the last ones may be missed."""
         return not is_growing(self._path.parent)
 
-    def records(self) -> list[Record]:
-        """All records that were not handed out yet.
+    def entries(self) -> list[Entry]:
+        """All entries since the last call.
 
         Raises:
             CorruptStore: A line is damaged.
         """
-        taken = [*self._waiting, *self._more()]
-        self._waiting = []
-        self.n_read += len(taken)
-        return taken
+        entries = [*self._unread, *self._new_entries()]
+        self._unread = []
+        self.n_read += len(entries)
+        return entries
 
-    def _more(self) -> list[Record]:
+    def _new_entries(self) -> list[Entry]:
         with self._path.open("rb") as file:
             file.seek(self._end)
             entries, size = parsed_lines(file.read(), self._n_lines, self._path)

@@ -1,8 +1,8 @@
-"""A journal: records that are on the disk before anybody hears of them, one line each, in a file that only grows.
+"""A journal: a file of entries, one line each, to which entries are only appended; each is on disk before `append` returns.
 
-A line is its CRC-32, and JSON that holds its number. What a crash tears is the last line, which nobody was told of: it is dropped. Any
-other line that does not fit is damage. One process writes, held by a lock that the system takes away when the process ends; any
-number may read meanwhile.
+A line is a CRC-32, and JSON that holds the number of the line. A crash can tear only the last line, which was never reported as written:
+it is dropped. Any other line that does not match is damage. One process writes, under a lock that the system releases when the process
+ends; any number of processes may read meanwhile.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from estimator.errors import CorruptStore, InvalidInput, reason
 
 JOURNAL = "journal.jsonl"
 
-Record: TypeAlias = dict[str, Any]
+Entry: TypeAlias = dict[str, Any]
 
 
 class Journal:
-    """The writer; leaving its `with` block lets another one in.
+    """The only writer of a journal; leaving its `with` block admits another one.
 
     Attributes:
-        header: First record, which says what the others belong to.
-        records: All others, in order.
+        header: First entry, which describes the others.
+        entries: All others, in order.
 
     Examples:
         >>> import tempfile
@@ -43,16 +43,16 @@ class Journal:
 
     def __init__(self, descriptor: int, path: Path) -> None:
         self._descriptor, self._path = descriptor, path
-        self.header: Record = {}
-        self.records: list[Record] = []
+        self.header: Entry = {}
+        self.entries: list[Entry] = []
         self._end = 0
 
     @classmethod
     def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
-        """Begin a journal in a folder that is not there yet.
+        """Begin a journal in a new folder.
 
         Raises:
-            InvalidInput: It is there, or cannot be written.
+            InvalidInput: The folder exists, or cannot be written.
         """
         folder = folder.absolute()
         begun = folder.with_name(folder.name + ".begun")
@@ -69,7 +69,7 @@ class Journal:
             _lock(descriptor, path)
             journal._write(header)
             sync(begun)
-            begun.rename(folder)  # now there is a session, and it has a header
+            begun.rename(folder)  # from now on there is a session, and it has a header
             sync(folder.parent)
         except OSError as error:
             journal.close()
@@ -82,10 +82,10 @@ class Journal:
 
     @classmethod
     def resume(cls, folder: Path) -> Journal:
-        """Go on with a journal; a torn last line is cut off.
+        """Continue a journal; a torn last line is cut off.
 
         Raises:
-            InvalidInput: Another process writes it, or there is none.
+            InvalidInput: Another process writes the journal, or there is none.
             CorruptStore: A line is damaged.
         """
         path = folder / JOURNAL
@@ -97,9 +97,9 @@ class Journal:
         try:
             _lock(descriptor, path)
             entries, journal._end = _parsed(path)
-            journal.header, *journal.records = entries
+            journal.header, *journal.entries = entries
             os.ftruncate(descriptor, journal._end)
-            os.pwrite(descriptor, b"\n", journal._end - 1)  # where a crash tore the line feed only
+            os.pwrite(descriptor, b"\n", journal._end - 1)  # in case a crash lost only the line feed
         except OSError as error:
             journal.close()
             raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
@@ -108,17 +108,17 @@ class Journal:
             raise
         return journal
 
-    def append(self, record: Mapping[str, Any]) -> None:
-        """Write a record; once this returns, it is on the disk.
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Write an entry; once this returns, it is on disk.
 
         Raises:
-            InvalidInput: It cannot be written; the journal is as it was, or takes no more.
+            InvalidInput: The entry cannot be written; the journal is unchanged, or closed.
         """
-        self._write(record)
-        self.records.append(dict(record))
+        self._write(entry)
+        self.entries.append(dict(entry))
 
     def close(self) -> None:
-        """Let another writer in; a second call does nothing."""
+        """Release the lock for another writer; a second call does nothing."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -131,18 +131,18 @@ class Journal:
     ) -> None:
         self.close()
 
-    def _write(self, record: Mapping[str, Any]) -> None:
-        line = _line(len(self.records) + bool(self.header), record)
+    def _write(self, entry: Mapping[str, Any]) -> None:
+        line = _line(len(self.entries) + bool(self.header), entry)
         try:
-            done = 0
-            while done < len(line):
-                done += os.pwrite(self._descriptor, line[done:], self._end + done)
+            n_written = 0
+            while n_written < len(line):
+                n_written += os.pwrite(self._descriptor, line[n_written:], self._end + n_written)
             os.fsync(self._descriptor)
         except OSError as error:
             try:
                 os.ftruncate(self._descriptor, self._end)
             except OSError:
-                self.close()  # nothing may follow what is left of the line
+                self.close()  # nothing may follow the remains of the line
             raise InvalidInput(
                 f"session must be writable; {self._path.parent} is not: {reason(error)}"
             ) from error
@@ -151,16 +151,16 @@ class Journal:
 
 @contextmanager
 def unwritten(folder: Path) -> Iterator[None]:
-    """Keep writers out of a journal for a block, in which it may be taken away; does nothing where there is none.
+    """Lock writers out of a journal for a block, which may delete it; does nothing if there is none.
 
     Raises:
-        InvalidInput: A process writes it.
+        InvalidInput: A process writes the journal.
     """
     path = folder / JOURNAL
     if not path.is_file():
         yield
         return
-    descriptor = os.open(path, os.O_RDWR)  # a network drive locks what may be written only
+    descriptor = os.open(path, os.O_RDWR)  # network drives lock only files opened for writing
     try:
         _lock(descriptor, path)
         yield
@@ -168,18 +168,18 @@ def unwritten(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def read_journal(folder: Path) -> tuple[Record, list[Record]]:
-    """Header and records of a journal, which may grow meanwhile.
+def read_journal(folder: Path) -> tuple[Entry, list[Entry]]:
+    """Header and entries of a journal, which may grow meanwhile.
 
     Raises:
         CorruptStore: A line is damaged.
     """
-    (header, *records), _ = _parsed(folder / JOURNAL)
-    return header, records
+    (header, *entries), _ = _parsed(folder / JOURNAL)
+    return header, entries
 
 
 def _lock(descriptor: int, path: Path) -> None:
-    """Become the only writer of a file, as long as it is the one that stands at its path and was not taken away meanwhile."""
+    """Become the only writer of a file; refuse if the file is no longer the one at its path."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -187,46 +187,48 @@ def _lock(descriptor: int, path: Path) -> None:
             f"session must be written by one process at a time; another writes {path.parent}"
         ) from error
     if not path.is_file() or not os.path.samestat(os.fstat(descriptor), path.stat()):
-        raise InvalidInput(f"session must be there while it is written; {path.parent} was taken away")
+        raise InvalidInput(f"session must be there while it is written; {path.parent} was removed")
 
 
-def _line(number: int, record: Mapping[str, Any]) -> bytes:
-    text = json.dumps({"n": number, **record}, allow_nan=False).encode()
+def _line(number: int, entry: Mapping[str, Any]) -> bytes:
+    text = json.dumps({"n": number, **entry}, allow_nan=False).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-def _parsed(path: Path) -> tuple[list[Record], int]:
-    """All records of a journal, the header among them, and where they end."""
+def _parsed(path: Path) -> tuple[list[Entry], int]:
+    """All entries of a journal, including the header, and the offset of their end."""
     data = path.read_bytes()
     last = data[data.rfind(b"\n") + 1 :]
-    # A line that lacks but its line feed is whole, for those who know that nobody is writing the rest of it.
+    # A last line that lacks only its line feed is whole.
     entries, size = parsed_lines(data + b"\n" if _is_whole(last) else data, 0, path)
     if not entries:
         raise CorruptStore(f"session must begin with its header; {path} holds none")
     return entries, size
 
 
-def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Record], int]:
-    """Records of whole lines, and the length of these; what follows the last line feed is torn, or being written.
+def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Entry], int]:
+    """Entries of the whole lines, and their length in bytes; bytes after the last line feed are torn, or still being written.
 
     Args:
-        data: Of a journal, from the beginning of a line.
+        data: Bytes of a journal, from the beginning of a line.
         first: Number of that line.
-        path: For messages.
+        path: Path of the journal, for messages.
     Raises:
         CorruptStore: A line is damaged.
     """
     *lines, last = data.split(b"\n")
-    if _is_whole(last[:-1]):  # what follows a whole line was its line feed
+    if _is_whole(last[:-1]):  # the byte after a whole line was its line feed
         lines.append(last)
     entries = []
     for number, line in enumerate(lines, start=first):
         if not _is_whole(line):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
-        record = json.loads(line.partition(b" ")[2])
-        if record.pop("n") != number:
-            raise CorruptStore(f"session must hold all its lines; line {number + 1} of {path} is another one")
-        entries.append(record)
+        entry = json.loads(line.partition(b" ")[2])
+        if entry.pop("n") != number:
+            raise CorruptStore(
+                f"session must hold all its lines; line {number + 1} of {path} has another number"
+            )
+        entries.append(entry)
     return entries, sum(len(line) + 1 for line in lines)
 
 
@@ -236,7 +238,7 @@ def _is_whole(line: bytes) -> bool:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Wait until a file, or the list of names in a folder, is on disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

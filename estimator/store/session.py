@@ -1,7 +1,7 @@
 """A session: the readings of one visit to one rig, in a zarr v3 group that plain xarray opens.
 
-Every chunk carries a crc32c, and the group a SHA-256 over all arrays and attributes, because zarr reads a missing chunk as fill values
-without a word. The rig's YAML and its values travel inside, so a session is complete by itself.
+Every chunk has a crc32c. The group has a SHA-256 over all arrays and attributes, because zarr silently reads a missing chunk as fill
+values. The rig's YAML and its values are stored too, so a session is self-contained.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ class StoredRig:
 
 @dataclass(frozen=True)
 class Session:
-    """Readings with the rig they were taken on.
+    """Readings with the rig on which they were taken.
 
     Attributes:
-        rig: As described in its YAML file.
+        rig: The rig as its YAML file describes it.
         observations: The readings.
-        source: Where they come from, in words.
-        created: ISO date and time of the record.
-        truth: Values a simulation used, by parameter name; empty for measured data.
-        stored_rig: The rig in the words of the store that it was read from, which its hash covers; None where there was none.
+        source: Origin of the readings, in words.
+        created: ISO date and time at which the session was made.
+        truth: Parameter values of a simulation, by name; empty for measured data.
+        stored_rig: The rig in the words of the store that it was read from, which the hash covers; None for a new session.
     """
 
     rig: Rig
@@ -73,7 +73,7 @@ class Session:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
+        """SHA-256 over readings and rig without its devices; the same readings always give the same hash."""
         state = self._stored_state or {"text": rig_text(self.rig)}
         text = without_devices(state["text"])
         return digest(observation_arrays(self.observations), {**state, "text": text})
@@ -85,24 +85,24 @@ class Session:
         return stored.state if stored is not None and stored.rig == self.rig else None
 
     def check_rig(self, rig: Rig) -> None:
-        """Refuse another description of the rig that does not name the same things in the same order.
+        """Refuse a rig whose coils, sensors and movers are not those of the session, in the same order.
 
         Raises:
-            InvalidInput: Coils, sensors, movers or what the movers report differ.
+            InvalidInput: The names of coils, sensors or movers differ, or the motion of a mover does.
         """
         for kind in ("coils", "sensors", "movers"):
-            have, want = ([_described(body) for body in getattr(r, kind)] for r in (self.rig, rig))
-            if have != want:
+            expected, received = ([_described(body) for body in getattr(r, kind)] for r in (self.rig, rig))
+            if expected != received:
                 raise InvalidInput(
-                    f"{kind} of the rig must be those of the session ({', '.join(have) or 'none'}); "
-                    f"received {', '.join(want) or 'none'} (rig {rig.name!r})"
+                    f"{kind} of the rig must be those of the session ({', '.join(expected) or 'none'}); "
+                    f"received {', '.join(received) or 'none'} (rig {rig.name!r})"
                 )
 
     def save(self, path: Path, overwrite: bool = False) -> None:
         """Write the session, whole or not at all.
 
         Raises:
-            InvalidInput: The path exists and `overwrite` is not set, a process measures into it, or it cannot be written.
+            InvalidInput: The path exists and `overwrite` is not set, a process is measuring into it, or it cannot be written.
         """
         path = path.absolute()
         if path.exists() and not overwrite:
@@ -150,8 +150,8 @@ def load_session(path: Path | str) -> Session:
     """Open a session and check every byte of it.
 
     Raises:
-        InvalidInput: No session at this path.
-        CorruptStore: A file is missing, truncated or altered, or the schema is of another version.
+        InvalidInput: There is no session at this path.
+        CorruptStore: A file is missing, truncated or altered, or the schema has another version.
     """
     path = Path(path)
     if is_growing(path):
@@ -164,19 +164,19 @@ def load_session(path: Path | str) -> Session:
         group = zarr.open_group(path, mode="r")
         attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
-        seal = attributes.pop("sha256")
+        stored_digest = attributes.pop("sha256")
         with quiet_zarr():
             arrays = {
                 name: (tuple(array.metadata.dimension_names or ()), np.asarray(array[...]))  # type: ignore[union-attr]
                 for name, array in group.arrays()
             }
-        if digest(arrays, attributes) != seal:
+        if digest(arrays, attributes) != stored_digest:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
         stored = StoredRig.of(attributes["rig"], f"rig inside {path}")
         observations = observations_from({name: data for name, (_, data) in arrays.items()}, stored.rig)
     except CoilcalError:
         raise
-    except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
+    except Exception as error:  # damaged bytes raise errors of nearly any type in zarr, JSON and NumPy
         raise CorruptStore(
             f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
         ) from error
@@ -185,15 +185,15 @@ def load_session(path: Path | str) -> Session:
 
 
 def is_growing(path: Path) -> bool:
-    """Whether a session at this path is still being measured, or was left before its end."""
+    """Whether the session at this path is still being measured, or was interrupted."""
     return (path / JOURNAL).is_file() and not (path / GROUP).is_file()
 
 
 def seal(path: Path) -> Session:
-    """Turn a session that has been measured to its end into arrays; its journal stays beside them.
+    """Turn the journal of a completely measured session into arrays; the journal stays beside them.
 
     Raises:
-        InvalidInput: It cannot be written; the journal is as it was.
+        InvalidInput: The arrays cannot be written; the journal is unchanged.
         CorruptStore: The journal is damaged.
     """
     session = _from_journal(path)
@@ -203,7 +203,7 @@ def seal(path: Path) -> Session:
         session._write(partial)
         for file in partial.rglob("*"):
             sync(file)
-        # The group's own file makes a session of it, so that goes last: killed before, the session is still a journal.
+        # The group's own file makes the folder a session, so it is moved last: after a kill before that, the session is still a journal.
         for part in sorted(partial.iterdir(), key=lambda part: part.name == GROUP):
             if part.name != GROUP:
                 shutil.rmtree(path / part.name, ignore_errors=True)
@@ -216,10 +216,10 @@ def seal(path: Path) -> Session:
 
 
 def remove_session(path: Path) -> None:
-    """Take away a session that is to be measured anew.
+    """Delete a session that is to be measured anew.
 
     Raises:
-        InvalidInput: Something else is there, a process writes it, or it cannot be taken away.
+        InvalidInput: The path holds no session, a process writes it, or it cannot be deleted.
     """
     if not _is_session(path):
         raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
@@ -231,11 +231,11 @@ def remove_session(path: Path) -> None:
 
 
 def _from_journal(path: Path) -> Session:
-    header, records = read_journal(path)
+    header, entries = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
     stored = StoredRig.of(header["rig"], f"rig inside {path}")
-    observations = observations_of(records, stored.rig)
+    observations = observations_of(entries, stored.rig)
     return Session(stored.rig, observations, header["source"], header["created"], stored_rig=stored)
 
 
@@ -275,7 +275,7 @@ def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.n
 
 
 def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observations:
-    """Readings from the arrays that `observation_arrays` gave."""
+    """Readings from the arrays of `observation_arrays`."""
     tensors = {name: torch.from_numpy(np.array(data)) for name, data in stored.items()}
     return Observations(
         tensors["time_s"],
@@ -295,7 +295,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
 
 
 def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes: Mapping[str, Any]) -> str:
-    """SHA-256 over named arrays with their dimensions, and over attributes that JSON can hold."""
+    """SHA-256 over named arrays with their dimensions, and over JSON attributes."""
     result = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in sorted(arrays):
         dimensions, data = arrays[name]
@@ -306,16 +306,16 @@ def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes:
 
 @contextmanager
 def quiet_zarr() -> Iterator[None]:
-    """Without zarr's warnings about files that it does not know: notes of users are welcome, and what is missing is found anyway."""
+    """Silence zarr's warnings about unknown files: users may add notes, and missing chunks are detected by the SHA-256."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)
         yield
 
 
 def replace_folder(finished: Path, path: Path) -> None:
-    """Put a finished folder in the place of another.
+    """Replace a folder by a finished one.
 
-    A kill leaves the old folder, or the new one; between the two renames it leaves both, whole, as `.old` and under the name of `finished`.
+    A kill leaves the old folder or the new one; between the two renames it leaves both, whole, as `.old` and under the name of `finished`.
     """
     old = path.with_name(path.name + ".old")
     shutil.rmtree(old, ignore_errors=True)

@@ -15,7 +15,7 @@ from estimator import Observations, draw_truth, load_plan, load_rig, simulate
 from estimator.cli.live import POLL_S
 from estimator.live.stream import Stream
 from estimator.store.follow import Follower
-from estimator.store.growing import StopRecord, new_header, observations_of
+from estimator.store.growing import StopReadings, new_header, observations_of
 from estimator.store.journal import Journal
 
 RIG, PLAN = "configs/paper_simulation.yaml", "configs/plans/recommended.yaml"
@@ -64,7 +64,7 @@ def write(session: Path, readings: Observations, pause_s: float) -> None:
             field_T = {"hall": readings.field_sensor_T[row].tolist()}
             now_s = time.monotonic()
             current_A = readings.current_A[row].tolist()
-            journal.append(StopRecord(now_s, current_A, motion, field_T, False, 0).to_json())
+            journal.append(StopReadings(now_s, current_A, motion, field_T, False, 0).entry())
             time.sleep(pause_s)
 
 
@@ -77,7 +77,7 @@ def follow(session: Path, n_readings: int) -> list[float]:
     stream = Stream(rig)
     delays_s: list[float] = []
     while len(delays_s) < n_readings:
-        records = follower.records()
+        records = follower.entries()
         if not records:
             time.sleep(POLL_S)
             continue

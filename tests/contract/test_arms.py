@@ -140,7 +140,7 @@ def test_a_connection_lost_in_mid_motion_is_a_fault_that_names_the_address(rig):
     (error,) = raised
     assert isinstance(error, DeviceFault | DeadlineExceeded)
     assert rig.address in str(error)
-    assert "whether the arm stands is unknown" in str(error)
+    assert "whether the arm stands still is unknown" in str(error)
 
 
 def test_stop_ends_a_motion_and_leaves_the_arm_standing(rig):

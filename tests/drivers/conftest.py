@@ -1,4 +1,4 @@
-"""The simulated instruments of `tests.drivers.rig`, for all tests of the drivers."""
+"""Fixtures of `tests.drivers.rig` for all tests of the drivers."""
 
 from __future__ import annotations
 

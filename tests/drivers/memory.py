@@ -1,4 +1,4 @@
-"""Devices without hardware, for tests of what wraps devices."""
+"""Devices in memory, for tests of the classes that wrap devices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ HOME = FlangePose((0.3, 0.0, 0.4), (0.0, 0.0, 0.0))
 
 
 class MemoryDevice(ClosesItself):
-    """Keeps a list of what it was told."""
+    """Lists the commands that it received in `told`."""
 
     def __init__(self):
         self.told = []
@@ -34,7 +34,7 @@ class MemoryDevice(ClosesItself):
 
 
 class MemorySource(MemoryDevice):
-    """Delivers a share of what it is asked for."""
+    """Delivers a fraction (`share`) of the requested current."""
 
     slew_A_per_s = 10.0
     longest_off_s = 5.0
@@ -66,7 +66,7 @@ class MemorySensor(MemoryDevice):
 
 
 class MemoryArm(MemoryDevice):
-    """Is at once where it is sent."""
+    """Arrives at once."""
 
     pose = HOME
     held_by = None

@@ -1,4 +1,4 @@
-"""Conversations written down in tests: `conversation(("sent", "received"), ...)` is a port that plays the instrument, `ScriptedPort` a slow one."""
+"""Ports that play an instrument: `conversation((b"sent", b"received"), ...)` answers at once, `ScriptedPort` with delays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def conversation(*exchanges):
 
 
 class ScriptedPort:
-    """Hands out pieces at moments after it was sent something; `late` are pieces with their delay."""
+    """Answers each message with the next of `answers`: pairs of a delay in seconds and a piece."""
 
     name = "scripted"
     arrived_s = 0.0

@@ -1,4 +1,4 @@
-"""Simulated instruments behind real ports; each test gets processes of its own."""
+"""Simulated instruments behind real ports; each test starts its own processes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ SOURCES = {
 
 
 def kepco_source(address, _interrupt):
-    """Runs in the child of a supervised source."""
+    """Make a source; runs in the child process of a supervised source."""
     return source(SerialPort(address, KEPCO_SERIAL), KEPCO_BOP, -5.0, SLEW_A_PER_S)
 
 
@@ -137,29 +137,29 @@ _addresses = itertools.count(1)
 
 
 def free_host():
-    """An address that no other test listens on: the ports of a controller are fixed, and pytest-xdist runs several."""
+    """An address that no other test uses: the ports of a controller are fixed, and pytest-xdist runs several tests at once."""
     return f"127.{1 + os.getpid() % 254}.{1 + os.getpid() // 254 % 254}.{next(_addresses)}"
 
 
 @pytest.fixture
 def world():
-    """One coil of 2 ohm whose current follows at once."""
+    """A world with one coil of 2 ohm and no inductance."""
     return World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
 
 
 @pytest.fixture
 def started(world):
-    """Starts a simulator and connects its driver: `started(SENSORS["460"])` gives both."""
-    opened = []
+    """Starts a simulator and connects its driver: `started(SENSORS["460"])` returns both."""
+    simulators = []
 
     def start(kind):
         line, instrument, driver = kind
         make = Simulator.on_serial_line if line == "serial" else Simulator.on_tcp
         simulator = make(instrument(world))
-        opened.append(simulator)
+        simulators.append(simulator)
         device = driver(simulator.address)
         return simulator, device
 
     yield start
-    for simulator in opened:
+    for simulator in simulators:
         simulator.close()

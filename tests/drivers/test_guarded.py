@@ -1,4 +1,4 @@
-"""Any fault of any device brings the whole rig to rest, and nothing goes on afterwards."""
+"""A fault of any device brings the whole rig to rest, and every later command is refused."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_a_second_fault_waits_until_the_first_has_brought_all_to_rest():
     rig = Rig()
     rig.use()
     slow = rig.memory_source.output_off
-    rig.memory_source.output_off = lambda **given: (time.sleep(0.3), slow(**given))
+    rig.memory_source.output_off = lambda **arguments: (time.sleep(0.3), slow(**arguments))
     first = threading.Thread(target=rig.interlock.trip, args=("of the first",))
     first.start()
     time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""A rig file opens its devices behind their limits, and refuses what it does not understand."""
+"""The devices of a rig file open behind their limits, and unknown settings are refused."""
 
 from __future__ import annotations
 
@@ -137,10 +137,10 @@ def test_a_check_that_was_recorded_is_repeated_without_the_instruments(section, 
         paths = {name: str(tmp_path / f"{name}.txt") for name in bare}
         recorded = {name: {**kind, **port, "record": paths[name]} for name, (kind, port) in bare.items()}
         with open_devices(recorded) as devices:
-            said = {name: check_device(device) for name, device in devices.devices.items()}
+            answers = {name: check_device(device) for name, device in devices.devices.items()}
     replayed = {name: {**kind, "replay": paths[name]} for name, (kind, _) in bare.items()}
     with open_devices(replayed) as devices:
-        assert {name: check_device(device) for name, device in devices.devices.items()} == said
+        assert {name: check_device(device) for name, device in devices.devices.items()} == answers
 
 
 def test_an_arm_that_was_recorded_repeats_its_motion_within_the_limits_of_its_section(section, tmp_path):
@@ -199,7 +199,7 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
 
 
 BAD = {
-    "of no kind": ({"serial": "x"}, "must say what it is"),
+    "of no kind": ({"serial": "x"}, "must be a sensor, supply, arm or thermometer"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
     "without port": (SENSOR, "must have one of serial, tcp, visa and replay; received none"),
     "without messages": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0, "visa": "GPIB0::6::INSTR"}, "must have one of serial, tcp and replay; received none"),
@@ -238,10 +238,10 @@ def test_a_key_that_nobody_knows_is_refused_and_the_device_closed(section):
 
 
 def test_the_section_in_the_docstring_is_understood():
-    """All of it but the ports, which are not there."""
+    """All of it except the ports, which do not exist."""
     text = textwrap.dedent(drivers.open.__doc__.partition("reads\n\n")[2])
     section = yaml.safe_load(text)["devices"]
-    del section["arm1"]["joint_low_deg"]  # stands without the other in the text
+    del section["arm1"]["joint_low_deg"]  # the text has no joint_high_deg
     warmth = {"warmth": {**section["warmth"], **LOCAL["warmth"]}}
     for name, settings in section.items():
         with pytest.raises(DeviceFault):

@@ -1,4 +1,4 @@
-"""The protocols of `drivers` tell devices apart, and readings are records that cannot change."""
+"""The protocols of `drivers` tell devices apart, and readings are immutable."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class MemoryDevice:
 
 
 class MemorySource(MemoryDevice):
-    """Delivers what it is asked for, up to 5 A."""
+    """Delivers the requested current, up to 5 A."""
 
     current_A = 0.0
     slew_A_per_s = 100.0
@@ -88,7 +88,7 @@ class MemorySensor(MemoryDevice):
 
 
 class MemoryArm(MemoryDevice):
-    """Is at once where it is sent."""
+    """Arrives at once."""
 
     pose = HOME
 

@@ -1,4 +1,4 @@
-"""Rotation vectors turn into quaternions and back, and angles do not see their two names."""
+"""Rotation vectors survive conversion to quaternions and back, and both vectors of a half turn give the same angle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.rotation import angle_between_rad, inverse, product, quaternion, rotation_vector_rad
 
-components = st.floats(-1.7, 1.7)  # shorter than half a circle
+components = st.floats(-1.7, 1.7)  # the angle stays below half a turn
 vectors = st.tuples(components, components, components)
 
 

@@ -1,4 +1,4 @@
-"""Limits refuse what is beyond them and nothing else."""
+"""Requests beyond the limits are refused, and no others."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_time_left_ends_exactly_at_the_limit(current_A, mean_square_A2):
 
 
 @given(st.floats(0, 5), st.floats(0, 300), st.floats(0, 300))
-def test_the_load_does_not_depend_on_how_often_it_is_worked_out(current_A, first_s, then_s):
+def test_the_load_does_not_depend_on_how_often_it_is_computed(current_A, first_s, then_s):
     load = CoilLoad(0.0, 4.0)
     twice = load.after(current_A, first_s, LIMITS).after(current_A, first_s + then_s, LIMITS)
     assert twice.mean_square_A2 == pytest.approx(

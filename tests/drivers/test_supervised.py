@@ -1,4 +1,4 @@
-"""A child process does one call at a time, drops what is late, and brings its device to rest when its parent is gone."""
+"""A child process serves one call at a time, drops late calls, and brings its device to rest when its parent is gone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.supervised import Supervised
 
 
 class Device:
-    """Writes down what happens to it in a file that the test reads."""
+    """Notes each call in a file that the test reads."""
 
     def __init__(self, path, interrupt):
         self.path, self.interrupt = path, interrupt
@@ -47,7 +47,7 @@ class Device:
 
 
 class NeedyDevice(Device):
-    """Is to be kept alive."""
+    """A device that must be kept alive."""
 
     is_lost = False
 

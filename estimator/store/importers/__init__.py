@@ -1,6 +1,6 @@
-"""From files of others to sessions: the readings CSV, and maps of public repositories.
+"""Importers of sessions from other formats: the readings CSV, and field maps of public repositories.
 
-`IMPORTERS` gives each the same signature, for the command line: files, rig, and currents by coil (empty where not given).
+`IMPORTERS` gives them all one signature, for the command line: files, rig, and currents by coil (empty if not given).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Importer = Callable[[Sequence[Path], Rig, Mapping[str, float]], Session]
 def _readings(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
     if currents_A:
         raise InvalidInput(
-            f"a readings CSV holds its own currents; received {', '.join(currents_A)} beside it"
+            f"currents must not be given for a readings CSV, which holds its own; received {', '.join(currents_A)}"
         )
     return read_readings_csv(_only(paths), rig)
 

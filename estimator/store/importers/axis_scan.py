@@ -1,4 +1,4 @@
-"""Scans along a coil's axis: two or three columns of position, field and (not used) error or scale reading.
+"""Imports scans along a coil's axis: two or three columns of position, field and an error or scale reading (not used).
 
 Made for the student-laboratory scans of Goettingen (miallo/13MagSpu) and Dortmund (4iphaton/V308SpulenMagnetfelder).
 """
@@ -22,16 +22,16 @@ def read_axis_scan(
 ) -> Session:
     """Read one scan; positions become z of the stage, the field becomes the sensor's z component.
 
-    The file holds no times: `time_s` counts the readings. Neither a third column nor a zero of the scale is known to the model: noise and
-    offset are parameters of the rig.
+    The file holds no times, so `time_s` counts the readings. A third column and the zero of the scale are not used: noise and offset are
+    parameters of the rig.
 
     Args:
         path: Numbers separated by blanks; lines that start with # are skipped.
-        rig: One pose mover that carries the one sensor along z.
-        currents_A: Per coil.
+        rig: Must have one pose mover, which carries the only sensor along z.
+        currents_A: Current of each coil.
         position_unit, field_unit: Symbols of `estimator.units`.
     Raises:
-        InvalidInput: Not a table of two or three columns, an unknown unit, or a coil without current.
+        InvalidInput: The file is not a table of two or three columns, a unit is unknown, or a coil has no current.
     """
     if len(rig.sensors) != 1:
         raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")

@@ -1,4 +1,4 @@
-"""What importers share: lines and numbers of a text file, the one pose mover of a map, currents by coil."""
+"""Helpers of the importers: lines and numbers of a text file, the pose mover of a map, currents by coil."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import MotionKind, Mover, Rig
 
 
-def finite_number(cell: str, name: str, place: str) -> float:
-    """One cell as a finite number.
+def finite_number(cell: str, name: str, location: str) -> float:
+    """Convert a cell to a finite number.
 
     Args:
-        cell: The text.
-        name: What the number is, for the message.
-        place: Where it stands, for the message.
+        cell: Text of the cell.
+        name: Name of the quantity, for messages.
+        location: File and line, for messages.
     Raises:
-        InvalidInput: Empty, no number, NaN or infinite.
+        InvalidInput: The cell is empty, not a number, NaN or infinite.
     Examples:
         >>> finite_number(" 1.5e-3", "t_s", "readings.csv, line 2")
         0.0015
@@ -33,12 +33,12 @@ def finite_number(cell: str, name: str, place: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in cell:  # Python reads 1_000 as a thousand; no instrument writes that
-        raise InvalidInput(f"{name} must be a finite number; received {cell.strip()!r} ({place})")
+        raise InvalidInput(f"{name} must be a finite number; received {cell.strip()!r} ({location})")
     return value
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a text file; a byte order mark and Windows line ends are taken off.
+    """The lines of a text file, without byte order mark and line ends (Unix or Windows).
 
     Raises:
         InvalidInput: The file cannot be read, or is not UTF-8.
@@ -56,10 +56,10 @@ def read_numbers(
 
     Args:
         path: The file.
-        separator: Between cells; None for any run of blanks.
-        header_lines: Lines at the top that hold no numbers.
+        separator: Separator of cells; None for any run of blanks.
+        header_lines: Number of lines to skip at the top.
     Raises:
-        InvalidInput: A cell is not a finite number, rows are of different length, or there is no row.
+        InvalidInput: A cell is not a finite number, rows differ in length, or there is no row.
     """
     rows: list[list[float]] = []
     for line, text in enumerate(read_lines(path)[header_lines:], start=1 + header_lines):
@@ -79,10 +79,10 @@ def read_numbers(
 
 
 def pose_mover(rig: Rig) -> Mover:
-    """The one mover of a map, which carries every sensor and reports poses.
+    """The mover of a map, which carries every sensor and reports poses.
 
     Raises:
-        InvalidInput: The rig is of another kind.
+        InvalidInput: The rig has other movers, or a sensor that this one does not carry.
     """
     movers = [mover for mover in rig.movers if mover.motion is MotionKind.POSE]
     if len(rig.movers) != 1 or len(movers) != 1 or any(s.carried_by != movers[0].name for s in rig.sensors):
@@ -116,17 +116,16 @@ def map_observations(
     field_sensor_T: Float[Tensor, "reading 3"],
     repeat: Int[Tensor, " reading"] | None = None,
 ) -> Observations:
-    """Readings of a map taken with one pose mover, none of them kept out of the fit.
+    """Observations of a map taken with one pose mover; all readings take part in the fit.
 
     Args:
-        rig: Its mover names the motion.
-        time_s, sensor, pose, field_sensor_T, repeat: As in `Observations`; without `repeat` there are none.
-        current_A: Per reading and coil, or per coil where it was the same throughout.
+        rig: Must have one pose mover.
+        time_s, sensor, pose, field_sensor_T, repeat: As in `Observations`; `repeat` defaults to zero.
+        current_A: Current by reading and coil, or by coil if constant.
     """
     n = len(time_s)
-    current = torch.as_tensor(current_A, dtype=torch.float64).expand(n, len(rig.coils)).clone()
-    none = torch.zeros(n, dtype=torch.int64)
+    currents_A = torch.as_tensor(current_A, dtype=torch.float64).expand(n, len(rig.coils)).clone()
+    zeros = torch.zeros(n, dtype=torch.int64)
     motion = {pose_mover(rig).name: pose}
-    return Observations(
-        time_s, sensor, current, motion, field_sensor_T, none.bool(), none if repeat is None else repeat, {}
-    )
+    repeat = zeros if repeat is None else repeat
+    return Observations(time_s, sensor, currents_A, motion, field_sensor_T, zeros.bool(), repeat, {})

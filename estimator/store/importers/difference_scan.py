@@ -1,7 +1,7 @@
-"""Two scans of one grid with a three-axis probe, coil on and coil off, as their difference: the public maps of mri4all/field_mapper_3DFM.
+"""Imports the difference of two scans of one grid with a three-axis probe, coil on and off: public maps of mri4all/field_mapper_3DFM.
 
-Columns are `index, dx, dy, dz, Bx, By, Bz, ...`: moves in millimetres, each relative to the row before, and the field in units of 1e-7 T.
-The first row is the start and the last one the way back; neither is a point of the grid.
+Columns are `index, dx, dy, dz, Bx, By, Bz, ...`: moves in millimetres relative to the previous row, and the field in units of 1e-7 T.
+The first row is the start and the last one the return; neither is a point of the grid.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ COLUMNS = ["index", "dx", "dy", "dz", "Bx", "By", "Bz"]
 
 
 def read_difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    """Read what a coil adds to the field of everything else: a scan with its current less one without.
+    """Read the field of the coils alone: a scan with current minus one without.
 
-    The files hold no times: `time_s` counts the readings.
+    The files hold no times, so `time_s` counts the readings.
 
     Args:
-        paths: Two files of the same moves; the one whose name ends in `b0` was taken without current.
-        rig: One pose mover that carries the one sensor, whose axes are those of the stage.
-        currents_A: Per coil, in the scan with current.
+        paths: Two files with the same moves; the name of the one without current ends in `b0`.
+        rig: Must have one pose mover, which carries the only sensor; the sensor's axes are those of the stage.
+        currents_A: Current of each coil in the scan with current.
     Raises:
-        InvalidInput: Not two files, none or both of them `b0`, or other moves in one than in the other.
+        InvalidInput: There are not two files, not exactly one is `b0`, or their moves differ.
     """
     off = [path for path in paths if path.stem.endswith("b0")]
     on = [path for path in paths if path not in off]
@@ -40,8 +40,8 @@ def read_difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[st
             "a difference of scans takes two files, one of them named *b0; "
             f"received {', '.join(path.name for path in paths) or 'none'}"
         )
-    position_m, with_current_T = _scan(on[0])
-    position_off_m, without_T = _scan(off[0])
+    position_m, field_on_T = _scan(on[0])
+    position_off_m, field_off_T = _scan(off[0])
     if position_m.shape != position_off_m.shape or not torch.equal(position_m, position_off_m):
         raise InvalidInput(f"both scans must make the same moves; {on[0].name} and {off[0].name} do not")
     n = len(position_m)
@@ -51,7 +51,7 @@ def read_difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[st
         torch.zeros(n, dtype=torch.int64),
         current_by_coil(rig, currents_A),
         torch.cat((position_m, torch.zeros(n, 3, dtype=torch.float64)), dim=1),
-        with_current_T - without_T,
+        field_on_T - field_off_T,
     )
     return Session(rig, observations, f"{on[0].name} less {off[0].name}; t_s counts the readings")
 

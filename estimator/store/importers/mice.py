@@ -1,4 +1,4 @@
-"""Maps of the MICE spectrometer solenoids: six Hall probes on a disc that is stepped along z and turned.
+"""Imports maps of the MICE spectrometer solenoids: six Hall probes on a disc that is stepped along z and rotated.
 
 Files `*_polarCoordinates.dat` of the public repository JoeLanglands/MICE-MagneticFieldMapping (MIT licence), folder micemag/data/SSU.
 """
@@ -33,20 +33,20 @@ LARGEST_MISMATCH_M = 1e-3
 def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = None) -> Session:
     """Read one map.
 
-    The six probes sit at different azimuths of the disc, and the file's phi is the azimuth of the probe: disc angle plus the azimuth
-    at which the rig file mounts that probe. The disc angle of an instant follows from its off-axis probes, which must agree.
+    The six probes sit at different azimuths of the disc. The file's phi is the azimuth of the probe: disc angle plus the azimuth at
+    which the rig file mounts that probe. The disc angle at an instant follows from its off-axis probes, which must agree.
 
-    The sensor axes are radial, azimuthal, axial, so that an off-axis row holds the sensor's components as they are. Rows at r = 0 have
-    phi = 0 whatever the disc angle: their Br, Bphi are components along x and y of the mapper, turned there from a sensor that turns
-    with the disc. (In run 07 the transverse part of probe 0 far from the coil, 0.53 mT, turns with the disc angle; of the four ways to
-    read it only this one fits the coil, 0.23 mT against 0.5 mT and more.) They are turned back by the disc angle.
+    The sensor axes are radial, azimuthal and axial, so an off-axis row holds the sensor's components directly. Rows at r = 0 have
+    phi = 0 at every disc angle: their Br and Bphi are components along x and y of the mapper, rotated from a sensor that turns with
+    the disc. (In run 07 the transverse field at probe 0 far from the coil, 0.53 mT, turns with the disc angle; of the four ways to
+    read it only this one fits the coil, 0.23 mT against 0.5 mT and more.) They are rotated back by the disc angle.
 
     Args:
         path: A `*_polarCoordinates.dat` file.
-        rig: One pose mover, the disc; sensors probe0 to probe5 carried by it, as in configs/mice_ssu_m1.yaml.
-        currents_A: Per coil; 30 A in every coil where not given.
+        rig: Must have one pose mover, the disc, which carries the sensors probe0 to probe5, as in configs/mice_ssu_m1.yaml.
+        currents_A: Current of each coil; 30 A in every coil if not given.
     Raises:
-        InvalidInput: Not such a file, or a probe is more than 1 mm from where the rig mounts it on the disc.
+        InvalidInput: The file has another format, or a probe is more than 1 mm from its mount in the rig file.
     """
     header = read_lines(path)[:1]
     if not header or not header[0].startswith("#") or any(name not in header[0] for name in COLUMNS):
@@ -75,7 +75,7 @@ def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = Non
 
 
 def _seconds(date_and_time: Float[Tensor, "row 2"], path: Path) -> Float[Tensor, " row"]:
-    """Seconds since an arbitrary instant, from numbers DDMMYYYY and HHMMSS that lost their leading zeros."""
+    """Seconds since an arbitrary instant, from numbers DDMMYYYY and HHMMSS without their leading zeros."""
     seconds = []
     for date, time in date_and_time.tolist():
         text = f"{date:08.0f} {time:06.0f}"
@@ -89,7 +89,7 @@ def _seconds(date_and_time: Float[Tensor, "row 2"], path: Path) -> Float[Tensor,
 
 
 def _sensor(probe_id: Float[Tensor, " row"], rig: Rig, path: Path) -> Int[Tensor, " row"]:
-    """Place of each row's probe in the rig's sensors."""
+    """Index of each row's probe among the rig's sensors."""
     index = {sensor.name: i for i, sensor in enumerate(rig.sensors)}
     names = [f"probe{number:g}" for number in probe_id.tolist()]
     unknown = next((name for name in names if name not in index), None)
@@ -107,7 +107,7 @@ def _disc_angle(
     rig: Rig,
     path: Path,
 ) -> Float[Tensor, " row"]:
-    """Angle of the disc at each row's instant; NaN where only the probe on the axis was read."""
+    """Angle of the disc at each row's instant; NaN if only the probe on the axis was read."""
     pose_mover(rig)
     values = rig.nominal_values()
     mounts = [
@@ -117,23 +117,23 @@ def _disc_angle(
     angle_at: dict[float, float] = {}
     for row, (time, i) in enumerate(zip(time_s.tolist(), sensor.tolist(), strict=True)):
         z_m, radius_m, phi_deg = table[row, :3].tolist()
-        mounted_m, name = math.hypot(*mounts[i]), rig.sensors[i].name
-        if abs(radius_m - mounted_m) > LARGEST_MISMATCH_M:
-            rule = f"{name} must be at r = {mounted_m:g} m, where rig {rig.name!r} mounts it"
+        mount_radius_m, name = math.hypot(*mounts[i]), rig.sensors[i].name
+        if abs(radius_m - mount_radius_m) > LARGEST_MISMATCH_M:
+            rule = f"{name} must be at r = {mount_radius_m:g} m, where rig {rig.name!r} mounts it"
             raise InvalidInput(f"{rule}; received {radius_m:g} at z = {z_m:g} m ({path})")
         if radius_m > LARGEST_MISMATCH_M:
-            angle = math.radians(phi_deg) - math.atan2(mounts[i][1], mounts[i][0])
-            turned = math.remainder(angle - angle_at.setdefault(time, angle % math.tau), math.tau)
-            if abs(turned) * radius_m > LARGEST_MISMATCH_M:
+            angle_rad = math.radians(phi_deg) - math.atan2(mounts[i][1], mounts[i][0])
+            off_rad = math.remainder(angle_rad - angle_at.setdefault(time, angle_rad % math.tau), math.tau)
+            if abs(off_rad) * radius_m > LARGEST_MISMATCH_M:
                 rule = f"{name} must be at the azimuth at which rig {rig.name!r} mounts it"
                 raise InvalidInput(
-                    f"{rule}; it is {math.degrees(turned):.3g} deg off at z = {z_m:g} m ({path})"
+                    f"{rule}; it is {math.degrees(off_rad):.3g} deg off at z = {z_m:g} m ({path})"
                 )
     return torch.tensor([angle_at.get(time, math.nan) for time in time_s.tolist()], dtype=torch.float64)
 
 
 def _field(table: Float[Tensor, "row 10"], angle_rad: Float[Tensor, " row"]) -> Float[Tensor, "row 3"]:
-    """Components along the axes of each probe."""
+    """Field components along the axes of each probe."""
     field_T = table[:, 3:6].clone()
     on_axis = table[:, 1] <= LARGEST_MISMATCH_M
     cosine, sine = torch.cos(angle_rad[on_axis]), torch.sin(angle_rad[on_axis])

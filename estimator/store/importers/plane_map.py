@@ -1,7 +1,7 @@
-"""Plane maps of a pair of coils, one signed reading per point: the public Maxwell pair of sassafras13/steering_magnetic_robots.
+"""Imports plane maps of a pair of coils, one signed reading per point: the Maxwell pair of sassafras13/steering_magnetic_robots.
 
-A file holds 14 rows by 11 columns in gauss. As in the source's plotting code (plotBFieldData.m, MIT licence) columns are the axial
-coordinate from -5 to 5 cm, rows the transverse one from -6 to 7 cm.
+A file holds 14 rows by 11 columns in gauss. As in the source's plotting code (plotBFieldData.m, MIT licence), columns are the axial
+coordinate from -5 to 5 cm, and rows the transverse one from -6 to 7 cm.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ NAME = re.compile(r"u1_(-?\d+(?:_\d+)?)_u2_(-?\d+(?:_\d+)?)_r(\d+)$")
 def read_plane_maps(
     paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float] | None = None
 ) -> Session:
-    """Read maps of one pair of coils, repeats and several currents together, into one session.
+    """Read maps of one pair of coils, with their repeats and currents, into one session.
 
-    The one component is taken as the axial one, sensor z; which one the probe read is not stated in the source. The files hold no times:
-    `time_s` counts the readings.
+    The single component is taken to be the axial one, sensor z; the source does not state which one the probe measured. The files hold
+    no times, so `time_s` counts the readings.
 
     Args:
         paths: Files named u1_<ampere>_u2_<ampere>_r<repeat>.csv, with _ for the decimal point.
-        rig: One pose mover that carries the sensor, map plane x-z, axis z; the first coil is u1, the second u2.
-        currents_A: Per coil, the same for every file; from the file names where not given.
+        rig: Must have one pose mover, which carries the sensor in the plane x-z with axis z; the first coil is u1, the second u2.
+        currents_A: Current of each coil, the same for every file; taken from the file names if not given.
     Raises:
-        InvalidInput: No file, a file of another shape, or a name without currents.
+        InvalidInput: There is no file, a file has another shape, or a name has no currents.
     """
     if not paths:
         raise InvalidInput("plane maps must be at least one file; received none")
@@ -51,7 +51,7 @@ def read_plane_maps(
     pose = torch.zeros(n_points, 6, dtype=torch.float64)
     pose[:, 0], pose[:, 2] = transverse_m.flatten(), axial_m.flatten()
     field_T = torch.full((n_points * len(maps), 3), torch.nan, dtype=torch.float64)
-    field_T[:, 2] = torch.cat([part.flatten() for part in maps])
+    field_T[:, 2] = torch.cat([map_T.flatten() for map_T in maps])
     observations = map_observations(
         rig,
         torch.arange(len(field_T), dtype=torch.float64),
@@ -79,7 +79,7 @@ def _map_T(path: Path) -> Float[Tensor, "transverse axial"]:
 
 
 def _setting(path: Path, rig: Rig, currents_A: Mapping[str, float] | None) -> tuple[list[float], int]:
-    """Currents and repeat number of a file; without a telling name the repeat is 0."""
+    """Currents and repeat number of a file; the repeat is 0 if the name has another form."""
     match = NAME.match(path.stem)
     repeat = int(match[3]) if match else 0
     if currents_A:

@@ -40,7 +40,7 @@ def test_a_measurement_that_comes_again_is_stale():
 
 @pytest.mark.parametrize("packet_bytes", [64, 512])
 def test_it_measures_over_usb_through_pyvisa(packet_bytes, started, world):
-    """Opened as a rig file says; its simulator in a process of its own is the function behind a fake USB bus."""
+    """Opened as by a rig file; a simulator in a child process answers behind a fake USB bus."""
     world.drive(0, 2.0)
 
     def opened(address):

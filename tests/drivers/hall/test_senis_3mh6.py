@@ -91,14 +91,14 @@ def test_all_rates_have_a_code_of_their_own():
 
 
 @given(st.lists(packets, max_size=5), st.lists(st.integers(1, 40), max_size=20))
-def test_a_stream_is_the_same_in_whatever_pieces_it_comes(sent, sizes):
+def test_a_stream_is_split_alike_in_pieces_of_any_size(sent, sizes):
     stream = b"".join(map(encode_packet, sent))
-    received, rest, place = [], b"", 0
+    received, rest, start = [], b"", 0
     for size in [*sizes, len(stream)]:
-        found, n_skipped, rest = split_packets(rest + stream[place : place + size])
+        new, n_skipped, rest = split_packets(rest + stream[start : start + size])
         assert n_skipped == 0
-        received += found
-        place += size
+        received += new
+        start += size
     assert received == sent
     assert rest == b""
 
@@ -107,6 +107,6 @@ def test_a_stream_is_the_same_in_whatever_pieces_it_comes(sent, sizes):
 def test_packets_are_found_again_after_garbage(garbage, sent):
     stream = garbage + b"".join(map(encode_packet, sent))
     received, n_skipped, rest = split_packets(stream)
-    found = received + split_packets(rest)[0]  # the last waits for what follows to confirm it
-    assert found[-1] == sent[-1]
+    last = [*received, *split_packets(rest)[0]][-1]  # the last packet waits for the next byte to confirm it
+    assert last == sent[-1]
     assert 25 * len(received) + n_skipped + len(rest) == len(stream)

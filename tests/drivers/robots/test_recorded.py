@@ -1,4 +1,4 @@
-"""An arm that was recorded answers as it did then, at the pace of then, and to nothing else."""
+"""A recorded arm gives the recorded answers with the recorded timing, and to no other questions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NOWHERE = dataclasses.replace(HOME, position_m=(9.0, 0.1, 0.4))
 
 
 class Arm(MemoryArm):
-    """Has a clock of its own and a wish for each motion."""
+    """Has its own clock; `error` and `lasts_s` set how its next motion ends."""
 
     flags = ReadingFlag.STALE | ReadingFlag.DROPPED
     error = None

@@ -1,4 +1,4 @@
-"""RTDE packages survive bytes and back, in whatever pieces; what is none is told."""
+"""RTDE packages survive encoding and decoding in pieces of any size, and anything else is a fault."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ packages = st.lists(st.builds(Package, st.sampled_from(PackageType), st.binary(m
 
 
 @given(packages, st.integers(1, 60))
-def test_packages_are_the_same_in_whatever_pieces_they_come(sent, size):
+def test_a_stream_is_split_alike_in_pieces_of_any_size(sent, size):
     stream = b"".join(map(encode, sent))
     received, rest = [], b""
-    for place in range(0, len(stream), size):
-        found, rest = split(rest + stream[place : place + size])
-        received += found
+    for start in range(0, len(stream), size):
+        new, rest = split(rest + stream[start : start + size])
+        received += new
     assert received == sent
     assert rest == b""
 
@@ -70,7 +70,7 @@ def test_a_variable_that_the_controller_does_not_know_is_named():
         (1 << 7 | 1 << 10, 1, "emergency stop"),
         (1 << 4, 1, "safeguard"),
         (1 << 9, 1, "fault"),
-        (0, 2, "no normal mode"),
+        (0, 2, "not in normal mode"),
         (1, 1, "program is not running"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The reader of RTDE packages loses none, tells gaps and stalls, and ends when told."""
+"""The RTDE reader loses no package, reports gaps and stalls, and ends when closed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A UR arm through the real ur_rtde client, against a simulated controller on an address of its own."""
+"""A UR arm through the real ur_rtde client, against a simulated controller on its own address."""
 
 from __future__ import annotations
 
@@ -133,14 +133,14 @@ def test_a_way_beyond_the_joint_limits_is_refused_though_both_its_ends_are_withi
     low_rad, high_rad = -3.05, 3.05
     limits = (*JOINTS_RAD[:4], (low_rad, high_rad), JOINTS_RAD[5])
     with UniversalRobot(simulator.address, "UR3e", joint_limits_rad=limits) as arm:
-        through_half_a_circle = FlangePose(HOME.position_m, (0.0, -3.0, 0.0))
+        beyond_half_a_turn = FlangePose(HOME.position_m, (0.0, -3.0, 0.0))
         with pytest.raises(Refused, match=r"arm.joint_5_rad must be within -3.05 and 3.05 on the way; 3.071"):
-            arm.move_to(through_half_a_circle, speed_m_per_s=0.1, timeout_s=20.0)
+            arm.move_to(beyond_half_a_turn, speed_m_per_s=0.1, timeout_s=20.0)
     assert world.snapshot().base_from_flange == (HOME,)
 
 
 def test_a_protective_stop_leaves_no_command_behind_that_runs_again(rig, world):
-    """The control script that starts again finds the registers as they were, and the client clears them first."""
+    """A restarted control script finds the old registers unless the client has cleared them first."""
     simulator, arm = rig
     timer = later(0.5, lambda: setattr(simulator.faults, "fault", Fault.PROTECTIVE_STOP))
     with pytest.raises(DeviceFault, match="protective stop"):
@@ -149,11 +149,11 @@ def test_a_protective_stop_leaves_no_command_behind_that_runs_again(rig, world):
     with socket.create_connection((simulator.address, 29999)) as dashboard:
         dashboard.sendall(b"unlock protective stop\n")
         time.sleep(0.5)
-    stands = world.snapshot().base_from_flange[0]
+    stopped = world.snapshot().base_from_flange[0]
     with pytest.raises(Refused):  # uploads the script again, then finds out that this is out of reach
         arm.move_to(FlangePose((0.9, 0.0, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=20.0)
     time.sleep(0.5)
-    assert world.snapshot().base_from_flange[0] == stands
+    assert world.snapshot().base_from_flange[0] == stopped
 
 
 def test_stop_from_another_thread_ends_a_motion(rig, world):
@@ -179,7 +179,7 @@ def test_a_motion_that_takes_too_long_is_stopped(rig, world):
 @pytest.mark.parametrize(
     ("fault", "sentence"),
     [
-        (Fault.PROTECTIVE_STOP, "protective stop: look what it met"),
+        (Fault.PROTECTIVE_STOP, "protective stop: find out what it hit"),
         (Fault.EMERGENCY_STOP, "emergency stop is pressed"),
     ],
 )
@@ -223,7 +223,7 @@ def test_an_arm_whose_child_is_killed_is_stopped_by_its_watchdog(rig, world):
         os.kill(arm.motion_pid, signal.SIGKILL)
 
     timer = later(0.5, kill)
-    with pytest.raises(DeviceFault, match="its process.* ended with code -9.*the arm stands still"):
+    with pytest.raises(DeviceFault, match="the process of .* ended with code -9.*the arm stands still"):
         arm.move_to(FAR, speed_m_per_s=0.02, timeout_s=10.0)
     timer.join()
     assert travelled_m(world, killed_at[0]) < 0.02 * 0.5

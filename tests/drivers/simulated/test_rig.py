@@ -1,4 +1,4 @@
-"""A whole rig out of its file, simulated and opened as if it were real."""
+"""A rig file is simulated as a whole and opened like a real rig."""
 
 from __future__ import annotations
 

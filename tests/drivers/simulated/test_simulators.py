@@ -1,4 +1,4 @@
-"""Simulators end with their parent, share one world, and talk to clients that know nothing of this package."""
+"""Simulators end with their parent, share one world, and talk to clients that are independent of this package."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_simulator_ends_when_its_parent_is_killed():
 
 
 def said_by(client, address):
-    """What a client prints, in a process of its own, about the instrument at its first argument."""
+    """Output of a client, run in its own process with the instrument's address as its first argument."""
     arguments = [sys.executable, "-c", textwrap.dedent(client), address]
     return subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=True).stdout
 
@@ -116,7 +116,7 @@ def test_tenmas_driver_reads_the_simulated_korad(world):
     ],
 )
 def test_a_client_of_any_scpi_instrument_sets_and_reads_the_simulated_supplies(make, name, current_A, world):
-    """easy-scpi, through pyvisa on a serial line; it knows nothing of supplies, so it is told the words of the manual."""
+    """easy-scpi, through pyvisa on a serial line; it has no commands for supplies, so the test takes them from the manual."""
     client = f"""
     import sys
     from easy_scpi import Instrument
@@ -144,7 +144,7 @@ def test_a_client_of_any_scpi_instrument_sets_and_reads_the_simulated_supplies(m
 
 
 def test_the_simulated_kepco_understands_what_pymeasure_sends(world):
-    """The lines of its `kepcobop.py` and `SCPIMixin` (0.15), without the package: it brings VISA and a plotting library along."""
+    """The lines of its `kepcobop.py` and `SCPIMixin` (0.15), without the package, which depends on VISA and a plotting library."""
     kepco = simulated_kepco(world, 0, 5.0)
 
     def ask(line):
@@ -163,16 +163,16 @@ def test_the_simulated_kepco_understands_what_pymeasure_sends(world):
 
 def test_a_coil_warms_up_by_its_losses_and_cools_down_again():
     world = World([CoilCircuit(2.0, 0.0, kelvin_per_W=3.0, thermal_time_constant_s=0.2)])
-    warmth_K = []
+    rises_K = []
     for current_A in (-1.0, 0.0):
         world.drive(0, current_A)
         begin_s = time.monotonic()
         time.sleep(0.2)
         now = world.snapshot()
-        warmth_K.append(now.coil_temperatures_K[0] - now.room_temperature_K)
-        left = math.exp(-(time.monotonic() - begin_s) / 0.2)
-        expected_K = 6.0 * (1.0 - left) if current_A else warmth_K[0] * left
-        assert warmth_K[-1] == pytest.approx(expected_K, rel=0.1)
+        rises_K.append(now.coil_temperatures_K[0] - now.room_temperature_K)
+        decay = math.exp(-(time.monotonic() - begin_s) / 0.2)
+        expected_K = 6.0 * (1.0 - decay) if current_A else rises_K[0] * decay
+        assert rises_K[-1] == pytest.approx(expected_K, rel=0.1)
 
 
 def test_the_current_of_a_coil_follows_its_time_constant():

@@ -1,4 +1,4 @@
-"""A ramp is even, ends on its target, is read back at each step, and leads to zero whatever fails."""
+"""A ramp has even steps, reads each back, ends on its target, and after any failure leads to zero."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_the_output_is_switched_on_at_zero_only(supply, source):
     assert supply.written_A[1:] == pytest.approx([5 / 3, 10 / 3, 5.0])
 
 
-def test_a_supply_found_on_is_ramped_from_where_it_is(supply, source):
+def test_a_supply_that_is_already_on_is_ramped_from_its_present_current(supply, source):
     supply.is_on = True
     source.set_current_A(0.0, timeout_s=2.0)
     assert supply.written_A == pytest.approx([2.0, 0.0])
@@ -115,7 +115,7 @@ def test_a_set_point_that_was_not_taken_is_a_fault(supply, source):
 
 def test_a_ramp_that_takes_longer_than_allowed_is_refused_before_it_begins(supply, source):
     source.set_current_A(0.0, timeout_s=1.0)
-    with pytest.raises(Refused, match=r"a ramp from 0 to 5 A must have 0.2 s; received 0.1 s"):
+    with pytest.raises(Refused, match=r"a ramp from 0 to 5 A must be allowed 0.2 s; received 0.1 s"):
         source.set_current_A(5.0, timeout_s=0.1)
     assert supply.written_A == [0.0]
 
@@ -204,7 +204,7 @@ def test_a_supply_that_was_only_looked_at_is_left_as_it_was_found(supply):
     assert (supply.is_on, supply.set_point_A, supply.is_closed) == (True, 2.0, True)
 
 
-def test_closing_allows_that_time(supply):
+def test_closing_allows_the_time_to_switch_off(supply):
     source = RampedSource(supply, slew_A_per_s=0.1)
     source.set_current_A(0.0, timeout_s=1.0)
     allowed_s = []

@@ -1,4 +1,4 @@
-"""What a supply does when the program that uses it is gone."""
+"""A supervised supply is switched off when the program that uses it is gone."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_a_source_whose_child_is_killed_says_so_and_a_new_child_switches_it_off(
     source = open_source(supply.address)
     source.set_current_A(2.0, timeout_s=3.0)
     os.kill(source.pid, signal.SIGKILL)
-    with pytest.raises(DeviceFault, match="coil1 must have its process; it ended with code -9"):
+    with pytest.raises(DeviceFault, match="the process of coil1 must be running; it ended with code -9"):
         source.read_current_A(timeout_s=2.0)
     assert world.snapshot().currents_A[0] == pytest.approx(2.0)
     source.output_off(timeout_s=5.0)

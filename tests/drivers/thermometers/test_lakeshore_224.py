@@ -18,12 +18,12 @@ def monitor(*exchanges):
     return LakeShore224(conversation(*exchanges), {"coil1": "A", "hall": "C1"})
 
 
-def test_each_input_is_read_in_kelvin_for_what_it_feels():
+def test_each_input_is_read_in_kelvin_for_its_coil_or_sensor():
     device = monitor((COIL, b"+301.250;000\r\n"), (HALL, b"+295.100;000\r\n"), (COIL, b"+301.260;000\r\n"))
     assert isinstance(device, TemperatureMonitor)
-    assert all(isinstance(one, Thermometer) for one in device.thermometers.values())
+    assert all(isinstance(thermometer, Thermometer) for thermometer in device.thermometers.values())
     coil, hall = device.thermometers["coil1"], device.thermometers["hall"]
-    readings = [one.read_temperature_K(timeout_s=1.0) for one in (coil, hall, coil)]
+    readings = [thermometer.read_temperature_K(timeout_s=1.0) for thermometer in (coil, hall, coil)]
     assert [reading.value for reading in readings] == [301.25, 295.1, 301.26]
     assert [reading.sequence for reading in readings] == [0, 0, 1]
 
@@ -50,8 +50,8 @@ def test_an_answer_that_makes_no_sense_is_a_fault(answer, message):
 
 
 def test_it_identifies_itself():
-    said = "LSCI,MODEL224,LSA1/LSA2,1.0"
-    assert monitor((b"*IDN?\n", f"{said}\r\n".encode())).identify(timeout_s=1.0) == said
+    identity = "LSCI,MODEL224,LSA1/LSA2,1.0"
+    assert monitor((b"*IDN?\n", f"{identity}\r\n".encode())).identify(timeout_s=1.0) == identity
 
 
 def test_an_input_that_there_is_not_is_refused():

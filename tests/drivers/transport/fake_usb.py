@@ -1,6 +1,6 @@
-"""A USB bus for pyusb with one test-and-measurement instrument (USBTMC 1.0, USB488), whose messages go to a pseudo-terminal.
+"""A USB bus for pyusb with test-and-measurement instruments (USBTMC 1.0, USB488), whose messages go to a pseudo-terminal.
 
-What pyvisa-py sends is checked as a device would: headers, tags, sizes, alignment. Message ends are line ends, both ways.
+Transfers of pyvisa-py are checked as a device would: headers, tags, sizes, alignment. Messages end with the line, both ways.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _STRINGS = {1: "Metrolab Technology SA", 2: "THM1176-MF"}
 
 
 class FakeInstrument:
-    """A USBTMC instrument; its function is behind a pseudo-terminal, such as that of a simulator.
+    """A USBTMC instrument; a pseudo-terminal, such as that of a simulator, answers its messages.
 
     Attributes:
         fault: `unplugged`, `stalled` (its bulk-in endpoint is halted), `garbled` (headers are noise), `full` (it takes nothing), or none.
-        opens_after_s: Time that it takes to say what it can do.
-        hangs_at_abort: Whether it does not answer when a transfer is called off.
-        most_bytes: In one transfer; longer answers take several.
-        forgets: Whether it drops an unread answer when the next message comes, as IEEE 488.2 asks; else answers queue up.
-        log: What came over the control endpoint.
+        opens_after_s: Time that it takes to report its capabilities.
+        hangs_at_abort: Whether it does not answer when a transfer is aborted.
+        most_bytes: Most bytes in one transfer; longer answers take several.
+        forgets: Whether it drops an unread answer when the next message comes, as IEEE 488.2 requires; otherwise answers queue up.
+        log: Requests received over the control endpoint.
     """
 
     def __init__(self, line: str, packet_bytes: int = 64) -> None:
@@ -59,7 +59,7 @@ class FakeInstrument:
         return f"USB0::0x{VENDOR:04X}::0x{PRODUCT:04X}::{self.serial_number}::INSTR"
 
     def open(self, **keywords) -> VisaPort:
-        """A port to it, while it is the only one on the bus."""
+        """Open a port to it, while it is the only instrument on the bus."""
         return open_on_bus([self], self.name, **keywords)
 
     @property
@@ -72,7 +72,7 @@ class FakeInstrument:
             self._line = -1
 
     def take(self, data: bytes) -> None:
-        """A transfer on the bulk-out endpoint."""
+        """Receive a transfer on the bulk-out endpoint."""
         message_id, tag, inverse, reserved, size, attributes = struct.unpack("<BBBBIB3x", data[:12])
         is_valid = tag not in (0, self._tag) and tag ^ inverse == 0xFF and reserved == 0
         if message_id == DEV_DEP_MSG_OUT:
@@ -93,7 +93,7 @@ class FakeInstrument:
             self._use_line(lambda: self._pass_on(message))
 
     def give(self, n_bytes: int, timeout_s: float) -> bytes:
-        """A transfer on the bulk-in endpoint: whole packets up to a short one."""
+        """Send a transfer on the bulk-in endpoint: whole packets up to a short one."""
         if not self._packets:
             self._begin_transfer(time.monotonic() + timeout_s)
         given = b""
@@ -106,7 +106,7 @@ class FakeInstrument:
         return given
 
     def control(self, request: int, value: int, n_bytes: int) -> bytes:
-        """A class request on the control endpoint."""
+        """Answer a class request on the control endpoint."""
         self.log.append(request)
         if request == GET_CAPABILITIES:
             time.sleep(self.opens_after_s)
@@ -119,14 +119,14 @@ class FakeInstrument:
             is_in_progress = self._request is not None and self._request[0] == value
             if is_in_progress:
                 self._request = None
-                self._packets = deque([b""])  # a short packet tells where it ended
+                self._packets = deque([b""])  # a short packet marks its end
             return bytes([SUCCESS if is_in_progress else NOT_IN_PROGRESS, value])
         if request == CHECK_ABORT_BULK_IN_STATUS:
             return struct.pack("<BBxxI", SUCCESS, 0, 0)
         raise USBError("Pipe error", -9, errno.EPIPE)
 
     def _begin_transfer(self, until_s: float) -> None:
-        """Make the packets of a transfer, once an answer is there and was asked for."""
+        """Make the packets of a transfer, once an answer is there and was requested."""
         while b"\n" not in self._answer:
             self._answer += self._arrived(until_s)
         if self._request is None:
@@ -140,8 +140,8 @@ class FakeInstrument:
         if self.fault == "garbled":
             header = b"\xa5" * 12
         transfer = header + data + bytes(-len(data) % 4)
-        places = range(0, len(transfer) + 1, self.packet_bytes)  # an empty packet where the last one is full
-        self._packets.extend(transfer[place : place + self.packet_bytes] for place in places)
+        starts = range(0, len(transfer) + 1, self.packet_bytes)  # an empty packet follows a full last one
+        self._packets.extend(transfer[start : start + self.packet_bytes] for start in starts)
 
     def _arrived(self, until_s: float) -> bytes:
         while time.monotonic() < until_s and self.fault != "unplugged":
@@ -179,13 +179,13 @@ class FakeInstrument:
 
 
 class FakeBus(usb.backend.IBackend):
-    """What pyusb takes for libusb; holds some instruments."""
+    """A backend of pyusb in place of libusb, with some instruments."""
 
     def __init__(self, instruments) -> None:
         self.instruments = instruments
 
     def enumerate_devices(self):
-        return iter([one for one in self.instruments if one.fault != "unplugged"])
+        return iter([instrument for instrument in self.instruments if instrument.fault != "unplugged"])
 
     def get_device_descriptor(self, dev):
         return SimpleNamespace(
@@ -271,7 +271,7 @@ class FakeBus(usb.backend.IBackend):
 
 @contextmanager
 def bus_with(*instruments):
-    """While these instruments, and no others, are on the bus; what is opened then stays with it."""
+    """Put these instruments, and no others, on the bus for a block; ports opened in it stay on this bus."""
     bus = FakeBus(instruments)
     with mock.patch("usb.backend.libusb1.get_backend", return_value=bus):
         yield
@@ -289,7 +289,7 @@ def fill(buffer, data: bytes) -> int:
     return n_bytes
 
 
-with bus_with():  # pyvisa-py does without USB for good where it finds no libusb when it is imported
+with bus_with():  # pyvisa-py gives up on USB for good if it finds no libusb when it is imported
     import pyvisa_py.usb  # noqa: F401
 
 

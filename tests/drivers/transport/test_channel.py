@@ -1,4 +1,4 @@
-"""A channel asks one question at a time, keeps its deadlines, and never takes an answer for that of another question."""
+"""A channel asks one question at a time, keeps its deadlines, and never takes an answer for the answer to another question."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serial ports, TCP and transcripts over the real stacks: bytes pass unchanged, and a loss is a fault with a name."""
+"""Serial ports, TCP and transcripts over the real stacks: bytes pass unchanged, and a lost connection is a fault that names the port."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_serial_port_has_one_owner(serial_line):
         SerialPort(port.name, SerialSettings(9600))
 
 
-def test_a_pseudo_terminal_opens_again_whatever_parity_its_instrument_has():
+def test_a_pseudo_terminal_opens_again_for_an_instrument_with_parity():
     master, slave = os.openpty()
     tty.setraw(slave)
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""A pumped port keeps everything with the time of its arrival, and hands it out before an error."""
+"""A pumped port keeps all bytes with their arrival times, and returns them before it raises an error."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_port_that_nobody_reads_gives_up_before_the_memory_is_full(line, monke
     monkeypatch.setattr(pumped, "_MOST_BYTES", 1000)
     port, connection = line
     connection.sendall(bytes(2000))
-    with pytest.raises(DeviceFault, match="must be read; 2000 bytes wait"):  # noqa: PT012
+    with pytest.raises(DeviceFault, match="must be read; 2000 bytes are waiting"):  # noqa: PT012
         for _ in range(5):
             port.receive(soon())
 

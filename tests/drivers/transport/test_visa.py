@@ -1,4 +1,4 @@
-"""The port of VISA over pyvisa-py and pyusb, on a USB bus that is not there; the other end of a pseudo-terminal is the instrument."""
+"""The VISA port over pyvisa-py and pyusb, on a fake USB bus; the test answers as the instrument through a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from drivers.transport.visa import VisaPort
 from tests.drivers.transport.fake_usb import CHECK_ABORT_BULK_IN_STATUS, FakeInstrument, open_on_bus
 
 LATE_S = 0.2
-"""What a call may take longer than its deadline."""
+"""Time that a call may take beyond its deadline."""
 
 
 class Bench:
-    """An instrument on the bus, the end of its function in our hand, and a port to it."""
+    """An instrument on the bus, the pseudo-terminal through which the test answers for it, and a port to it."""
 
     def __init__(self, packet_bytes=64):
         self.end, self._slave = os.openpty()
@@ -33,7 +33,7 @@ class Bench:
         self.port = self.instrument.open()
 
     def say(self, answer, after_s=0.0):
-        """Answer; later, when that is asked for."""
+        """Answer as the instrument, after a delay."""
         timer = threading.Timer(after_s, os.write, (self.end, answer))
         timer.start() if after_s else timer.function(*timer.args)
         return timer
@@ -46,7 +46,7 @@ class Bench:
 
     def close(self):
         self.instrument.hangs_at_abort = False
-        self.instrument.fault = "unplugged"  # what the thread of the port does ends at once
+        self.instrument.fault = "unplugged"  # ends the work of the port's thread at once
         self.port.close()
         os.close(self._slave)
         os.close(self.end)
@@ -64,7 +64,7 @@ def soon(timeout_s=1.0):
 
 
 def missed_s(call, *arguments, timeout_s):
-    """Time that a call takes to miss its deadline."""
+    """Duration of a call that misses its deadline."""
     begin_s = time.monotonic()
     with pytest.raises(DeadlineExceeded, match=f"within {timeout_s:g} s"):
         call(*arguments, Deadline.after(timeout_s))
@@ -91,7 +91,7 @@ def test_messages_of_every_length_pass_both_ways(bench, n_bytes):
 @packets
 @pytest.mark.parametrize("most_bytes", [1, 48, 53, 200])
 def test_an_answer_in_several_transfers_is_put_together(bench, most_bytes):
-    """Not 52 at full speed: pyvisa-py waits for more where a transfer fills its last packet and does not end the message."""
+    """Not with 52 bytes at full speed: pyvisa-py waits for more if a transfer fills its last packet and does not end the message."""
     bench.instrument.most_bytes = most_bytes
     answer = bytes(range(11, 256)) + b"\n"
     bench.port.send(b"a?\n", soon())
@@ -158,7 +158,7 @@ def test_an_instrument_that_takes_nothing_misses_the_deadline(bench):
 @pytest.mark.parametrize("forgets", [True, False], ids=["one answer at a time", "answers queue up"])
 @pytest.mark.parametrize("after_s", [0.25, 0.5])
 def test_a_late_answer_is_not_taken_for_that_of_another_question(bench, forgets, after_s):
-    """Late by less, and by more, than the silence that a channel waits for."""
+    """The answer is late by less, and by more, than the silence that a channel waits for."""
     bench.instrument.forgets = forgets
     channel = Channel(bench.port, find_step=identity_landmark(b"\n", b"\n").find)
     deadline = soon(0.2)
@@ -217,7 +217,7 @@ def test_an_endpoint_that_is_halted_is_a_fault(bench):
 @pytest.mark.filterwarnings("ignore:Unexpected MsgID:UserWarning")
 @pytest.mark.parametrize("answer", [b"1.5\n", b"1;5\n"])
 def test_an_answer_behind_a_header_of_noise_is_none(bench, answer):
-    """pyvisa-py warns, takes it for the quirk of some firmware, and looks for the rest."""
+    """pyvisa-py warns, takes the noise for a quirk of some firmware, and waits for the rest."""
     bench.instrument.fault = "garbled"
     bench.port.send(b"a?\n", soon())
     bench.say(answer)
@@ -250,13 +250,13 @@ def test_an_instrument_that_is_not_there_is_a_fault():
 
 
 def test_several_instruments_of_a_name_are_a_fault(bench):
-    others = [FakeInstrument(bench.instrument.serial_number) for _ in range(2)]
+    twins = [FakeInstrument(bench.instrument.serial_number) for _ in range(2)]
     try:
         with pytest.raises(DeviceFault, match=r"must be there, once, and be permitted; 2 devices found$"):
-            open_on_bus(others, bench.instrument.name)
+            open_on_bus(twins, bench.instrument.name)
     finally:
-        for other in others:
-            other.release()
+        for twin in twins:
+            twin.release()
 
 
 def test_no_usb_library_is_a_fault(monkeypatch):
@@ -276,27 +276,29 @@ def test_an_instrument_that_nobody_may_open_is_a_fault(bench):
     def refuse(_):
         raise OSError(13, "Access denied (insufficient permissions)")
 
-    other = FakeInstrument(bench.instrument.serial_number)
+    forbidden = FakeInstrument(bench.instrument.serial_number)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "tests.drivers.transport.fake_usb.FakeBus.open_device", lambda _, device: refuse(device)
         )
         with pytest.raises(DeviceFault, match="must be there, once, and be permitted"):
-            other.open()
-    other.release()
+            forbidden.open()
+    forbidden.release()
 
 
 def test_what_opens_too_late_is_a_fault_in_time_and_is_let_go(bench):
-    other = FakeInstrument(bench.instrument.serial_number)
-    other.opens_after_s = 0.6
+    slow = FakeInstrument(bench.instrument.serial_number)
+    slow.opens_after_s = 0.6
     begin_s = time.monotonic()
     with pytest.raises(DeviceFault, match="must open within 0.3 s; it does not") as caught:
-        other.open(timeout_s=0.3)
+        slow.open(timeout_s=0.3)
     assert time.monotonic() - begin_s < 0.3 + LATE_S
-    assert other.is_open
+    assert slow.is_open
     time.sleep(0.6)
-    assert not other.is_open
-    assert caught.tb is not None  # which holds the port, so that it was not let go by being forgotten
+    assert not slow.is_open
+    assert (
+        caught.tb is not None
+    )  # the traceback still holds the port, so no garbage collection has released it
 
 
 @pytest.mark.parametrize("name", ["GPIB0::6::INSTR", "nonsense", "USB0::0x1BFA::0x0498::1::RAW"])
@@ -309,7 +311,7 @@ def test_what_cannot_be_reached_is_a_fault_in_one_sentence(name):
     "name", ["ASRL/dev/ttyUSB0::INSTR", "asrl1::instr", "TCPIP0::192.168.0.2::5025::SOCKET"]
 )
 def test_serial_lines_and_sockets_are_refused(name):
-    with pytest.raises(Refused, match=f"keys of their own: serial and tcp; received {name}"):
+    with pytest.raises(Refused, match=rf"have the keys serial and tcp\); received {name}"):
         VisaPort(name)
 
 

@@ -1,4 +1,4 @@
-"""Stops are visited in order, written down before anybody is told, and no current flows afterwards, however it ends."""
+"""Stops are visited in order, each is on disk before it is reported, and no current flows after a run, even one that failed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan
 from estimator.rig.rig import Rig
-from estimator.store.growing import StopRecord, load_so_far, new_header, observations_of
+from estimator.store.growing import StopReadings, load_so_far, new_header, observations_of
 from estimator.store.journal import Journal, read_journal
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
@@ -45,7 +45,7 @@ stops:
 
 
 class Scripted(MemorySensor):
-    """Says what a list holds, the last for ever."""
+    """Reads the values of a list, then repeats the last one."""
 
     def __init__(self, *values: Any) -> None:
         super().__init__()
@@ -85,16 +85,16 @@ def test_a_plan_is_visited_and_nothing_is_sent_twice(
     told: list[Progress] = []
 
     def on_stop(progress: Progress) -> None:
-        assert len(read_journal(folder)[1]) == progress.n_done  # on the disk before it is said
+        assert len(read_journal(folder)[1]) == progress.n_done  # on disk before it is reported
         told.append(progress)
 
     with begun(folder, small_rig, stops, devices) as journal:
         acquire(stops, small_rig, devices, journal, PACE, on_stop)
         seal(folder)
     x_m, y_m, z_m = HOME.position_m
-    ways = [(x_m + 0.01, y_m, z_m), (x_m + 0.01, y_m - 0.02, z_m), (x_m, y_m, z_m)]
+    targets = [(x_m + 0.01, y_m, z_m), (x_m + 0.01, y_m - 0.02, z_m), (x_m, y_m, z_m)]
     moves = [command[1] for command in devices.arms["arm1"].told]
-    assert moves == [pytest.approx(way) for way in ways]
+    assert moves == [pytest.approx(target) for target in targets]
     assert devices.sources["coil1"].told == [("set", 3.0), ("set", -3.0), ("off",)]
     readings = load_session(folder).observations
     assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
@@ -113,16 +113,16 @@ def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_i
         acquire(stops.rows(torch.tensor([0, 1])), small_rig, devices, journal, PACE)
     with Journal.resume(folder) as journal:
         acquire(stops, small_rig, devices, journal, PACE)
-        first, second, third = journal.records
+        first, second, third = journal.entries
     assert 0.0 <= first["begin_s"] < first["end_s"] == second["begin_s"] < second["end_s"] < third["begin_s"]
-    for record in (first, second, third):
-        assert record["begin_s"] < record["time_s"] < record["measured_s"]["coil1"] < record["end_s"]
-    spells = load_so_far(read_journal(folder)[1], ["coil1"], third["end_s"])["coil1"]
-    assert sum(duration_s for duration_s, _ in spells) == pytest.approx(third["end_s"])
+    for entry in (first, second, third):
+        assert entry["begin_s"] < entry["time_s"] < entry["measured_s"]["coil1"] < entry["end_s"]
+    intervals = load_so_far(read_journal(folder)[1], ["coil1"], third["end_s"])["coil1"]
+    assert sum(duration_s for duration_s, _ in intervals) == pytest.approx(third["end_s"])
 
 
 @pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])
-def test_however_it_ends_the_current_goes_off_and_the_next_run_goes_on(
+def test_after_any_end_the_current_is_off_and_the_next_run_continues(
     tmp_path: Path, small_rig: Rig, stops: Observations, error: BaseException
 ) -> None:
     folder = tmp_path / "session.zarr"
@@ -137,7 +137,7 @@ def test_however_it_ends_the_current_goes_off_and_the_next_run_goes_on(
     assert devices.sources["coil1"].current_A == 0.0
     assert devices.sources["coil1"].told[-1] == ("off",)
     again = rig_of_devices()
-    again.arms["arm1"].pose = devices.arms["arm1"].pose  # it was left where it stood
+    again.arms["arm1"].pose = devices.arms["arm1"].pose  # it was left at its last pose
     with Journal.resume(folder) as journal:
         acquire(stops, small_rig, again, journal, PACE)
     readings = load_session(folder).observations
@@ -156,7 +156,7 @@ def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def fill_disk(progress: Progress) -> None:
-        assert progress.n_done == 1  # nobody hears of the second
+        assert progress.n_done == 1  # the second stop is not reported
         monkeypatch.setattr(os, "pwrite", full)
 
     with (
@@ -170,7 +170,7 @@ def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
-def test_times_go_on_whatever_is_done_to_the_clock_of_the_computer(
+def test_times_increase_even_if_the_clock_of_the_computer_is_set(
     tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> None:
     folder = tmp_path / "session.zarr"
@@ -209,7 +209,7 @@ def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
 
 
 class Tripping(MemorySource):
-    """Says at the second stop, where the current stays, that something is wrong."""
+    """Reports a fault at the second stop, which has the same current."""
 
     n_read = 0
     wrong: Any = (3.0, ReadingFlag.NONE)
@@ -227,11 +227,11 @@ class Tripping(MemorySource):
     ("wrong", "words"),
     [
         ((2.1, ReadingFlag.OVER_RANGE), "must carry 3 A; its supply has reached a limit and measures 2.1 A"),
-        ((3.0, ReadingFlag.STALE), "must carry 3 A; its supply does not measure what it carries now"),
-        ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply does not measure what it carries now"),
+        ((3.0, ReadingFlag.STALE), "must carry 3 A; its supply gives no new measurement"),
+        ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply gives no new measurement"),
     ],
 )
-def test_a_stop_whose_current_is_not_known_to_be_what_was_asked_for_is_not_written_down(
+def test_a_stop_whose_current_is_not_confirmed_is_not_recorded(
     tmp_path: Path, small_rig: Rig, stops: Observations, wrong: Any, words: str
 ) -> None:
     devices = rig_of_devices()
@@ -245,11 +245,11 @@ def test_a_stop_whose_current_is_not_known_to_be_what_was_asked_for_is_not_writt
     assert len(load_session(folder).observations) == 1
 
 
-def test_a_supply_is_looked_at_at_every_stop_also_where_its_current_stays(
+def test_every_supply_is_read_at_every_stop_even_if_its_current_stays(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:
     class Tripped(Tripping):
-        """What a guarded supply does once it is off by itself."""
+        """Behaves like a guarded supply that has switched itself off."""
 
         def read_current_A(self, *, timeout_s: float) -> Any:
             if self.n_read:
@@ -280,20 +280,20 @@ def test_the_current_that_was_measured_is_part_of_the_session(
     assert readings.current_A.flatten().tolist() == [3.0, -3.0, -3.0]
 
 
-def first_record(
+def first_entry(
     tmp_path: Path, rig: Rig, stops: Observations, sensor: MemorySensor, n_readings: int = 6
 ) -> dict[str, Any]:
     devices = rig_of_devices(sensor)
     with begun(tmp_path / "session.zarr", rig, stops, devices) as journal:
         acquire(stops.rows(torch.tensor([0])), rig, devices, journal, replace(PACE, n_readings=n_readings))
-        return journal.records[0]
+        return journal.entries[0]
 
 
 def test_temperatures_are_recorded_with_every_reading(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:
     class Warming:
-        """A kelvin more at each look; the second time it has no number."""
+        """Reads a kelvin more each time; the second reading has no number."""
 
         n_read = 0
 
@@ -314,17 +314,17 @@ def test_temperatures_are_recorded_with_every_reading(
         assert readings.temperature_C["coil1"].tolist() == pytest.approx([21.0, math.nan, 23.0], nan_ok=True)
 
 
-def test_a_thermometer_added_while_a_session_is_interrupted_knows_nothing_of_before(
+def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readings(
     small_rig: Rig,
 ) -> None:
-    records = [
-        StopRecord(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).to_json()
+    entries = [
+        StopReadings(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).entry()
         for i in range(2)
     ]
-    del records[0]["temperature_C"]  # as in journals of earlier versions
-    records[1]["temperature_C"] = {"coil1": 25.0}
-    warmth_C = observations_of(records, small_rig).temperature_C["coil1"]
-    assert warmth_C.tolist() == pytest.approx([math.nan, 25.0], nan_ok=True)
+    del entries[0]["temperature_C"]  # as in journals of earlier versions
+    entries[1]["temperature_C"] = {"coil1": 25.0}
+    temperature_C = observations_of(entries, small_rig).temperature_C["coil1"]
+    assert temperature_C.tolist() == pytest.approx([math.nan, 25.0], nan_ok=True)
 
 
 def test_readings_are_averaged_without_those_that_repeat(
@@ -336,17 +336,17 @@ def test_readings_are_averaged_without_those_that_repeat(
         ((9.0, 9.0, 9.0), ReadingFlag.STALE),
         *[(0.0, 0.0, 1e-3), (0.0, 0.0, 3e-3)] * 2,
     ]
-    record = first_record(tmp_path, small_rig, stops, Scripted(*values))
-    assert record["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
-    assert record["sd_T"]["hall"][2] == pytest.approx(1e-3 * math.sqrt(6 / 5))
-    assert record["is_settled"]
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(*values))
+    assert entry["field_T"]["hall"] == pytest.approx([0.0, 0.0, 2e-3])
+    assert entry["sd_T"]["hall"][2] == pytest.approx(1e-3 * math.sqrt(6 / 5))
+    assert entry["is_settled"]
 
 
 def test_a_stop_is_dated_by_the_clock_of_its_instrument(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:
     class Late(MemorySensor):
-        """Hands its readings over 20 ms after it took them, but the first at once; its clock runs since 1970."""
+        """Delivers its readings 20 ms after it took them, but the first at once; its clock counts from 1970."""
 
         n_read = 0
 
@@ -356,9 +356,9 @@ def test_a_stop_is_dated_by_the_clock_of_its_instrument(
             taken_s = now_s if self.n_read == 1 else now_s - 0.02
             return self.counter.reading((0.0, 0.0, 1e-3), host_monotonic_s=now_s, device_time_s=taken_s + 1e9)
 
-    record = first_record(tmp_path, small_rig, stops, Late(), n_readings=10)
-    assert record["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
-    again = first_record(tmp_path / "again", small_rig, stops, MemorySensor())
+    entry = first_entry(tmp_path, small_rig, stops, Late(), n_readings=10)
+    assert entry["delay_s"]["hall"] == pytest.approx(0.018, abs=1e-3)
+    again = first_entry(tmp_path / "again", small_rig, stops, MemorySensor())
     assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
 
 
@@ -370,14 +370,14 @@ def test_how_old_a_reading_may_be_is_in_the_journal(
             time.sleep(0.05)
             return super().read_field_T(timeout_s=timeout_s)
 
-    record = first_record(tmp_path, small_rig, stops, Slow())
-    assert sorted(record["answer_s"]) == ["arm1", "coil1", "hall"]
-    assert record["answer_s"]["hall"] >= 0.05
-    assert 0.0 < record["answer_s"]["coil1"] < record["end_s"] - record["begin_s"]
+    entry = first_entry(tmp_path, small_rig, stops, Slow())
+    assert sorted(entry["answer_s"]) == ["arm1", "coil1", "hall"]
+    assert entry["answer_s"]["hall"] >= 0.05
+    assert 0.0 < entry["answer_s"]["coil1"] < entry["end_s"] - entry["begin_s"]
 
 
 @pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
-def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
+def test_times_increase_even_if_the_clock_of_an_instrument_is_set(
     tmp_path: Path, small_rig: Rig, stops: Observations, step_s: float
 ) -> None:
     class Set(MemorySensor):
@@ -399,13 +399,13 @@ def test_times_go_on_whatever_is_done_to_the_clock_of_an_instrument(
     begin_s = time.monotonic()
     with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
         acquire(stops, small_rig, devices, journal, PACE, set_clock)
-        times_s = [record["time_s"] for record in journal.records]
+        times_s = [entry["time_s"] for entry in journal.entries]
     assert times_s == sorted(times_s)
     assert 0.0 < times_s[-1] < time.monotonic() - begin_s
 
 
 @pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
-def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
+def test_an_arm_that_stands_still_keeps_its_pose_unless_it_was_bumped(
     tmp_path: Path, small_rig: Rig, stops: Observations, step_m: float, is_same: bool
 ) -> None:
     class Trembling(MemoryArm):
@@ -420,63 +420,63 @@ def test_an_arm_that_stands_still_is_at_one_place_unless_it_was_bumped(
     devices.arms["arm1"] = Trembling()
     with begun(tmp_path / "session.zarr", small_rig, stops, devices) as journal:
         acquire(stops, small_rig, devices, journal, PACE)
-        first, second, third = (record["motion"]["arm1"] for record in journal.records)
+        first, second, third = (entry["motion"]["arm1"] for entry in journal.entries)
     assert (first == second) is is_same
     assert second != third
 
 
 def test_a_field_that_settles_late_is_waited_for(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     falling = [(0.0, 0.0, 1e-3 * 2.0**-i) for i in range(20)]
-    record = first_record(tmp_path, small_rig, stops, Scripted(*falling, (0.0, 0.0, 0.0)), 12)
-    assert record["is_settled"]
-    assert record["field_T"]["hall"][2] < 1e-8
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(*falling, (0.0, 0.0, 0.0)), 12)
+    assert entry["is_settled"]
+    assert entry["field_T"]["hall"][2] < 1e-8
 
 
 def test_a_field_that_never_settles_is_marked(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     rising = [(0.0, 0.0, 1e-6 * i) for i in range(200000)]
-    assert not first_record(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
+    assert not first_entry(tmp_path, small_rig, stops, Scripted(*rising), 12)["is_settled"]
 
 
 @pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_field_that_changes_steadily_has_not_settled_however_few_readings_there_are(
+def test_a_field_that_changes_steadily_has_not_settled_for_any_number_of_readings(
     tmp_path: Path, small_rig: Rig, stops: Observations, n_readings: int, noise: float
 ) -> None:
     draw = random.Random(3)
     rising = [(0.0, 0.0, 1e-6 * (i + draw.gauss(0.0, noise))) for i in range(100_000)]
-    record = first_record(tmp_path, small_rig, stops, Scripted(*rising), n_readings)
-    assert not record["is_settled"]
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(*rising), n_readings)
+    assert not entry["is_settled"]
 
 
 def test_noise_alone_is_taken_for_a_change_at_few_stops() -> None:
     draw = torch.Generator().manual_seed(5)
     field_T = torch.randn(2000, FEWEST_READINGS, 3, generator=draw, dtype=torch.float64)
-    n_changing = sum(not is_settled(one) for one in field_T)
+    n_changing = sum(not is_settled(readings_T) for readings_T in field_T)
     assert n_changing < 0.03 * len(field_T)
 
 
 def test_what_left_the_range_is_not_measured(tmp_path: Path, small_rig: Rig, stops: Observations) -> None:
     over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
-    record = first_record(tmp_path, small_rig, stops, Scripted(over))
-    assert record["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(over))
+    assert entry["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
 
 
 def test_what_an_instrument_lost_is_counted_in_the_journal(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:
-    one = (0.0, 0.0, 1e-3)
-    lossy = [one, one, (one, ReadingFlag.DROPPED), (one, ReadingFlag.DROPPED | ReadingFlag.STALE), one]
-    record = first_record(tmp_path, small_rig, stops, Scripted(*lossy))
-    assert record["n_gaps"] == {"hall": 2}
-    again = first_record(tmp_path / "again", small_rig, stops, Scripted((one, ReadingFlag.DROPPED), one))
-    assert again["n_gaps"] == {"hall": 0}  # what came before the first reading was not wanted
+    good = (0.0, 0.0, 1e-3)
+    lossy = [good, good, (good, ReadingFlag.DROPPED), (good, ReadingFlag.DROPPED | ReadingFlag.STALE), good]
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(*lossy))
+    assert entry["n_gaps"] == {"hall": 2}
+    again = first_entry(tmp_path / "again", small_rig, stops, Scripted((good, ReadingFlag.DROPPED), good))
+    assert again["n_gaps"] == {"hall": 0}  # losses before the first reading do not count
 
 
 def test_an_overload_without_a_component_takes_all_three(
     tmp_path: Path, small_rig: Rig, stops: Observations
 ) -> None:
-    record = first_record(tmp_path, small_rig, stops, Scripted(((1e-3, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)))
-    assert record["field_T"]["hall"] == [None, None, None]
+    entry = first_entry(tmp_path, small_rig, stops, Scripted(((1e-3, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)))
+    assert entry["field_T"]["hall"] == [None, None, None]
 
 
 def test_a_supply_that_tripped_by_itself_is_seen_at_the_next_stop_though_its_current_stays(

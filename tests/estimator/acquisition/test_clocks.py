@@ -1,4 +1,4 @@
-"""Clocks of instruments: offset and delay, through drift and through being set."""
+"""Offset and delay of an instrument's clock are right while it drifts and after it is set."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drif
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -0.3, 0.3, 1.0])
-def test_a_clock_that_is_set_by_less_than_a_delay_may_last_contradicts_when_readings_were_asked_for(
+def test_a_clock_set_by_less_than_the_longest_delay_contradicts_the_times_of_the_requests(
     step_s: float,
 ) -> None:
     clock = DeviceClock()

@@ -1,4 +1,4 @@
-"""A plan as stops, what it needs, and how long it takes."""
+"""The stops of a plan, the instruments that it needs, and how long it takes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ __all__ = ["stops"]  # the fixture of three stops
 
 
 def test_a_plan_without_its_instruments_is_refused(small_rig: Rig, stops: Observations) -> None:
-    every = {"sensors": {"hall"}, "sources": {"coil1"}, "arms": {"arm1"}}
-    check_instruments(stops, small_rig, every)
+    names = {"sensors": {"hall"}, "sources": {"coil1"}, "arms": {"arm1"}}
+    check_instruments(stops, small_rig, names)
     for kind, name in (("sources", "coil1"), ("arms", "arm1")):
         with pytest.raises(InvalidInput, match=f"one for {name}, which the plan uses"):
-            check_instruments(stops, small_rig, {**every, kind: set()})
+            check_instruments(stops, small_rig, {**names, kind: set()})
     with pytest.raises(InvalidInput, match="must have a sensor"):
-        check_instruments(stops, small_rig, {**every, "sensors": set()})
+        check_instruments(stops, small_rig, {**names, "sensors": set()})
 
 
 def test_few_readings_cannot_tell_whether_the_field_has_settled() -> None:
@@ -31,13 +31,13 @@ def test_few_readings_cannot_tell_whether_the_field_has_settled() -> None:
         Pace(0.0, 5, 1.0, {}, {})
 
 
-def test_times_count_ways_ramps_and_readings(small_rig: Rig, stops: Observations) -> None:
+def test_durations_count_travel_ramps_and_readings(small_rig: Rig, stops: Observations) -> None:
     pace = Pace(1.0, 10, 5.0, {"arm1": 0.01}, {"coil1": 2.0})
-    # ways of 0, 0 and 20 mm at 10 mm/s, ramps of 3, 6 and 0 A at 2 A/s, ten readings of 20 ms
+    # travel of 0, 0 and 20 mm at 10 mm/s, ramps of 3, 6 and 0 A at 2 A/s, ten readings of 20 ms
     assert durations_s(stops, small_rig, pace) == pytest.approx([0.3 + 1.5 + 1.2, 3.0 + 1.2, 0.3 + 2.0 + 1.2])
 
 
-def test_a_stop_is_one_row_however_many_sensors_there_are(small_plan: Plan, small_rig: Rig) -> None:
+def test_a_stop_is_one_row_for_any_number_of_sensors(small_plan: Plan, small_rig: Rig) -> None:
     assert len(stops_of(small_plan, small_rig, 0)) == 27 + 9
     mice = load_rig("configs/mice_ssu_e1_cc_e2.yaml")
     pose = {"mapper": torch.zeros(6).numpy()}

@@ -6,13 +6,15 @@ import pytest
 
 from estimator.acquisition.acquire import Progress
 from estimator.cli.acquire_progress import StopReporter
-from estimator.store.growing import StopRecord
+from estimator.store.growing import StopReadings
 
 
 def test_what_is_not_as_it_should_be_with_a_stop_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
     motion = {"arm1": [0.0] * 6}
-    good = StopRecord(1.0, [3.0], motion, {"hall": [0.0] * 3}, False, 0, n_gaps={"hall": 0})
-    bad = StopRecord(2.0, [3.0], motion, {"hall": [0.0] * 3}, False, 0, is_settled=False, n_gaps={"hall": 2})
+    good = StopReadings(1.0, [3.0], motion, {"hall": [0.0] * 3}, False, 0, n_gaps={"hall": 0})
+    bad = StopReadings(
+        2.0, [3.0], motion, {"hall": [0.0] * 3}, False, 0, is_settled=False, n_gaps={"hall": 2}
+    )
     with StopReporter(3) as reporter:
         for number, stop in enumerate((good, bad, good), start=1):
             reporter(Progress(number, 3, 3.0 - number, stop))

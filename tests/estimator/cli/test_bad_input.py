@@ -42,7 +42,7 @@ REFUSALS = {
     "simulate --rig plan.yaml --plan plan.yaml --out new.zarr": "coils must name at least one; received none (plan.yaml, line 1)",
     "simulate --rig rig.yaml --plan rig.yaml --out new.zarr": "poses.calibration is missing (rig.yaml, line 1)",
     f"{IMPORT} --out session.zarr": f"{EXISTS} session.zarr",
-    f"{IMPORT} --out new.zarr --current coil1=3": "a readings CSV holds its own currents; received coil1 beside it",
+    f"{IMPORT} --out new.zarr --current coil1=3": "currents must not be given for a readings CSV, which holds its own; received coil1",
     f"{IMPORT} --out new.zarr --current coil1": "--current must look like NAME=1.0; received 'coil1'",
     f"{IMPORT} readings.csv --out new.zarr": "this format takes one file; received 2",
     "import no.csv --rig rig.yaml --out new.zarr": "no.csv must be readable as text: No such file or directory",

@@ -27,7 +27,7 @@ from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
-from estimator.store.growing import StopRecord, new_header
+from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
 
@@ -35,14 +35,14 @@ Run = Callable[..., Result]
 N_STOPS = 108
 
 
-def records(readings: Observations, from_row: int, gain: float) -> list[StopRecord]:
+def records(readings: Observations, from_row: int, gain: float) -> list[StopReadings]:
     """Stops that a measurement would write; from some row on, the field is weaker."""
     found = []
     for row in range(len(readings)):
         field_T = readings.field_sensor_T[row] * (gain if row >= from_row else 1.0)
         motion = {"arm1": readings.motion["arm1"][row].tolist()}
         found.append(
-            StopRecord(
+            StopReadings(
                 float(row),
                 readings.current_A[row].tolist(),
                 motion,
@@ -57,13 +57,13 @@ def records(readings: Observations, from_row: int, gain: float) -> list[StopReco
 
 
 @pytest.fixture
-def stops(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> list[StopRecord]:
+def stops(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> list[StopReadings]:
     readings = simulate(small_rig, replace(small_plan, repeats=4), small_truth, seed=4).calibration
     return records(readings, 80, 0.97)
 
 
 @pytest.fixture
-def growing(tmp_path: Path, small_rig: Rig, stops: list[StopRecord]) -> Iterator[Path]:
+def growing(tmp_path: Path, small_rig: Rig, stops: list[StopReadings]) -> Iterator[Path]:
     """A session that begins late, grows in another thread, and ends."""
     path = tmp_path / "session.zarr"
 
@@ -71,7 +71,7 @@ def growing(tmp_path: Path, small_rig: Rig, stops: list[StopRecord]) -> Iterator
         time.sleep(0.3)
         with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
             for one in stops:
-                journal.append(one.to_json())
+                journal.append(one.entry())
                 time.sleep(0.02)
         seal(path)
 
@@ -93,7 +93,7 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
 
 
 def test_what_is_not_fitted_and_what_was_lost_is_said(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopRecord]
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
 ) -> None:
     path = tmp_path / "session.zarr"
     stops[3] = replace(stops[3], is_validation=True)
@@ -101,7 +101,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     stops[5] = replace(stops[5], n_gaps={"hall": 2})
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for one in stops[:9]:
-            journal.append(one.to_json())
+            journal.append(one.entry())
     seal(path)
     said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
     assert (said["stops"], said["readings"], said["skipped"], said["gaps"]) == (9, 7, 2, 2)
@@ -131,7 +131,7 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     def write() -> None:
         with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
             for one in warm:
-                journal.append(one.to_json())
+                journal.append(one.entry())
                 time.sleep(0.02)
         seal(path)
 
@@ -205,12 +205,12 @@ def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_
 
 
 def test_nothing_is_made_of_the_readings_while_none_is_new(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopRecord], monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "session.zarr"
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for one in stops[:5]:
-            journal.append(one.to_json())
+            journal.append(one.entry())
     calls = []
     real = live.observations_of
     monkeypatch.setattr(live, "observations_of", lambda *given: calls.append(1) or real(*given))
@@ -258,7 +258,7 @@ def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopRecord]
+    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopReadings]
 ) -> None:
     empty = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, (), None, False)
     assert "stop 0" in shown(empty)
@@ -274,7 +274,7 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
         field_T={"hall": [float("nan"), 1e-3, 2e-3]},
         is_settled=False,
         temperature_C={"coil1": 31.26, "hall": float("nan")},
-    ).to_json()
+    ).entry()
     text = shown(
         LiveState(
             "session.zarr",

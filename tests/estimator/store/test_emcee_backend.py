@@ -1,4 +1,4 @@
-"""The checkpointed chain: equal to emcee's own, continued after any kill, and never silently damaged."""
+"""The checkpointed chain equals emcee's own, continues after any kill, and is never silently damaged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from estimator.errors import CorruptStore, InvalidInput
 from estimator.store.emcee_backend import ZarrBackend
 
 N_WALKERS, N_COORDINATES, CHECKPOINT_STEPS = 8, 2, 4
-MADE_FROM = "session A, rig A, seed 3"
+FINGERPRINT = "session A, rig A, seed 3"
 
 
 def create(path: Path) -> ZarrBackend:
@@ -33,7 +33,7 @@ def create(path: Path) -> ZarrBackend:
         coordinate_names=["radius", "tilt"],
         n_walkers=N_WALKERS,
         checkpoint_steps=CHECKPOINT_STEPS,
-        fingerprint=MADE_FROM,
+        fingerprint=FINGERPRINT,
     )
 
 
@@ -57,14 +57,14 @@ def sample(backend: emcee.backends.Backend, n_steps: int) -> None:
 
 
 def uninterrupted(n_steps: int) -> emcee.backends.Backend:
-    """The same chain by emcee's own backend, in one go."""
+    """The same chain by emcee's own backend, without interruption."""
     backend = emcee.backends.Backend()
     sample(backend, n_steps)
     return backend
 
 
 def assert_same(ours: emcee.backends.Backend, theirs: emcee.backends.Backend) -> None:
-    """Bitwise equal in everything a sampler or a reader can ask for."""
+    """Bitwise equal in everything that a sampler or a reader can request."""
     assert ours.iteration == theirs.iteration
     assert ours.shape == theirs.shape
     for options in ({}, {"discard": 2, "thin": 2}, {"flat": True}):
@@ -73,8 +73,8 @@ def assert_same(ours: emcee.backends.Backend, theirs: emcee.backends.Backend) ->
     np.testing.assert_array_equal(ours.accepted, theirs.accepted)
     last = ours.get_last_sample()
     np.testing.assert_array_equal(last.coords, theirs.get_last_sample().coords)
-    for found, expected in zip(last.random_state, theirs.random_state, strict=True):
-        np.testing.assert_array_equal(found, expected)
+    for our_part, their_part in zip(last.random_state, theirs.random_state, strict=True):
+        np.testing.assert_array_equal(our_part, their_part)
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_continuing_after_any_number_of_steps_gives_the_uninterrupted_chain(tmp_
         backend = create(path)
         sample(backend, n_first)
         backend.flush()
-        continued = ZarrBackend.open(path, fingerprint=MADE_FROM)
+        continued = ZarrBackend.open(path, fingerprint=FINGERPRINT)
         sample(continued, 11 - n_first)
         continued.flush()
         assert_same(ZarrBackend.open(path), expected)
@@ -121,15 +121,15 @@ def test_steps_reach_the_disk_at_checkpoints_only_until_flushed(tmp_path: Path) 
 
 def test_plain_xarray_opens_the_store(store: Path) -> None:
     expected = uninterrupted(9)
-    with xr.open_zarr(store, consolidated=False) as found:
-        assert found.chain.dims == ("step", "walker", "coordinate")
-        assert found.log_prob.dims == ("step", "walker")
-        np.testing.assert_array_equal(found.chain, expected.chain)
-        np.testing.assert_array_equal(found.log_prob, expected.log_prob)
-        np.testing.assert_array_equal(found.checkpoint, [4, 8, 9])
-        np.testing.assert_array_equal(found.accepted.sel(checkpoint=4), uninterrupted(4).accepted)
-        assert found.attrs["n_steps"] == 9
-        assert found.attrs["coordinate_names"] == ["radius", "tilt"]
+    with xr.open_zarr(store, consolidated=False) as dataset:
+        assert dataset.chain.dims == ("step", "walker", "coordinate")
+        assert dataset.log_prob.dims == ("step", "walker")
+        np.testing.assert_array_equal(dataset.chain, expected.chain)
+        np.testing.assert_array_equal(dataset.log_prob, expected.log_prob)
+        np.testing.assert_array_equal(dataset.checkpoint, [4, 8, 9])
+        np.testing.assert_array_equal(dataset.accepted.sel(checkpoint=4), uninterrupted(4).accepted)
+        assert dataset.attrs["n_steps"] == 9
+        assert dataset.attrs["coordinate_names"] == ["radius", "tilt"]
 
 
 def test_chunks_are_one_checkpoint_long_compressed_and_checksummed(store: Path) -> None:
@@ -149,7 +149,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
 import test_emcee_backend
-backend = test_emcee_backend.ZarrBackend.open(Path(sys.argv[1]), fingerprint=test_emcee_backend.MADE_FROM)
+backend = test_emcee_backend.ZarrBackend.open(Path(sys.argv[1]), fingerprint=test_emcee_backend.FINGERPRINT)
 test_emcee_backend.sample(backend, test_emcee_backend.CHECKPOINT_STEPS)
 print("committed", flush=True)
 test_emcee_backend.sample(backend, 100_000)
@@ -187,7 +187,7 @@ def test_kill_between_any_two_file_operations_keeps_the_last_commit(
     real_replace = os.replace
 
     def replace_after_snapshot(source: Path, target: Path) -> None:
-        # What a kill right here would leave: all files enter the store through os.replace.
+        # The files that a kill right now would leave: every file enters the store through os.replace.
         nonlocal n_committed
         snapshot = tmp_path / f"killed_{len(left_behind)}.zarr"
         shutil.copytree(path, snapshot)
@@ -219,7 +219,7 @@ def test_kill_between_any_two_file_operations_keeps_the_last_commit(
 def test_crash_between_chunks_and_commit_is_forgotten(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = ZarrBackend.open(store)
     with monkeypatch.context() as patched:
-        patched.setattr(Path, "write_bytes", refuse)  # the first act of the commit itself
+        patched.setattr(Path, "write_bytes", refuse)  # the first step of the commit itself
         with pytest.raises(InvalidInput):
             sample(backend, CHECKPOINT_STEPS)
     assert zarr.open_array(store / "chain", mode="r").shape[0] == 12, "chunks were written"
@@ -232,7 +232,7 @@ def test_crash_between_chunks_and_commit_is_forgotten(store: Path, monkeypatch: 
 
 
 def test_torn_chunks_beyond_the_commit_are_overwritten(store: Path) -> None:
-    # What a loss of power can leave where a kill leaves whole files.
+    # A loss of power can leave torn files, whereas a kill leaves whole ones.
     (store / "chain" / "c" / "3" / "0").mkdir(parents=True)
     (store / "chain" / "c" / "3" / "0" / "0").write_text("torn")
     (store / "accepted" / "c" / "3").mkdir(parents=True)
@@ -244,7 +244,7 @@ def test_torn_chunks_beyond_the_commit_are_overwritten(store: Path) -> None:
 
 
 def test_half_used_pair_of_gaussian_draws_is_kept(tmp_path: Path) -> None:
-    # The generator draws two at a time and keeps the second: part of its state.
+    # The generator draws two at a time and keeps the second as part of its state.
     path = tmp_path / "chain.zarr"
     backend = create(path)
     random = np.random.RandomState(5)
@@ -261,7 +261,7 @@ def test_half_used_pair_of_gaussian_draws_is_kept(tmp_path: Path) -> None:
 
 def test_interrupted_call_followed_by_a_shorter_one_continues(tmp_path: Path) -> None:
     backend = create(tmp_path / "chain.zarr")
-    backend.grow(100, None)  # what a call for 100 steps does before its first step
+    backend.grow(100, None)  # as a call for 100 steps does before its first step
     sample(backend, 3)
     assert_same(backend, uninterrupted(3))
 
@@ -313,7 +313,7 @@ def test_missing_chunk_is_found_when_nothing_was_ever_accepted(tmp_path: Path) -
 
 
 def test_older_chunk_put_back_is_found(store: Path) -> None:
-    # Each chunk has a valid checksum of its own; only the running one knows that this is the wrong chunk.
+    # Each chunk has a valid checksum; only the checksum of the whole array shows that this is the wrong chunk.
     shutil.copy(store / "chain" / "c" / "0" / "0" / "0", store / "chain" / "c" / "1" / "0" / "0")
     with pytest.raises(CorruptStore, match="'chain'"):
         ZarrBackend.open(store)
@@ -348,7 +348,7 @@ def test_other_schema_version_is_refused(store: Path) -> None:
 
 
 def test_other_fingerprint_is_refused(store: Path) -> None:
-    with pytest.raises(InvalidInput, match=f"'seed 4'; received '{MADE_FROM}' .*{store}"):
+    with pytest.raises(InvalidInput, match=f"'seed 4'; received '{FINGERPRINT}' .*{store}"):
         ZarrBackend.open(store, fingerprint="seed 4")
 
 
@@ -406,7 +406,7 @@ def test_empty_ensemble_or_checkpoint_is_refused(tmp_path: Path, changed: dict[s
         (lambda backend: backend.grow(1, np.zeros(N_WALKERS)), "no blobs"),
     ],
 )
-def test_what_the_store_cannot_keep_is_refused(
+def test_what_the_store_cannot_hold_is_refused(
     tmp_path: Path, act: Callable[[ZarrBackend], None], rule: str
 ) -> None:
     with pytest.raises(InvalidInput, match=rule):

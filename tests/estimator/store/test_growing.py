@@ -1,4 +1,4 @@
-"""A session that grows: what was acknowledged is there after any crash, damage is found, one process writes."""
+"""A growing session keeps all acknowledged entries after any crash, reports damage, and has one writer."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ import torch
 
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.rig.rig import Rig
-from estimator.store.growing import StopRecord, load_so_far, new_header
+from estimator.store.growing import StopReadings, load_so_far, new_header
 from estimator.store.journal import JOURNAL, Journal, read_journal
 from estimator.store.session import Session, is_growing, load_session, remove_session, seal
 
 ROOT = Path(__file__).parents[3]
 
 
-def stop(number: int, field_T: tuple[float, float, float] = (1e-3, 2e-3, 3e-3)) -> StopRecord:
+def stop(number: int, field_T: tuple[float, float, float] = (1e-3, 2e-3, 3e-3)) -> StopReadings:
     motion = {"arm1": [0.001 * number, 0.0, 0.0, 0.0, 0.0, 0.0]}
-    return StopRecord(float(number), [3.0], motion, {"hall": field_T}, number % 2 == 1, 0, {"coil1": 2.999})
+    return StopReadings(float(number), [3.0], motion, {"hall": field_T}, number % 2 == 1, 0, {"coil1": 2.999})
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def folder(tmp_path: Path, small_rig: Rig) -> Path:
     path = tmp_path / "session.zarr"
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for number in range(3):
-            journal.append(stop(number, (1e-3, math.nan, 3e-3)).to_json())
+            journal.append(stop(number, (1e-3, math.nan, 3e-3)).entry())
     return path
 
 
@@ -43,7 +43,7 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     growing = load_session(folder)
     assert (growing.rig.hash, growing.source, len(growing.observations)) == (small_rig.hash, "a test", 3)
     with Journal.resume(folder) as journal:
-        journal.append(stop(3).to_json())
+        journal.append(stop(3).entry())
         sealed = seal(folder)
     assert not is_growing(folder)
     again = load_session(folder)
@@ -54,15 +54,15 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     assert read_journal(folder)[1][0]["measured_A"] == {"coil1": 2.999}
 
 
-def test_what_flowed_in_the_coils_is_known_from_the_journal() -> None:
-    def one(begin_s: float, end_s: float, *current_A: float) -> StopRecord:
-        return StopRecord(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
+def test_the_history_of_the_currents_follows_from_the_journal() -> None:
+    def between(begin_s: float, end_s: float, *current_A: float) -> StopReadings:
+        return StopReadings(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
 
-    stops = [one(1.0, 4.0, 3.0, 0.0), one(4.0, 6.0, -2.0, 1.0), one(100.0, 102.0, 0.0, -5.0)]
-    found = load_so_far([stop.to_json() for stop in stops], ["a", "b"], 103.0)
-    # Before the first stop nothing; after the second, where a run ended, perhaps for another 3 s; after the last for 1 s.
+    stops = [between(1.0, 4.0, 3.0, 0.0), between(4.0, 6.0, -2.0, 1.0), between(100.0, 102.0, 0.0, -5.0)]
+    intervals = load_so_far([stop.entry() for stop in stops], ["a", "b"], 103.0)
+    # No current before the first stop; up to 3 s more after the second, where a run ended; 1 s more after the last.
     seconds = [1.0, 3.0, 2.0, 3.0, 91.0, 2.0, 1.0]
-    assert found == {
+    assert intervals == {
         "a": list(zip(seconds, [0.0, 3.0, 3.0, 3.0, 0.0, 0.0, 3.0], strict=True)),
         "b": list(zip(seconds, [0.0, 0.0, 1.0, 1.0, 0.0, 5.0, 5.0], strict=True)),
     }
@@ -70,8 +70,8 @@ def test_what_flowed_in_the_coils_is_known_from_the_journal() -> None:
 
 
 def test_the_load_of_a_journal_without_begin_and_end_of_stops_counts_from_reading_to_reading() -> None:
-    records = [{"time_s": 2.0, "current_A": [1.0]}, {"time_s": 5.0, "current_A": [-2.0]}]
-    assert load_so_far(records, ["a"], 5.0) == {"a": [(2.0, 1.0), (3.0, 2.0)]}
+    entries = [{"time_s": 2.0, "current_A": [1.0]}, {"time_s": 5.0, "current_A": [-2.0]}]
+    assert load_so_far(entries, ["a"], 5.0) == {"a": [(2.0, 1.0), (3.0, 2.0)]}
 
 
 def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
         path.write_bytes(whole[:cut])
         assert len(load_session(folder).observations) == 2
     with Journal.resume(folder) as journal:
-        journal.append(stop(2, (1e-3, math.nan, 3e-3)).to_json())
+        journal.append(stop(2, (1e-3, math.nan, 3e-3)).entry())
     assert path.read_bytes() == whole
 
 
@@ -99,9 +99,9 @@ def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
     path = folder / JOURNAL
     whole = path.read_bytes()
     draw = random.Random(1)
-    for place in (*range(len(whole) - 8, len(whole)), *(draw.randrange(len(whole)) for _ in range(200))):
+    for index in (*range(len(whole) - 8, len(whole)), *(draw.randrange(len(whole)) for _ in range(200))):
         flipped = bytearray(whole)
-        flipped[place] ^= 1 << draw.randrange(8)
+        flipped[index] ^= 1 << draw.randrange(8)
         path.write_bytes(flipped)
         with pytest.raises(CorruptStore):
             load_session(folder)
@@ -128,18 +128,20 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
     whole = (folder / JOURNAL).read_bytes()
     write = os.pwrite
 
-    def full(descriptor: int, data: bytes, place: int) -> int:
+    def full(descriptor: int, data: bytes, offset: int) -> int:
         if len(data) > 20:
-            return write(descriptor, data[:20], place)
+            return write(descriptor, data[:20], offset)
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with Journal.resume(folder) as journal:
-        monkeypatch.setattr(os, "pwrite", lambda d, data, place: full(d, data[:40], place))
+        monkeypatch.setattr(
+            os, "pwrite", lambda descriptor, data, offset: full(descriptor, data[:40], offset)
+        )
         with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
-            journal.append(stop(3).to_json())
+            journal.append(stop(3).entry())
         monkeypatch.undo()
         assert (folder / JOURNAL).read_bytes() == whole
-        journal.append(stop(3).to_json())
+        journal.append(stop(3).entry())
     assert len(load_session(folder).observations) == 4
 
 
@@ -153,27 +155,33 @@ def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_on
         monkeypatch.setattr(os, "fsync", refuse)
         monkeypatch.setattr(os, "ftruncate", refuse)
         with pytest.raises(InvalidInput, match=r"session.zarr is not: Input/output error"):
-            journal.append(stop(3).to_json())
+            journal.append(stop(3).entry())
         monkeypatch.undo()
         with pytest.raises(InvalidInput, match="must be writable"):
-            journal.append(stop(4).to_json())  # would begin where the lost line is
+            journal.append(stop(4).entry())  # would begin where the lost line is
     with Journal.resume(folder) as journal:
-        assert [record["time_s"] for record in journal.records] == [0.0, 1.0, 2.0, 3.0]  # it was all there
+        assert [entry["time_s"] for entry in journal.entries] == [
+            0.0,
+            1.0,
+            2.0,
+            3.0,
+        ]  # the line was complete after all
 
 
 @pytest.mark.parametrize("n_writes", [0, 3, 12])
 def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
     folder: Path, monkeypatch: pytest.MonkeyPatch, n_writes: int
 ) -> None:
-    left = [n_writes]
+    n_left = n_writes
     opened = Path.open
 
-    def full(self: Path, mode: str = "r", *more: Any, **options: Any) -> Any:
+    def full(self: Path, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+        nonlocal n_left
         if set(mode) & set("wxa+"):
-            if not left[0]:
+            if not n_left:
                 raise OSError(errno.ENOSPC, "No space left on device")
-            left[0] -= 1
-        return opened(self, mode, *more, **options)
+            n_left -= 1
+        return opened(self, mode, *arguments, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", full)
@@ -195,13 +203,13 @@ def test_what_exists_is_not_begun_again(folder: Path) -> None:
         Journal.create(folder, {"kind": "other"})
 
 
-def write_until_killed(folder: Path, said: int) -> None:
-    """Body of a process that acknowledges each record once it is written."""
+def write_until_killed(folder: Path, acknowledge: int) -> None:
+    """Main function of a process that acknowledges each entry once it is written."""
     try:
         with Journal.resume(folder) as journal:
             while True:
-                journal.append({"value": len(journal.records)})
-                os.write(said, b"%d\n" % len(journal.records))
+                journal.append({"value": len(journal.entries)})
+                os.write(acknowledge, b"%d\n" % len(journal.entries))
     finally:
         os._exit(1)
 
@@ -211,19 +219,19 @@ def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tm
     Journal.create(folder, {"kind": "test"}).close()
     draw = random.Random(2)
     for _ in range(50):
-        heard, said = os.pipe()
+        acknowledged, acknowledge = os.pipe()
         writer = os.fork()
         if writer == 0:
-            write_until_killed(folder, said)
-        os.close(said)
+            write_until_killed(folder, acknowledge)
+        os.close(acknowledge)
         time.sleep(0.03 * draw.random())
         os.kill(writer, signal.SIGKILL)
         os.waitpid(writer, 0)
-        with os.fdopen(heard, encoding="ascii") as pipe:
-            acknowledged = [int(line) for line in pipe.read().split("\n")[:-1]]
-        values = [record["value"] for record in read_journal(folder)[1]]
+        with os.fdopen(acknowledged, encoding="ascii") as pipe:
+            numbers = [int(line) for line in pipe.read().split("\n")[:-1]]
+        values = [entry["value"] for entry in read_journal(folder)[1]]
         assert values == list(range(len(values)))
-        assert len(values) >= max(acknowledged, default=0)
+        assert len(values) >= max(numbers, default=0)
     assert len(values) > 50
 
 
@@ -236,12 +244,13 @@ def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_w
     rename, hashes = Path.rename, set()
 
     def killed_after(n_renames: int) -> bool:
-        left = [n_renames]
+        n_left = n_renames
 
         def until_killed(self: Path, target: Path) -> Path:
-            if not left[0]:
+            nonlocal n_left
+            if not n_left:
                 raise Killed
-            left[0] -= 1
+            n_left -= 1
             return rename(self, target)
 
         monkeypatch.setattr(Path, "rename", until_killed)
@@ -282,8 +291,10 @@ def test_killed_before_its_header_is_written_a_session_is_not_there(
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])
-def test_what_a_process_writes_is_not_taken_away(folder: Path, small_session: Session, how: str) -> None:
-    def take_away() -> None:
+def test_a_session_that_a_process_writes_is_not_removed(
+    folder: Path, small_session: Session, how: str
+) -> None:
+    def remove() -> None:
         if how == "removed":
             remove_session(folder)
         else:
@@ -291,14 +302,14 @@ def test_what_a_process_writes_is_not_taken_away(folder: Path, small_session: Se
 
     with Journal.resume(folder) as journal:
         with pytest.raises(InvalidInput, match=r"one process at a time; another writes .*session\.zarr$"):
-            take_away()
-        journal.append(stop(3).to_json())
+            remove()
+        journal.append(stop(3).entry())
     assert len(read_journal(folder)[1]) == 4
-    take_away()
+    remove()
     assert not is_growing(folder)
 
 
-def test_a_writer_that_waited_at_a_journal_that_was_taken_away_is_refused(
+def test_a_writer_of_a_journal_that_was_removed_before_the_lock_is_refused(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flock = fcntl.flock
@@ -309,7 +320,7 @@ def test_a_writer_that_waited_at_a_journal_that_was_taken_away_is_refused(
         flock(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with pytest.raises(InvalidInput, match="was taken away"):
+    with pytest.raises(InvalidInput, match="was removed"):
         Journal.resume(folder)
 
 

@@ -64,16 +64,16 @@ def store(session: Session, tmp_path: Path) -> Path:
     return tmp_path / "session.zarr"
 
 
-def assert_equal(found: Session, expected: Session) -> None:
-    """Every number and word, NaN included."""
-    assert found.rig == expected.rig
+def assert_equal(loaded: Session, expected: Session) -> None:
+    """Equal in every number and word, NaN included."""
+    assert loaded.rig == expected.rig
     for name in ("source", "created", "truth"):
-        assert getattr(found, name) == getattr(expected, name)
-    a, b = vars(found.observations), vars(expected.observations)
-    for name in set(a) - {"whole", "chosen"}:  # a session is all of itself
-        for one, other in zip(tensors(a[name]), tensors(b[name]), strict=True):
-            assert one.dtype == other.dtype
-            torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
+        assert getattr(loaded, name) == getattr(expected, name)
+    a, b = vars(loaded.observations), vars(expected.observations)
+    for name in set(a) - {"whole", "chosen"}:  # these describe a subset; a session holds all its readings
+        for tensor, expected_tensor in zip(tensors(a[name]), tensors(b[name]), strict=True):
+            assert tensor.dtype == expected_tensor.dtype
+            torch.testing.assert_close(tensor, expected_tensor, rtol=0.0, atol=0.0, equal_nan=True)
 
 
 def tensors(value: torch.Tensor | dict[str, torch.Tensor] | None) -> list[torch.Tensor]:
@@ -91,19 +91,19 @@ def test_a_session_is_read_back_equal(session: Session, store: Path) -> None:
     assert load_session(str(store)).hash == session.hash
 
 
-def test_measured_currents_are_in_a_session_where_somebody_looked(session: Session, tmp_path: Path) -> None:
+def test_measured_currents_are_in_a_session_if_they_were_measured(session: Session, tmp_path: Path) -> None:
     without = replace(session, observations=replace(session.observations, current_measured_A=None))
     assert without.hash != session.hash
     without.save(tmp_path / "without.zarr")
     assert_equal(load_session(tmp_path / "without.zarr"), without)
-    for one, is_there in ((session, True), (without, False)):
-        readings = one.observations
+    for saved, is_there in ((session, True), (without, False)):
+        readings = saved.observations
         parts = readings.rows(torch.arange(9)).alone, readings.rows(torch.arange(9, N)).alone
         assert (parts[0].followed_by(parts[1]).current_measured_A is not None) is is_there
     assert parts[0].followed_by(session.observations).current_measured_A is None
 
 
-def test_what_was_set_or_fixed_after_the_rig_was_read_is_kept(tmp_path: Path) -> None:
+def test_values_that_were_set_or_fixed_after_reading_the_rig_are_stored(tmp_path: Path) -> None:
     free = rig_from_text(
         RIG.replace("noise_uT: 20}, ", "noise_uT: {prior: {uniform: {lower: 1, upper: 50}}}}, ")
     )
@@ -118,7 +118,7 @@ def test_what_was_set_or_fixed_after_the_rig_was_read_is_kept(tmp_path: Path) ->
     )
 
 
-def test_the_hash_names_readings_and_rig_and_nothing_else(session: Session) -> None:
+def test_the_hash_depends_on_readings_and_rig_only(session: Session) -> None:
     assert make_session().hash == session.hash
     assert replace(session, source="elsewhere", created="2025-01-01", truth={}).hash == session.hash
     o = session.observations
@@ -131,13 +131,13 @@ def test_the_hash_names_readings_and_rig_and_nothing_else(session: Session) -> N
         o.with_validation(~o.is_validation),
     ):
         assert replace(session, observations=changed).hash != session.hash
-    other = rig_from_text(RIG.replace("wire_radius_mm: 1,", "wire_radius_mm: 1.1,"))
-    assert replace(session, rig=other).hash != session.hash
+    changed_rig = rig_from_text(RIG.replace("wire_radius_mm: 1,", "wire_radius_mm: 1.1,"))
+    assert replace(session, rig=changed_rig).hash != session.hash
 
 
 def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Path) -> None:
-    with xr.open_zarr(store, consolidated=False) as found:
-        dims = {name: array.dims for name, array in found.data_vars.items()}
+    with xr.open_zarr(store, consolidated=False) as dataset:
+        dims = {name: array.dims for name, array in dataset.data_vars.items()}
         assert dims == {
             "time_s": ("reading",),
             "sensor_index": ("reading",),
@@ -151,9 +151,9 @@ def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Pa
             "temperature_coil2_C": ("reading",),
             "temperature_hall_a_C": ("reading",),
         }
-        np.testing.assert_array_equal(found["field_sensor_T"], session.observations.field_sensor_T.numpy())
-        assert (found.attrs["coil"], found.attrs["sensor"]) == (["coil1", "coil2"], ["hall_a", "hall_b"])
-        assert found.attrs["schema_version"] == 1
+        np.testing.assert_array_equal(dataset["field_sensor_T"], session.observations.field_sensor_T.numpy())
+        assert (dataset.attrs["coil"], dataset.attrs["sensor"]) == (["coil1", "coil2"], ["hall_a", "hall_b"])
+        assert dataset.attrs["schema_version"] == 1
 
 
 def test_every_chunk_is_checksummed(store: Path) -> None:
@@ -164,7 +164,7 @@ def test_every_chunk_is_checksummed(store: Path) -> None:
 
 def test_a_flipped_bit_is_found_or_changes_nothing(session: Session, store: Path) -> None:
     random = np.random.default_rng(0)
-    n_found = 0
+    n_detected = 0
     for path in files(store):
         content = path.read_bytes()
         for bit in random.choice(8 * len(content), 8, replace=False):
@@ -174,16 +174,16 @@ def test_a_flipped_bit_is_found_or_changes_nothing(session: Session, store: Path
             try:
                 assert_equal(load_session(store), session)
             except (CorruptStore, InvalidInput):
-                n_found += 1
+                n_detected += 1
             else:
-                assert path.name == "zarr.json"  # layout that stands for the same, such as the fill value
+                assert path.name == "zarr.json"  # an equivalent layout, such as another fill value
         path.write_bytes(content)
-    assert n_found > 0.9 * 8 * len(files(store))
+    assert n_detected > 0.9 * 8 * len(files(store))
     assert_equal(load_session(store), session)
 
 
 def test_every_changed_letter_of_the_attributes_is_found(session: Session, store: Path) -> None:
-    """Also in those that no array depends on: source, truth, the rig's text and values, the order of coils."""
+    """Including attributes on which no array depends: source, truth, the rig's text and values, the order of coils."""
     group = store / "zarr.json"
     content = group.read_text(encoding="utf-8")
     words = (
@@ -225,7 +225,7 @@ def test_a_truncated_file_is_found(store: Path) -> None:
         path.write_bytes(content)
 
 
-def test_notes_laid_beside_the_arrays_are_tolerated(session: Session, store: Path) -> None:
+def test_notes_beside_the_arrays_are_tolerated(session: Session, store: Path) -> None:
     (store / "notes.txt").write_text("the coil was warm", encoding="utf-8")
     (store / "photos").mkdir()
     assert_equal(load_session(store), session)
@@ -258,13 +258,13 @@ def test_what_is_no_session_is_refused(tmp_path: Path, name: str) -> None:
         load_session(tmp_path / name)
 
 
-def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(session: Session, store: Path) -> None:
-    other = replace(session, source="another")
+def test_an_existing_output_is_kept_unless_overwriting_is_requested(session: Session, store: Path) -> None:
+    new = replace(session, source="another")
     with pytest.raises(InvalidInput, match="output must not exist yet, or be replaced with --overwrite"):
-        other.save(store)
+        new.save(store)
     assert_equal(load_session(store), session)
-    other.save(store, overwrite=True)
-    assert_equal(load_session(store), other)
+    new.save(store, overwrite=True)
+    assert_equal(load_session(store), new)
     assert [path.name for path in store.parent.iterdir()] == ["session.zarr"]
 
 
@@ -302,17 +302,17 @@ def test_a_disk_that_fills_up_leaves_nothing(
 
 
 class Killed(BaseException):
-    """Stands for kill -9: no handler of the code under test may run on it."""
+    """Stands for kill -9: the code under test must not catch it."""
 
 
 def kill_at(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, suffix: str) -> None:
-    """Let a function end the process when it is called on an existing path with this suffix."""
+    """Let a function raise `Killed` when it is called on an existing path with this suffix."""
     original = getattr(owner, name)
 
-    def killed(path: Path, *others: object, **options: object) -> object:
+    def killed(path: Path, *arguments: object, **options: object) -> object:
         if path.suffix == suffix and path.exists():
             raise Killed
-        return original(path, *others, **options)
+        return original(path, *arguments, **options)
 
     monkeypatch.setattr(owner, name, killed)
 
@@ -326,7 +326,7 @@ def test_a_kill_before_the_old_session_is_moved_leaves_it(
     assert_equal(load_session(store), session)
 
 
-def test_a_kill_between_the_renames_leaves_both_whole_beside_the_place(
+def test_a_kill_between_the_renames_leaves_both_whole_under_other_names(
     session: Session, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     new = replace(session, source="new")
@@ -388,7 +388,9 @@ def test_a_kill_while_writing_leaves_no_session_and_does_not_hinder_the_next(
         ),
     ],
 )
-def test_a_rig_that_names_other_things_is_refused(session: Session, old: str, new: str, message: str) -> None:
+def test_a_rig_with_other_coils_sensors_or_movers_is_refused(
+    session: Session, old: str, new: str, message: str
+) -> None:
     with pytest.raises(InvalidInput) as caught:
         session.check_rig(rig_from_text(RIG.replace(old, new)))
     assert str(caught.value) == f"{message} (rig 'two of each')"

@@ -1,4 +1,4 @@
-"""Axis scans: units, columns, and the coils that were measured."""
+"""Axis scans are read in their units, and tables with other columns or without currents are refused."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_goettingen_scans_have_the_shape_of_their_coil(
     o = read_axis_scan(data / "goettingen-axis-scans" / f"{file}.dat", rig, currents_A).observations
     assert len(o) == n
     values = {key: torch.tensor(v, dtype=torch.float64) for key, v in rig.nominal_values().items()}
-    if name == "helmholtz":  # its zero is noted as about the middle; the maximum lies at -1.5 cm
+    if name == "helmholtz":  # its zero is noted as "about the middle"; the maximum is at -1.5 cm
         values["stage.world_from_base.z_m"] += 0.015
     pair = torch.stack((o.field_sensor_T[:, 2], MeasurementModel.build(rig, o).predict(values)[:, 2]))
     assert torch.corrcoef(pair)[0, 1] > 0.99

@@ -1,4 +1,4 @@
-"""The table of importers: one signature for every format."""
+"""All importers have the same signature."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ def test_formats_of_one_file_refuse_several(name: str) -> None:
         IMPORTERS[name]([Path("a"), Path("b")], rig, {})
 
 
-def test_a_readings_file_has_currents_of_its_own(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="holds its own currents; received coil1"):
+def test_a_readings_file_must_not_be_given_currents(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidInput, match="must not be given for a readings CSV, which holds its own; received coil1"
+    ):
         IMPORTERS["readings"]([tmp_path], load_rig(CONFIGS / "goettingen_long.yaml"), {"coil1": 0.5})

@@ -1,4 +1,4 @@
-"""The MICE map: six probes on a turning disc, brought into the frames of the rig."""
+"""MICE maps, taken with six probes on a rotating disc, are converted to the frames of the rig."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rig() -> Rig:
 
 
 def row(probe: int, z_m: float, disc_deg: float, time: int, field_T: tuple[float, float, float]) -> str:
-    """A line as the source writes it, from components along the probe's own axes."""
+    """A line of the source, from the components along the probe's axes."""
     r, phi_deg, (first, second, axial) = 0.03 * probe, (disc_deg + AZIMUTH_DEG[probe]) % 360.0, field_T
     if probe == 0:  # at r = 0 the file states phi = 0 and the components along x and y of the mapper
         turn = math.radians(disc_deg)
@@ -79,7 +79,7 @@ def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path: Path, rig: Rig) -
     assert predicted[read.sensor == 0, :2].abs().max() > 1e-4
 
 
-def test_rows_are_sorted_by_time_which_lost_its_leading_zeros(tmp_path: Path, rig: Rig) -> None:
+def test_rows_are_sorted_by_a_time_without_leading_zeros(tmp_path: Path, rig: Rig) -> None:
     o = read_mice(written(tmp_path, rows()[::-1]), rig).observations
     assert o.time_s[::6].tolist() == [0.0, 17_921.0, 43_120.0]  # 00:01:20, 05:00:01, 12:00:00
     assert o.sensor.tolist() == list(range(6)) * 3
@@ -88,7 +88,7 @@ def test_rows_are_sorted_by_time_which_lost_its_leading_zeros(tmp_path: Path, ri
     )
 
 
-def test_every_coil_carries_30_ampere_unless_told(tmp_path: Path, rig: Rig) -> None:
+def test_every_coil_carries_30_ampere_unless_given(tmp_path: Path, rig: Rig) -> None:
     path = written(tmp_path, rows())
     assert read_mice(path, rig).observations.current_A.unique().tolist() == [30.0]
     assert read_mice(path, rig, {"M1": 0.0}).observations.current_A.unique().tolist() == [0.0]

@@ -1,4 +1,4 @@
-"""Plane maps: where each cell stands, what current it belongs to, and which way the pair's currents add."""
+"""Plane maps: position and currents of each cell, and the relative sign of the pair's currents."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def test_rows_are_transverse_and_columns_axial_in_gauss(tmp_path: Path, rig: Rig
     o = read_plane_maps([written(tmp_path, "u1_1_9_u2_0_r1.csv")], rig).observations
     assert len(o) == 154
     for i, j in ((0, 0), (0, 10), (13, 0), (6, 5)):
-        at = o.motion["stage"][11 * i + j]
-        torch.testing.assert_close(at[:3], torch.tensor([-0.06 + 0.01 * i, 0.0, -0.05 + 0.01 * j]).double())
+        pose = o.motion["stage"][11 * i + j]
+        torch.testing.assert_close(pose[:3], torch.tensor([-0.06 + 0.01 * i, 0.0, -0.05 + 0.01 * j]).double())
         assert o.field_sensor_T[11 * i + j, 2].item() == pytest.approx((100 * i + j) * 1e-4)
     assert o.is_measured.any(0).tolist() == [False, False, True]
 

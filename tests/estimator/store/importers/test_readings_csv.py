@@ -1,4 +1,4 @@
-"""The readings CSV: what is written is read back, and whatever is wrong is named by file, line and column."""
+"""A readings CSV is read back as written, and every error names file, line and column."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_pat
         ((HEADER, ROW, NEXT.replace("1e-3", "1_0")), "Bx_T must be a finite number; received '1_0'"),
         ((HEADER, ROW, NEXT.replace("1e-3", "1e-3 T")), "Bx_T must be a finite number; received '1e-3 T'"),
         ((HEADER, ROW, "1,3,0,0,0,,,"), "at least one field component"),
-        ((HEADER, ROW, ROW), "t_s = 0 stands in lines 2 and 3"),
+        ((HEADER, ROW, ROW), "t_s = 0 is in lines 2 and 3"),
         (
             (HEADER + ",sensor", ROW + ",hall", NEXT + ",hal"),
             "sensor must be one of hall; received 'hal'",
@@ -157,20 +157,20 @@ def test_a_fault_is_one_sentence_that_names_the_file(
         assert "line 3" in sentence
 
 
-def test_the_line_named_is_that_of_the_file_where_blank_lines_stand(tmp_path: Path, rig: Rig) -> None:
+def test_the_line_number_counts_blank_lines(tmp_path: Path, rig: Rig) -> None:
     with pytest.raises(InvalidInput, match="line 5"):
         read_readings_csv(written(tmp_path, HEADER, "", ROW, "", NEXT.replace("1e-3", "x")), rig)
 
 
 def test_several_sensors_need_their_column(tmp_path: Path) -> None:
-    rig = rig_from_text(ONE_SENSOR.replace("{hall:", "{other: {noise_uT: 20}, hall:"))
+    rig = rig_from_text(ONE_SENSOR.replace("{hall:", "{squid: {noise_uT: 20}, hall:"))
     with pytest.raises(InvalidInput, match="columns must include sensor;"):
         read_readings_csv(written(tmp_path, HEADER, ROW), rig)
-    header, rows = HEADER + ",sensor", (ROW + ",hall", ROW + ",other")
+    header, rows = HEADER + ",sensor", (ROW + ",hall", ROW + ",squid")
     assert read_readings_csv(written(tmp_path, header, *rows), rig).observations.sensor.tolist() == [1, 0]
 
 
-def test_joint_angles_are_never_left_out(tmp_path: Path) -> None:
+def test_joint_angles_must_not_be_left_out(tmp_path: Path) -> None:
     rig = rig_from_text(ONE_SENSOR.replace("displacement", "UR3"))
     with pytest.raises(InvalidInput, match="columns must include arm1_q0_rad, arm1_q1_rad"):
         read_readings_csv(written(tmp_path, "t_s,coil1_current_A,Bx_T,By_T,Bz_T", "0,1,1,1,1"), rig)
@@ -183,7 +183,7 @@ def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
             read_readings_csv(tmp_path / name, rig)
 
 
-def test_an_unwritable_place_is_refused(tmp_path: Path, rig: Rig) -> None:
+def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
     session = read_readings_csv(written(tmp_path, HEADER, ROW), rig)
     with pytest.raises(InvalidInput, match="must be writable"):
         write_readings_csv(session, tmp_path / "none" / "readings.csv")
