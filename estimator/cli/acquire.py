@@ -60,10 +60,10 @@ def acquire_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Visit the stops of PLAN with the instruments of RIG and record their readings. Each stop is on the disk before the next begins.
+    """Carry out PLAN with the instruments of RIG.
 
-    Repeat the command to continue an interrupted measurement. However it ends, the currents are ramped to zero. Displacements count from
-    where the arms stand at the start; a finished measurement returns them there.
+    Each stop is on the disk before the next begins. Repeat the command to continue an interrupted measurement. However it ends, the
+    currents are ramped to zero. Displacements count from where the arms stand at the start; a finished measurement returns them there.
     """
     from drivers.interlock import sigterm_as_exception
     from estimator.cli.acquire_task import check_plan, measure, plan_record, plan_text, read_task

@@ -71,7 +71,9 @@ def batch_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Calibrate many sessions on all processors or on a cluster; run it again to continue or to add sessions.
+    """Calibrate many sessions in parallel.
+
+    The work is spread over all processors or over a cluster. Run the command again to continue or to add sessions.
 
     Exit code 2 if a session failed; the others are calibrated nevertheless.
     """

@@ -57,7 +57,10 @@ def calibrate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Calibrate the rig of SESSION; run it again to continue a calibration that was interrupted."""
+    """Calibrate the rig of SESSION.
+
+    Run the same command again to continue a calibration that was interrupted.
+    """
     from estimator.calibration.calibrate import calibrate
     from estimator.calibration.report import calibration_report
     from estimator.calibration.result import write_text

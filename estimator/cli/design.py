@@ -55,10 +55,11 @@ def design_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Propose which readings to take after SESSION, to tell causes apart or to know a parameter better.
+    """Propose which readings to take after SESSION.
 
-    Stops are chosen one after another from the poses of the session and a few currents. Programmes that change the set-up, such as a turned
-    sensor, are listed with the log evidence that they are expected to add.
+    The aim is to tell causes apart (--split) or to know a parameter better (--shrink). Stops are chosen one after another from the poses
+    of the session and a few currents. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that
+    they are expected to add.
     """
     from estimator.calibration.result import write_text
     from estimator.diagnosis.next_readings.design import design

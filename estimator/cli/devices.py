@@ -30,7 +30,10 @@ class DeviceCheck:
 
 @click.group("devices")
 def devices_group() -> None:
-    """Work with the instruments of a rig, as the section `devices` of its file lists them."""
+    """Work with the instruments of a rig.
+
+    The section `devices` of the rig file lists them.
+    """
 
 
 @devices_group.command("check", cls=CoilcalCommand)
@@ -46,7 +49,9 @@ def devices_group() -> None:
 )
 @json_option
 def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, as_json: bool) -> None:
-    """Open each device of RIG, identify it and read one value. Nothing moves, no current changes, and a supply that is on stays on.
+    """Open each device of RIG, identify it and read one value.
+
+    Nothing moves, no current changes, and a supply that is on stays on.
 
     Exit code 5 if a device fails.
     """

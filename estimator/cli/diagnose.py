@@ -53,9 +53,10 @@ def diagnose_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Find what the model gets wrong in SESSION, name the cause, extend the rig by it and measure the improvement on unseen readings.
+    """Find what the model gets wrong in SESSION.
 
-    The verdict is named, indistinguishable, unexplained or nothing_found; each ends with exit code 0.
+    The cause is named, the rig is extended by it, and the improvement is measured on unseen readings. The verdict is named,
+    indistinguishable, unexplained or nothing_found; each ends with exit code 0.
     """
     from estimator.calibration.report import calibration_report
     from estimator.calibration.result import write_text

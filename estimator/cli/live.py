@@ -31,10 +31,11 @@ from estimator.cli.output import CoilcalCommand, show
 @seed_option
 @json_option
 def live_command(session_path: Path, wait_s: float, has_refresh: bool, seed: int, as_json: bool) -> None:
-    """Follow SESSION while coilcal acquire writes it, in another terminal or on another computer that sees its folder.
+    """Estimate and watch SESSION while it is measured.
 
-    Each stop updates the estimate and its credible intervals within milliseconds. Readings that noise does not explain raise alarms.
-    Posterior and diagnosis follow in the background. The command ends with the session, or with Ctrl-C, which leaves the measurement alone.
+    It follows what coilcal acquire writes, from another terminal or another computer that sees the folder. Each stop updates the estimate
+    and its credible intervals within milliseconds. Readings that noise does not explain raise alarms. Posterior and diagnosis follow in
+    the background. The command ends with the session, or with Ctrl-C, which leaves the measurement alone.
     """
     from estimator.cli.live_session import LiveSession, wait_for
     from estimator.cli.live_view import LiveView

@@ -65,7 +65,10 @@ def predict_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write the field of CALIBRATION with credible intervals as CSV, on a grid in the world frame."""
+    """Write the field of CALIBRATION with credible intervals.
+
+    Points lie on a grid in the world frame; the output is CSV. CALIBRATION is a folder written by `coilcal calibrate`.
+    """
     import numpy as np
     import torch
 

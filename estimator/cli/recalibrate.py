@@ -60,7 +60,7 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 @click.option(
     "--alert-command",
     metavar="COMMAND",
-    help="Shell command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input.",
+    help="Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input.",
 )
 @click.option("--alert-webhook", metavar="URL", help="Address to which the same JSON is posted.")
 @ess_option
@@ -79,11 +79,12 @@ def recalibrate_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Judge every new session of INBOX against the current calibration of REGISTRY.
+    """Judge new sessions against the current calibration.
 
-    The conclusion for each session is unchanged (it agrees, or nothing predicts the readings kept out better), updated (the same model
-    explains it with other values, and predicts the readings kept out better), drifted (a cause is named) or rejected (bad data, or nothing
-    explains it). A session older than the current version is judged but never replaces it.
+    Every new session of the inbox is judged against the current version of the registry. The conclusion for each session is unchanged (it
+    agrees, or nothing predicts the readings kept out better), updated (the same model explains it with other values, and predicts the
+    readings kept out better), drifted (a cause is named) or rejected (bad data, or nothing explains it). A session older than the current
+    version is judged but never replaces it.
 
     Sessions in the log are skipped, so the command can be repeated at any time, even after it was killed. Sessions that are still being
     measured or copied wait for the next run. Examples for cron, systemd and Kubernetes are in configs/.

@@ -19,7 +19,10 @@ from estimator.errors import InvalidInput, reason
 @overwrite_option
 @json_option
 def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Write the HTML report of CALIBRATION, a folder written by `coilcal calibrate`."""
+    """Write the HTML report of CALIBRATION.
+
+    CALIBRATION is a folder written by `coilcal calibrate`.
+    """
     from estimator.calibration.report import calibration_report
     from estimator.calibration.result import Calibration, write_text
 

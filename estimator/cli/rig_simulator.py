@@ -32,10 +32,11 @@ def rig_simulator_command(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    """Run a simulator for each device of RIG until Ctrl-C, and print the devices section that opens them.
+    """Simulate the instruments of RIG until Ctrl-C.
 
-    All simulators share one world, whose field is that of the model. A rig without devices gets a Lake Shore F71 for each sensor, a Kepco
-    BOP for each coil, an arm for each mover and a Lake Shore 224 that measures the coils' temperatures. Coils warm up by their losses.
+    Each device gets a simulator; the command prints the devices section that opens them. All simulators share one world, whose field is
+    that of the model. A rig without devices gets a Lake Shore F71 for each sensor, a Kepco BOP for each coil, an arm for each mover and a
+    Lake Shore 224 that measures the coils' temperatures. Coils warm up by their losses.
     """
     import yaml
 

@@ -52,7 +52,7 @@ def simulate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Simulate a session: the readings that known true parameters give, with noise."""
+    """Simulate a session whose true parameters are known."""
     from estimator.model.hide import full_names
     from estimator.model.simulate import simulate
     from estimator.readings.plan import load_plan
