@@ -39,9 +39,9 @@ class Task:
     Attributes:
         bench: Rig and instruments.
         plan: The plan file.
-        seed: Of the random order of the stops.
+        seed: Seed of the random order of the stops.
         stops: Poses and currents in the order in which they are visited.
-        limits: Of the instruments.
+        limits: Limits of the instruments.
         pace: Speeds of the arms, readings per stop, and how long to wait for the field to settle.
         times_s: Expected duration of each stop.
     """

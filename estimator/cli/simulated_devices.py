@@ -69,7 +69,7 @@ def start_simulators(section: DeviceSettings, rig: Rig, true_rig: Rig, seed: int
         section: Devices to simulate.
         rig: Rig as its file describes it.
         true_rig: Rig whose field the sensors measure, with hidden causes.
-        seed: Of the sensors' noise.
+        seed: Seed of the sensors' noise.
     """
     coils = tuple(name for name, settings in section.items() if "supply" in settings)
     homes = {
