@@ -1,5 +1,7 @@
 """coilcal: calibrate electromagnet coils from measured readings, with credible intervals.
 
+A public name loads its module when it is first used: torch alone takes two seconds, and `batch` needs the extra of that name.
+
 Examples:
     >>> from estimator import load_plan, load_rig, Session, simulate
     >>> rig = load_rig("configs/paper_simulation.yaml")
@@ -9,30 +11,30 @@ Examples:
     125
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from estimator.calibration.calibrate import Stage, calibrate
-from estimator.calibration.result import Calibration
-from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.next_readings.design import Design, design
-from estimator.diagnosis.result import Diagnosis
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-from estimator.inference.ensemble import SamplerSettings
-from estimator.live.stream import Estimate, Stream
-from estimator.model.simulate import draw_truth, simulate
-from estimator.readings.observations import Observations
-from estimator.readings.plan import Plan, load_plan
-from estimator.readings.split import block_split
-from estimator.recalibration.recalibrate import recalibrate, roll_back
-from estimator.recalibration.registry import Entry, Registry
-from estimator.rig.rig import Rig
-from estimator.rig_files.read import load_rig
-from estimator.store.session import Session, load_session
-from estimator.system.superposition import Superposition, superposition
-from estimator.system.system import System, SystemField
-
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the same for the interpreter
     from estimator.batching import batch
+    from estimator.calibration.calibrate import Stage, calibrate
+    from estimator.calibration.result import Calibration
+    from estimator.diagnosis.diagnose import diagnose
+    from estimator.diagnosis.next_readings.design import Design, design
+    from estimator.diagnosis.result import Diagnosis
+    from estimator.errors import CoilcalError, CorruptStore, InvalidInput
+    from estimator.inference.ensemble import SamplerSettings
+    from estimator.live.stream import Estimate, Stream
+    from estimator.model.simulate import draw_truth, simulate
+    from estimator.readings.observations import Observations
+    from estimator.readings.plan import Plan, load_plan
+    from estimator.readings.split import block_split
+    from estimator.recalibration.recalibrate import recalibrate, roll_back
+    from estimator.recalibration.registry import Entry, Registry
+    from estimator.rig.rig import Rig
+    from estimator.rig_files.read import load_rig
+    from estimator.store.session import Session, load_session
+    from estimator.system.superposition import Superposition, superposition
+    from estimator.system.system import System, SystemField
 
 __all__ = [
     "Calibration",
@@ -69,11 +71,51 @@ __all__ = [
     "superposition",
 ]
 
+_MODULES = {
+    "Calibration": "estimator.calibration.result",
+    "CoilcalError": "estimator.errors",
+    "CorruptStore": "estimator.errors",
+    "Design": "estimator.diagnosis.next_readings.design",
+    "Diagnosis": "estimator.diagnosis.result",
+    "Entry": "estimator.recalibration.registry",
+    "Estimate": "estimator.live.stream",
+    "InvalidInput": "estimator.errors",
+    "Observations": "estimator.readings.observations",
+    "Plan": "estimator.readings.plan",
+    "Registry": "estimator.recalibration.registry",
+    "Rig": "estimator.rig.rig",
+    "SamplerSettings": "estimator.inference.ensemble",
+    "Session": "estimator.store.session",
+    "Stage": "estimator.calibration.calibrate",
+    "Stream": "estimator.live.stream",
+    "Superposition": "estimator.system.superposition",
+    "System": "estimator.system.system",
+    "SystemField": "estimator.system.system",
+    "batch": "estimator.batching",
+    "block_split": "estimator.readings.split",
+    "calibrate": "estimator.calibration.calibrate",
+    "design": "estimator.diagnosis.next_readings.design",
+    "diagnose": "estimator.diagnosis.diagnose",
+    "draw_truth": "estimator.model.simulate",
+    "load_plan": "estimator.readings.plan",
+    "load_rig": "estimator.rig_files.read",
+    "load_session": "estimator.store.session",
+    "recalibrate": "estimator.recalibration.recalibrate",
+    "roll_back": "estimator.recalibration.recalibrate",
+    "simulate": "estimator.model.simulate",
+    "superposition": "estimator.system.superposition",
+}
+
 
 def __getattr__(name: str) -> Any:
-    """`batch` comes with Dask, which is an extra and slow to import: only where it is asked for."""
-    if name == "batch":
-        from estimator.batching import batch
+    """Load a public name when it is first used (PEP 562)."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'estimator' has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
 
-        return batch
-    raise AttributeError(f"module 'estimator' has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    """Public names, loaded or not, beside what the module holds."""
+    return sorted({*globals(), *__all__})

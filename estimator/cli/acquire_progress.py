@@ -1,4 +1,4 @@
-"""Shows how far an acquisition is: a bar with the time left on a terminal, plain lines in a pipe; always on standard error."""
+"""Shows the progress of an acquisition: a bar with the time left on a terminal, plain lines in a pipe; always on standard error."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from estimator.acquisition.acquire import Progress
-from estimator.cli.words import duration
+from estimator.cli.words import duration_words
 
 LINE_EVERY_S = 5.0
 
 
 class StopReporter:
-    """Told of each stop."""
+    """Shows each stop."""
 
     def __init__(self, n_stops: int) -> None:
-        self._said_s = -math.inf
+        self._printed_s = -math.inf
         self._bar: Bar | None = None
         if sys.stderr.isatty():
             columns = (
@@ -48,19 +48,19 @@ class StopReporter:
 
     def __call__(self, progress: Progress) -> None:
         """Show one stop."""
-        left = f"{duration(progress.left_s)} left"
+        left = f"{duration_words(progress.left_s)} left"
         if self._bar is not None:
             fields = "  ".join(f"{name} {_shown(field)}" for name, field in progress.stop.field_T.items())
             self._bar.update(self._task, completed=progress.n_done, description=f"{left}  {fields}")
-            for words in _remarks(progress):
-                self._bar.console.print(words)
+            for remark in _remarks(progress):
+                self._bar.console.print(remark)
             return
-        for words in _remarks(progress):
-            click.echo(words, err=True)
+        for remark in _remarks(progress):
+            click.echo(remark, err=True)
         now_s = time.monotonic()
-        if now_s - self._said_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
+        if now_s - self._printed_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
             click.echo(f"stop {progress.n_done} of {progress.n_stops}, {left}", err=True)
-            self._said_s = now_s
+            self._printed_s = now_s
 
 
 def _shown(field_T: Sequence[float]) -> str:
@@ -68,10 +68,10 @@ def _shown(field_T: Sequence[float]) -> str:
 
 
 def _remarks(progress: Progress) -> list[str]:
-    """What is not as it should be with a stop; the journal says so, too."""
-    found = [
+    """What went wrong at a stop, which the journal holds too."""
+    remarks = [
         f"{name} lost readings at stop {progress.n_done}" for name, n in progress.stop.n_gaps.items() if n
     ]
     if not progress.stop.is_settled:
-        found.append(f"the field at stop {progress.n_done} had not settled")
-    return [f"coilcal: {words}; it is marked so in the journal" for words in found]
+        remarks.append(f"the field at stop {progress.n_done} had not settled")
+    return [f"coilcal: {remark}; it is marked so in the journal" for remark in remarks]

@@ -1,4 +1,4 @@
-"""`coilcal batch`: many sessions at once."""
+"""`coilcal batch`: calibrate many sessions."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from pathlib import Path
 
 import click
 
-from estimator.calibration.result import write_text
 from estimator.cli.options import ess_option, json_option, seed_option
-from estimator.cli.output import EXIT_BAD_INPUT, explain_errors, show
+from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show
 from estimator.errors import InvalidInput
-from estimator.inference.ensemble import SamplerSettings
 
 
-@click.command("batch")
+@click.command("batch", cls=CoilcalCommand)
 @click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="Folder for results, table and page."
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for posteriors, tables and overview.html.",
 )
 @click.option(
-    "--rig", type=click.Path(path_type=Path), help="Another description of the rig of all sessions."
+    "--rig",
+    type=click.Path(path_type=Path),
+    help="Rig file to use for all sessions instead of the rig stored in each.",
 )
 @click.option(
     "--hypothesis",
@@ -30,30 +33,31 @@ from estimator.inference.ensemble import SamplerSettings
     default=("plain",),
     show_default=True,
     metavar="CAUSES",
-    help="Causes that are free in addition, such as axis_gain+sensor_offset[probe2], or plain; may be given several times.",
+    help="Hypothesis to fit: plain for the rig as it is, or causes to add to it, such as axis_gain+sensor_offset[probe2]. Repeatable.",
 )
 @click.option(
     "--each-coil",
     is_flag=True,
-    help="Calibrate each coil by itself, from readings in which it alone has current.",
+    help="Calibrate each coil by itself, from the readings in which it alone carries current.",
 )
 @click.option(
     "--posterior",
     type=click.Choice(["leaders", "none"]),
     default="leaders",
     show_default=True,
-    help="Sample hypotheses with more than 5 % probability.",
+    help="Sample the posterior of the hypotheses with more than 5 % probability, or of none.",
 )
 @ess_option
 @click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes on this computer; one per processor by default."
+    "--workers", type=click.IntRange(min=1), help="Processes on this computer; by default one per processor."
 )
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead, such as tcp://host:8786."
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Use this Dask scheduler instead of local processes, such as tcp://host:8786.",
 )
 @seed_option
 @json_option
-@explain_errors
 def batch_command(
     sessions: tuple[Path, ...],
     out: Path,
@@ -67,9 +71,11 @@ def batch_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Calibrate many sessions on all processors or on a cluster; run it again to go on or to add sessions.
+    """Calibrate many sessions in parallel.
 
-    Exit code 2 if a session failed; all others are calibrated nevertheless.
+    The work is spread over all processors or over a cluster. Run the command again to continue or to add sessions.
+
+    Exit code 2 if a session failed; the others are calibrated nevertheless.
     """
     try:
         from estimator.batching import batch
@@ -78,6 +84,9 @@ def batch_command(
         raise InvalidInput(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
         ) from error
+
+    from estimator.calibration.result import write_text
+    from estimator.inference.ensemble import SamplerSettings
 
     result = batch(
         sessions,
@@ -93,13 +102,15 @@ def batch_command(
         tell=lambda done, total, words: click.echo(f"{done} of {total}: {words}", err=True),
     )
     result.save_table(out)
-    given = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}
+    options = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}
     command = ["coilcal", "batch", *map(str, sessions)]
-    command += [str(word) for option, value in given.items() if value is not None for word in (option, value)]
+    command += [
+        str(word) for option, value in options.items() if value is not None for word in (option, value)
+    ]
     command += [word for name in hypotheses for word in ("--hypothesis", name)]
     command += ["--each-coil"] * each_coil
     write_text(out / "overview.html", overview(result, shlex.join(command)))
-    found = {
+    summary = {
         "fits": len(result.names),
         "sampled": int(result.table()["is_sampled"].sum()) if result.names else 0,
         "new": result.n_new,
@@ -108,17 +119,17 @@ def batch_command(
         "page": str(out / "overview.html"),
     }
     lines = [
-        f"{found['fits']} fits, {found['sampled']} of them sampled; "
+        f"{summary['fits']} fits, {summary['sampled']} of them sampled; "
         + (
             f"{result.n_new} fits and posteriors are new"
             if result.n_new
             else "all there before, nothing was left to do"
         ),
-        f"table: {found['table']}",
-        f"page: {found['page']}",
+        f"table: {summary['table']}",
+        f"page: {summary['page']}",
     ]
-    show(found, "\n".join(lines), as_json)
-    for what, why in result.failed.items():
-        click.echo(f"coilcal: {what}: {why}", err=True)
+    show(summary, "\n".join(lines), as_json)
+    for name, fault in result.failed.items():
+        click.echo(f"coilcal: {name}: {fault}", err=True)
     if result.failed:
         sys.exit(EXIT_BAD_INPUT)

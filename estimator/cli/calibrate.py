@@ -1,4 +1,4 @@
-"""`coilcal calibrate`: the main job."""
+"""`coilcal calibrate`: from a session to a posterior and its report."""
 
 from __future__ import annotations
 
@@ -8,41 +8,43 @@ from typing import Any
 
 import click
 
-from estimator.calibration.calibrate import calibrate
-from estimator.calibration.report import calibration_report
-from estimator.calibration.result import write_text
 from estimator.cli.options import ess_option, json_option, other_rig_option, overwrite_option, seed_option
-from estimator.cli.output import EXIT_NOT_CONVERGED, StageReporter, explain_errors, show
-from estimator.inference.ensemble import SamplerSettings
-from estimator.rig_files.read import load_rig
-from estimator.store.session import load_session
+from estimator.cli.output import EXIT_NOT_CONVERGED, CoilcalCommand, show
 
 
-@click.command("calibrate")
+@click.command("calibrate", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help="Folder for summary.json, posterior.zarr, report.html.",
+    help="Folder for summary.json, posterior.zarr and report.html.",
 )
 @other_rig_option
 @seed_option
 @ess_option
 @click.option(
-    "--walkers", type=click.IntRange(min=0), default=0, help="0 stands for 32, or two per free parameter."
+    "--walkers",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
 )
-@click.option("--max-steps", type=click.IntRange(min=1), default=20_000, show_default=True)
+@click.option(
+    "--max-steps",
+    type=click.IntRange(min=1),
+    default=20_000,
+    show_default=True,
+    help="Stop after this many steps of each walker, converged or not.",
+)
 @click.option(
     "--counts",
     type=click.Choice(["integer", "continuous"]),
     default="integer",
     show_default=True,
-    help="Free loop counts.",
+    help="Treat free loop counts as whole numbers or as real numbers.",
 )
 @overwrite_option
 @json_option
-@explain_errors
 def calibrate_command(
     session_path: Path,
     out: Path,
@@ -55,7 +57,18 @@ def calibrate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Calibrate the rig of SESSION; run it again to continue a calibration that was interrupted."""
+    """Calibrate the rig of SESSION.
+
+    Run the same command again to continue a calibration that was interrupted.
+    """
+    from estimator.calibration.calibrate import calibrate
+    from estimator.calibration.report import calibration_report
+    from estimator.calibration.result import write_text
+    from estimator.cli.stage_progress import StageReporter
+    from estimator.inference.ensemble import SamplerSettings
+    from estimator.rig_files.read import load_rig
+    from estimator.store.session import load_session
+
     session = load_session(session_path)
     rig = load_rig(rig_path) if rig_path else None
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
@@ -84,24 +97,24 @@ def calibrate_command(
 
 def _text(summary: Any, out: Path) -> str:
     lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
-    for name, p in summary["parameters"].items():
-        low, high = p["ci90"]
-        lines.append(f"{name:38} {p['median']:12.6g} {low:13.6g} {high:13.6g}  {p['unit']}")
-    for entry in summary["loop_counts"][:3]:
+    for name, parameter in summary["parameters"].items():
+        low, high = parameter["ci90"]
+        lines.append(f"{name:38} {parameter['median']:12.6g} {low:13.6g} {high:13.6g}  {parameter['unit']}")
+    for counts in summary["loop_counts"][:3]:
         lines.append(
-            f"{entry['coil']}: {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.3f}"
+            f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability {counts['probability']:.3f}"
         )
-    for role, metrics in summary["rmse"].items():
-        if metrics:
+    for role, errors in summary["rmse"].items():
+        if errors:
             nominal = summary["rmse_nominal"][role]
             lines.append(
-                f"{role}: error {metrics['vector_T'] * 1e6:.4g} uT rms of the vector ({metrics['relative']:.3%} of the field), "
+                f"{role}: error {errors['vector_T'] * 1e6:.4g} uT rms of the vector ({errors['relative']:.3%} of the field), "
                 f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {summary['coverage90'][role]:.1%}"
             )
     lines += [
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
         for name, distance in summary["prior_tension"].items()
     ]
-    lines += [f"not determined by the data: {d['words']}" for d in summary["undetermined"]]
+    lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

@@ -3,44 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from estimator.calibration.result import write_text
 from estimator.cli.options import json_option, other_rig_option, overwrite_option
-from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.diagnosis.next_readings.design import Design, design
-from estimator.reporting.plots.style import displays
-from estimator.rig_files.read import load_rig
-from estimator.store.session import load_session
+from estimator.cli.output import CoilcalCommand, refuse_existing, show
+
+if TYPE_CHECKING:
+    from estimator.diagnosis.next_readings.design import Design
 
 MOST_PRINTED = 8
 
 
-@click.command("design")
+@click.command("design", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--split",
     multiple=True,
     metavar="CAUSE",
-    help="A cause that is to be told from the others so named, as CAUSE or CAUSE[PLACE]; give two or more.",
+    help="Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
 )
-@click.option("--shrink", metavar="PARAMETER", help="Or a parameter of the rig whose interval is to shrink.")
+@click.option(
+    "--shrink",
+    metavar="PARAMETER",
+    help="Instead of --split: parameter of the rig whose interval shall shrink.",
+)
 @click.option(
     "--readings",
     "n_readings",
     type=click.IntRange(1, 500),
     default=20,
     show_default=True,
-    help="How many to propose.",
+    help="Number of readings to propose.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Plan to write (YAML), for coilcal simulate and acquire."
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Plan to write (YAML), for coilcal simulate and coilcal acquire.",
 )
 @other_rig_option
 @overwrite_option
 @json_option
-@explain_errors
 def design_command(
     session_path: Path,
     split: tuple[str, ...],
@@ -51,44 +55,53 @@ def design_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Propose the readings to take after SESSION: to tell causes apart, or to shrink a parameter.
+    """Propose which readings to take after SESSION.
 
-    Stops are chosen among the poses of the session and some currents, one after another. Programmes that need a change of the set-up,
-    such as a turned sensor, are listed with what they would bring.
+    The aim is to tell causes apart (--split) or to know a parameter better (--shrink). Stops are chosen one after another from the poses
+    of the session and a few currents. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that
+    they are expected to add.
     """
+    from estimator.calibration.result import write_text
+    from estimator.diagnosis.next_readings.design import design
+    from estimator.rig_files.read import load_rig
+    from estimator.store.session import load_session
+
     if out is not None:
         refuse_existing(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
-    found = design(load_session(session_path), split=split, shrink=shrink, n_readings=n_readings, rig=rig)
+    proposal = design(load_session(session_path), split=split, shrink=shrink, n_readings=n_readings, rig=rig)
     if out is not None:
-        write_text(out, found.plan)
+        write_text(out, proposal.plan)
     result = {
-        "goal": found.goal,
+        "goal": proposal.goal,
         "programmes": [
-            {"action": one.action.words, "expected_log_evidence": one.expected_log_evidence}
-            for one in found.actions
+            {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
+            for programme in proposal.actions
         ],
-        "so_far": found.so_far,
-        "reached": list(found.reached),
+        "so_far": proposal.so_far,
+        "reached": list(proposal.reached),
         "plan": None if out is None else str(out),
     }
-    show(result, _text(found, out, shrink), as_json)
+    show(result, _text(proposal, out, shrink), as_json)
 
 
-def _text(found: Design, out: Path | None, shrink: str | None) -> str:
-    lines = [f"goal: {found.goal}"]
+def _text(proposal: Design, out: Path | None, shrink: str | None) -> str:
+    from estimator.reporting.plots.style import displays
+
+    lines = [f"goal: {proposal.goal}"]
     unit = displays([shrink])[shrink] if shrink else None
-    what = "standard deviation" if shrink else "expected log evidence (3 is 20 to 1)"
+    merit = "standard deviation" if shrink else "expected log evidence (3 is 20 to 1)"
 
     def in_unit(value: float) -> str:
         return f"{value:.3g}" if unit is None else f"{unit.factor * value:.3g} {unit.unit}".rstrip()
 
-    lines.append(f"{what} of the readings so far: {in_unit(found.so_far)}")
-    if found.actions:
+    lines.append(f"{merit} of the readings so far: {in_unit(proposal.so_far)}")
+    if proposal.actions:
         lines.append("a programme of readings would add:")
         lines += [
-            f"  {one.expected_log_evidence:8.1f}  {one.action.words}" for one in found.actions[:MOST_PRINTED]
+            f"  {programme.expected_log_evidence:8.1f}  {programme.action.words}"
+            for programme in proposal.actions[:MOST_PRINTED]
         ]
-    lines.append(f"with the {len(found.reached)} chosen stops added: {in_unit(found.reached[-1])}")
+    lines.append(f"with the {len(proposal.reached)} chosen stops added: {in_unit(proposal.reached[-1])}")
     lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
     return "\n".join(lines)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from drivers.errors import DriverError
-from drivers.interlock import sigterm_as_exception
-from drivers.open import check_device
-from estimator.cli.instruments import Bench, devices_option, fault_of
-from estimator.cli.options import json_option
-from estimator.cli.output import EXIT_DEVICE, explain_errors, show
-from estimator.rig_files.devices import KINDS, THERMOMETER
+from estimator.cli.options import devices_option, json_option
+from estimator.cli.output import EXIT_DEVICE, CoilcalCommand, show
+
+if TYPE_CHECKING:
+    from estimator.cli.instruments import Bench
 
 
 @dataclass(frozen=True)
-class Checked:
-    """What one device said: itself and a value, or else a fault."""
+class DeviceCheck:
+    """Answer of a device: its identity and a value, or a fault."""
 
     device: str
     kind: str
@@ -30,10 +30,13 @@ class Checked:
 
 @click.group("devices")
 def devices_group() -> None:
-    """The instruments of a rig, as the section `devices` of its file names them."""
+    """Work with the instruments of a rig.
+
+    The section `devices` of the rig file lists them.
+    """
 
 
-@devices_group.command("check")
+@devices_group.command("check", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
 @devices_option
 @click.option(
@@ -42,39 +45,47 @@ def devices_group() -> None:
     type=click.FloatRange(min=0.1),
     default=5.0,
     show_default=True,
-    help="Time for an answer.",
+    help="Seconds to wait for an answer.",
 )
 @json_option
-@explain_errors
 def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, as_json: bool) -> None:
-    """Open each device of RIG, identify it and read one value; nothing moves, no current changes, a supply that is on stays on.
+    """Open each device of RIG, identify it and read one value.
 
-    Exit code 5 where a device fails.
+    Nothing moves, no current changes, and a supply that is on stays on.
+
+    Exit code 5 if a device fails.
     """
+    from drivers.interlock import sigterm_as_exception
+    from estimator.cli.instruments import Bench
+
     bench = Bench.load(rig_path, devices_path)
     with sigterm_as_exception():
-        report = [_checked(bench, name, timeout_s) for name in bench.devices]
-    show({"devices": [asdict(one) for one in report]}, _table(report), as_json)
-    faults = [one.fault for one in report if one.fault is not None]
+        checks = [_check(bench, name, timeout_s) for name in bench.devices]
+    show({"devices": [asdict(check) for check in checks]}, _table(checks), as_json)
+    faults = [check.fault for check in checks if check.fault is not None]
     for fault in faults:
         click.echo(f"coilcal: {fault}", err=True)
     if faults:
         sys.exit(EXIT_DEVICE)
 
 
-def _checked(bench: Bench, name: str, timeout_s: float) -> Checked:
-    """Each device alone, so that one that is missing does not keep the others from answering."""
+def _check(bench: Bench, name: str, timeout_s: float) -> DeviceCheck:
+    """Open and check one device alone: a missing device does not keep the others from answering."""
+    from drivers.open import check_device
+    from estimator.cli.instruments import fault_words
+    from estimator.rig_files.devices import KINDS, THERMOMETER
+
     kind = next(str(bench.devices[name][key]) for key in (*KINDS, THERMOMETER) if key in bench.devices[name])
     try:
         with bench.open(name) as opened:
-            return Checked(name, kind, *check_device(opened.devices[name], timeout_s=timeout_s))
+            return DeviceCheck(name, kind, *check_device(opened.devices[name], timeout_s=timeout_s))
     except DriverError as error:
-        return Checked(name, kind, fault=fault_of(error, name))
+        return DeviceCheck(name, kind, fault=fault_words(error, name))
 
 
-def _table(report: list[Checked]) -> str:
+def _table(checks: list[DeviceCheck]) -> str:
     rows = [("device", "kind", "value", "identity")]
-    rows += [(one.device, one.kind, one.value or "FAULT", one.identity or "") for one in report]
+    rows += [(check.device, check.kind, check.value or "FAULT", check.identity or "") for check in checks]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
     return "\n".join(
         "  ".join(

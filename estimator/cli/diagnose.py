@@ -1,39 +1,36 @@
-"""`coilcal diagnose`: what the simulation gets wrong, which cause that has, and what the extension gains."""
+"""`coilcal diagnose`: find what the model of a session gets wrong, name the cause, and measure what the extended model gains."""
 
 from __future__ import annotations
 
 import shutil
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from estimator.calibration.report import calibration_report
-from estimator.calibration.result import write_text
 from estimator.cli.options import json_option, other_rig_option, overwrite_option, seed_option
-from estimator.cli.output import explain_errors, refuse_existing, show
-from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.report import diagnosis_report
-from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT, Diagnosis
-from estimator.diagnosis.verdict import Verdict
+from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput
-from estimator.rig_files.read import load_rig
-from estimator.store.session import load_session
+
+if TYPE_CHECKING:
+    from estimator.diagnosis.result import Diagnosis
 
 
-@click.command("diagnose")
+@click.command("diagnose", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--validation",
     "validation_path",
     type=click.Path(path_type=Path),
-    help="Another session of the rig to judge the gain by; else readings marked as validation, else a fifth in blocks.",
+    help="Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
+    "fifth of the readings, in blocks.",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help=f"Folder for {DIAGNOSIS}, {EXTENDED_RIG} and {REPORT}.",
+    help="Folder for diagnosis.json, rig_extended.yaml and report.html.",
 )
 @other_rig_option
 @click.option(
@@ -41,12 +38,11 @@ from estimator.store.session import load_session
     "has_posterior",
     default=True,
     show_default=True,
-    help=f"Sample the extended rig with emcee into {POSTERIOR} below the folder, where a cause was found or something is left unexplained.",
+    help="Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
 )
 @seed_option
 @overwrite_option
 @json_option
-@explain_errors
 def diagnose_command(
     session_path: Path,
     validation_path: Path | None,
@@ -57,10 +53,19 @@ def diagnose_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Find what the simulation gets wrong in SESSION, name the cause, extend the rig and measure the gain.
+    """Find what the model gets wrong in SESSION.
 
-    Every verdict ends with exit code 0: named, indistinguishable, unexplained, nothing_found.
+    The cause is named, the rig is extended by it, and the improvement is measured on unseen readings. The verdict is named,
+    indistinguishable, unexplained or nothing_found; each ends with exit code 0.
     """
+    from estimator.calibration.report import calibration_report
+    from estimator.calibration.result import write_text
+    from estimator.diagnosis.diagnose import diagnose
+    from estimator.diagnosis.report import diagnosis_report
+    from estimator.diagnosis.result import DIAGNOSIS, POSTERIOR, REPORT
+    from estimator.rig_files.read import load_rig
+    from estimator.store.session import load_session
+
     refuse_existing(out, overwrite)
     if out.exists() and not (out / DIAGNOSIS).exists():
         raise InvalidInput(
@@ -69,45 +74,56 @@ def diagnose_command(
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
-    made = out.with_name(f".{out.name}.unfinished")
-    shutil.rmtree(made, ignore_errors=True)
+    unfinished = out.with_name(f".{out.name}.unfinished")
+    shutil.rmtree(unfinished, ignore_errors=True)
     diagnosis = diagnose(
-        session, rig, validation=validation, out=made, seed=seed, has_posterior=has_posterior, on_stage=_tell
+        session,
+        rig,
+        validation=validation,
+        out=unfinished,
+        seed=seed,
+        has_posterior=has_posterior,
+        on_stage=_show_stage,
     )
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
-    write_text(made / REPORT, diagnosis_report(diagnosis, command))
+    write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
-        write_text(made / POSTERIOR / REPORT, calibration_report(diagnosis.posterior, command))
+        write_text(unfinished / POSTERIOR / REPORT, calibration_report(diagnosis.posterior, command))
     shutil.rmtree(out, ignore_errors=True)
-    made.rename(out)
+    unfinished.rename(out)
     show(diagnosis.to_json(), _text(diagnosis, out), as_json)
 
 
-def _tell(words: str) -> None:
-    click.echo(f"coilcal: {words}", err=True, nl=True)
+def _show_stage(words: str) -> None:
+    click.echo(f"coilcal: {words}", err=True)
     sys.stderr.flush()
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
+    from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
+    from estimator.diagnosis.verdict import Verdict
+
     left_open, gain = diagnosis.left_open, diagnosis.gain
     lines = [f"verdict: {diagnosis.verdict}"]
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
-        others = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
-        lines.append(f"  {cause.name} ({cause.probability:.0%}){others}")
-        for key, p in cause.quantities.items():
-            low, high = p.ci90
-            lines.append(f"    {key:16} {p.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {p.unit}")
+        alternatives = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
+        lines.append(f"  {cause.name} ({cause.probability:.0%}){alternatives}")
+        for name, quantity in cause.quantities.items():
+            low, high = quantity.ci90
+            lines.append(
+                f"    {name:16} {quantity.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {quantity.unit}"
+            )
     if diagnosis.found.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
         lines.append(
             f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        left = diagnosis.found.search.steps[-1].left
+        remainder = diagnosis.found.search.steps[-1].left
         lines.append(
-            f"  something is left that no known cause explains: it depends on {left.family}, {left.rms_sigma:.2g} of the "
-            f"noise rms, log evidence {left.log_bayes_factor:.3g}"
+            f"  something is left that no known cause explains: it depends on {remainder.family}, {remainder.rms_sigma:.2g} of the "
+            f"noise rms, log evidence {remainder.log_bayes_factor:.3g}"
         )
     if left_open.twins:
         groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)

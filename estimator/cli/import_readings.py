@@ -1,28 +1,39 @@
-"""`coilcal import`: files of others to a session."""
+"""`coilcal import`: from files of readings to a session."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from estimator.cli.options import json_option, overwrite_option, seed_option
-from estimator.cli.output import explain_errors, named_number, refuse_existing, show
-from estimator.model.preflight import check_readings, check_units
-from estimator.readings.split import block_split
-from estimator.rig_files.read import load_rig
+from estimator.cli.output import CoilcalCommand, named_number, refuse_existing, show
 from estimator.store.importers import IMPORTERS
-from estimator.store.session import Session
+
+if TYPE_CHECKING:
+    from estimator.store.session import Session
 
 
-@click.command("import")
+@click.command("import", cls=CoilcalCommand)
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="Rig file.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
-@click.option("--format", "kind", type=click.Choice(list(IMPORTERS)), default="readings", show_default=True)
 @click.option(
-    "--current", "currents", multiple=True, metavar="COIL=AMPERE", help="Where the files do not say it."
+    "--format",
+    "kind",
+    type=click.Choice(list(IMPORTERS)),
+    default="readings",
+    show_default=True,
+    help="Format of the files.",
+)
+@click.option(
+    "--current",
+    "currents",
+    multiple=True,
+    metavar="COIL=AMPERE",
+    help="Current of a coil, where the files do not hold it. Repeatable.",
 )
 @click.option(
     "--validation",
@@ -30,12 +41,12 @@ from estimator.store.session import Session
     type=float,
     default=0.2,
     show_default=True,
-    help="Share kept out of the fit, as whole blocks of neighbouring places; a 'set' column goes first.",
+    help="Share of the readings kept out of the fit for validation, as whole blocks of neighbouring poses. A column "
+    "'set' in the file takes precedence.",
 )
 @seed_option
 @overwrite_option
 @json_option
-@explain_errors
 def import_command(
     paths: tuple[Path, ...],
     rig_path: Path,
@@ -47,18 +58,21 @@ def import_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Import readings FILES into a session.
+    """Import FILES with readings into a session.
 
-    `readings` is coilcal's CSV (see the README); the others read maps of public repositories.
+    The format `readings` is coilcal's own CSV, described in the README; the others are field maps of public repositories.
     """
+    from estimator.model.preflight import check_readings, check_units
+    from estimator.rig_files.read import load_rig
+
     refuse_existing(out, overwrite)
     rig = load_rig(rig_path)
     session = IMPORTERS[kind](paths, rig, named_number(currents, "--current"))
-    place = ", ".join(str(path) for path in paths)
-    check_readings(rig, session.observations, place)
-    check_units(rig, session.observations, place)
+    source = ", ".join(str(path) for path in paths)
+    check_readings(rig, session.observations, source)
+    check_units(rig, session.observations, source)
     session = _with_validation(session, share, seed)
-    check_readings(rig, session.observations, place)  # what is left to fit must suffice, too
+    check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
     observations = session.observations
     result = {
@@ -72,6 +86,9 @@ def import_command(
 
 
 def _with_validation(session: Session, share: float, seed: int) -> Session:
+    """The session with a share of its readings marked for validation, unless the files marked some."""
+    from estimator.readings.split import block_split
+
     observations = session.observations
     if observations.is_validation.any():
         return session

@@ -1,4 +1,4 @@
-"""What the commands that talk to instruments share: which devices a rig has, and faults of its file with file and line."""
+"""What the commands that talk to instruments share: the devices of a rig, and faults of their settings with file and line."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-
-import click
 
 from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.limits_section import thermometer_inputs
@@ -20,23 +18,15 @@ from estimator.rig_files.read import load_rig
 
 NAMED = re.compile(r"devices\.(?P<name>[\w-]+)(\.(?P<key>\w+))?")
 
-devices_option = click.option(
-    "--devices",
-    "devices_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Take the devices from this file instead, such as coilcal rig-simulator writes.",
-)
-
 
 @dataclass(frozen=True)
 class Bench:
     """A rig with the settings of its instruments.
 
     Attributes:
-        rig: As the model sees it.
-        devices: Settings by the name of what they serve.
-        path: File that holds them.
+        rig: Coils, sensors and movers, as the model sees them.
+        devices: Settings of each instrument, by the name of the coil, sensor or mover that it serves.
+        path: File that holds the settings.
     """
 
     rig: Rig
@@ -45,10 +35,10 @@ class Bench:
 
     @classmethod
     def load(cls, rig_path: Path, devices_path: Path | None) -> Bench:
-        """Read both.
+        """Read a rig file, and the devices from a file of their own if there is one.
 
         Raises:
-            InvalidInput: There are no devices.
+            InvalidInput: Neither file has devices.
         """
         rig = load_rig(rig_path)
         path = devices_path or rig_path
@@ -60,26 +50,28 @@ class Bench:
         return cls(rig, devices, path)
 
     def open(self, *names: str) -> DeviceSet:
-        """Open the devices of these names, with the thermometers that feel them, or all.
+        """Open the devices of these names and the thermometers that measure them; all devices if no name is given.
 
         Raises:
             Refused: A setting breaks a rule; the message ends with its file and line.
-            DriverError: A device is not there.
+            DriverError: A device does not answer.
         """
-        felt = [
-            name for name, one in self.devices.items() if not set(names).isdisjoint(thermometer_inputs(one))
+        thermometers = [
+            name
+            for name, settings in self.devices.items()
+            if not set(names).isdisjoint(thermometer_inputs(settings))
         ]
-        chosen = {name: self.devices[name] for name in ((*names, *felt) if names else self.devices)}
+        opened = (*names, *thermometers) if names else tuple(self.devices)
         with self.located():
-            return open_devices(chosen)
+            return open_devices({name: self.devices[name] for name in opened})
 
     @contextmanager
     def opened(self) -> Iterator[DeviceSet]:
-        """All devices for a block in which coils and arms are watched; closed after it.
+        """Open all devices, watch coils and arms during the block, and close them after it.
 
         Raises:
-            DeviceFault: One failed, in the block or while it was closed: which, why, and what is not known to be at rest. An
-                interruption that leaves something so is a fault, too: the operator must hear of it.
+            DeviceFault: A device failed, in the block or while it was closed. The message says which, why, and what is not known to be at
+                rest. An interruption that leaves anything not known to be at rest is a fault too: the operator must hear of it.
         """
         devices = self.open()
         interlock = devices.interlock
@@ -98,18 +90,18 @@ class Bench:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """Add file and line to what the drivers refuse in the section."""
+        """Add file and line to a setting that the drivers refuse."""
         try:
             yield
         except Refused as error:
-            found = NAMED.match(str(error))
-            if found is None:
+            setting = NAMED.match(str(error))
+            if setting is None:
                 raise
-            place = place_of(self.path, found["name"], found["key"] or "")
-            raise Refused(f"{error} ({place})") from error
+            where = place_of(self.path, setting["name"], setting["key"] or "")
+            raise Refused(f"{error} ({where})") from error
 
 
-def fault_of(error: DriverError, name: str) -> str:
-    """One sentence that says which device failed."""
+def fault_words(error: DriverError, name: str) -> str:
+    """One sentence that names the device that failed."""
     text = str(error) or type(error).__name__
     return text if NAMED.match(text) else f"devices.{name}: {text}"

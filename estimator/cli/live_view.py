@@ -1,4 +1,4 @@
-"""What `coilcal live` shows: a screen that is redrawn on a terminal, plain lines in a pipe; always on standard error."""
+"""Shows what `coilcal live` knows: a screen on a terminal, plain lines in a pipe; always on standard error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from estimator.cli.words import place
+from estimator.cli.words import motion_words
 from estimator.live.refresh import Refreshed
 from estimator.live.stream import Estimate
 from estimator.live.watch import Alarm
@@ -25,7 +25,7 @@ from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.rig.rig import Mover
 
 LINE_EVERY_S = 5.0
-SILENT_S = 20.0  # without a stop, somebody should look
+SILENT_S = 20.0  # without a stop for so long, somebody should look
 MOST_ALARMS = 8
 
 
@@ -34,17 +34,17 @@ class LiveState:
     """All that is known at a moment.
 
     Attributes:
-        name: Of the session.
-        movers: Of its rig.
-        n_stops: In the plan; 0 where nobody knows.
+        name: Name of the session.
+        movers: Movers of its rig.
+        n_stops: Stops in the plan; 0 if unknown.
         records: Stops so far, as the journal holds them.
-        n_new: Stops that the last update took in; more than one where they came faster than it could follow.
-        silent_s: Since the last stop came.
-        estimate: None before the first reading.
-        alarms: All so far.
-        refreshed: The last posterior and verdict from the background.
-        is_refreshing: Whether the next one is on its way.
-        trouble: Why the last one gave nothing; None where it did.
+        n_new: Stops in the last update; more than one if they came faster than the estimate could follow.
+        silent_s: Time since the last stop.
+        estimate: Latest estimate; None before the first reading.
+        alarms: Alarms so far.
+        refreshed: Latest posterior and verdict from the background.
+        is_refreshing: Whether the next posterior and verdict are being made.
+        trouble: Why the background failed last; None if it did not.
         n_skipped: Readings that the estimate does not use: for validation, or without any component.
     """
 
@@ -63,7 +63,7 @@ class LiveState:
 
     @property
     def progress(self) -> str:
-        """Where the measurement is, and how the estimate keeps up."""
+        """How far the measurement is, and how well the estimate keeps up."""
         of = f" of {self.n_stops}" if self.n_stops else ""
         words = f"stop {len(self.records)}{of}"
         if self.estimate is not None:
@@ -80,15 +80,15 @@ class LiveState:
 
     @property
     def since(self) -> int | None:
-        """Number of the reading from which on residuals are off; those of one sensor only, where that is what the diagnosis names."""
+        """First reading from which residuals are off; only alarms of the sensors that the diagnosis names count, if there are any."""
         lasting = [alarm for alarm in self.alarms if alarm.since < alarm.at]
         named = () if self.refreshed is None else self.refreshed.places
-        own = [alarm for alarm in lasting if alarm.sensor in named] or lasting
-        return min((alarm.since for alarm in own), default=None)
+        of_named_sensors = [alarm for alarm in lasting if alarm.sensor in named]
+        return min((alarm.since for alarm in of_named_sensors or lasting), default=None)
 
     @property
     def verdict(self) -> str:
-        """Of the last diagnosis, with the reading from which on the residuals are off."""
+        """Verdict of the latest diagnosis, with the first reading from which residuals are off."""
         if self.refreshed is None:
             return "diagnosis: not yet"
         words = f"diagnosis: {self.refreshed.words}"
@@ -96,29 +96,29 @@ class LiveState:
 
 
 def gaps_in(records: Sequence[Mapping[str, Any]]) -> int:
-    """How often an instrument lost readings; journals of earlier versions do not say."""
+    """How often instruments lost readings; journals of earlier versions do not say."""
     return sum(sum(record.get("n_gaps", {}).values()) for record in records)
 
 
 def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
-    """Each instrument and what it last said."""
-    found = []
+    """Each instrument and its latest values, in words."""
+    states = []
     for name, field_T in record["field_T"].items():
         numbers = " ".join("over range" if b is None else f"{1e3 * b:+.3f}" for b in field_T)
         scatter_T = max((sd for sd in record["sd_T"].get(name, []) if sd is not None), default=math.nan)
         settled = "settled" if record["is_settled"] else "STILL CHANGING"
         lost = ", READINGS LOST" if record.get("n_gaps", {}).get(name) else ""
-        found.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}{lost}"))
-    found += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
+        states.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}{lost}"))
+    states += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
     for name, celsius in record.get("temperature_C", {}).items():
-        found.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
-    found += [(mover.name, place(mover, record["motion"][mover.name])) for mover in movers]
-    return found
+        states.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
+    states += [(mover.name, motion_words(mover, record["motion"][mover.name])) for mover in movers]
+    return states
 
 
 def screen(state: LiveState) -> RenderableType:
-    """The whole view."""
-    # Texts, not strings: in a string rich would take coil_heating[coil1] for a style.
+    """The whole screen."""
+    # Texts, not strings: in a string rich would read coil_heating[coil1] as a style.
     parts: list[RenderableType] = [Text(f"{state.name}  {state.progress}", style="bold")]
     if state.records:
         devices = Table(box=None, show_header=False, padding=(0, 2))
@@ -141,31 +141,31 @@ def screen(state: LiveState) -> RenderableType:
 def _parameters(state: LiveState) -> Table:
     assert state.estimate is not None
     table = Table(box=None, padding=(0, 2))
-    known = state.refreshed
-    posterior = f"90 % of the posterior after {known.n_readings}" if known else "90 % of the posterior"
+    refreshed = state.refreshed
+    posterior = (
+        f"90 % of the posterior after {refreshed.n_readings}" if refreshed else "90 % of the posterior"
+    )
     for heading in ("parameter", "now", "90 % width", posterior):
         table.add_column(heading)
     intervals = state.estimate.intervals
-    for name, show in displays(list(intervals)).items():
-        one, factor = intervals[name], show.factor
-        ends = known.ci90.get(name) if known else None
-        interval = (
-            f"{to_digit_of(one.sd * factor, ends[0] * factor)} to {to_digit_of(one.sd * factor, ends[1] * factor)}"
-            if ends
-            else "not yet"
-        )
-        width = f"{factor * (one.high - one.low):.2g} {show.unit}"
+    for name, show_as in displays(list(intervals)).items():
+        interval, factor = intervals[name], show_as.factor
+        sd = interval.sd * factor
+        ci90 = refreshed.ci90.get(name) if refreshed else None
         table.add_row(
-            show.words, f"{with_sd(one.value * factor, one.sd * factor)} {show.unit}", width, interval
+            show_as.words,
+            f"{with_sd(interval.value * factor, sd)} {show_as.unit}",
+            f"{factor * (interval.high - interval.low):.2g} {show_as.unit}",
+            " to ".join(to_digit_of(sd, end * factor) for end in ci90) if ci90 else "not yet",
         )
     return table
 
 
 class LiveView:
-    """Shows each state."""
+    """Shows each state of a session."""
 
     def __init__(self) -> None:
-        self._said_s = -math.inf
+        self._printed_s = -math.inf
         self._n_alarms = 0
         self._verdict = ""
         self._trouble: str | None = None
@@ -185,7 +185,7 @@ class LiveView:
             self._screen.stop()
 
     def __call__(self, state: LiveState) -> None:
-        """Show one state; in a pipe each alarm, verdict and trouble once, and how far it is now and then."""
+        """Show one state; in a pipe, each alarm, verdict and failure once, and the progress at intervals."""
         if self._screen is not None:
             self._screen.update(screen(state))
             return
@@ -199,6 +199,6 @@ class LiveView:
             self._trouble = state.trouble
             if state.trouble is not None:
                 click.echo(f"coilcal: {state.trouble}", err=True)
-        if state.n_new and time.monotonic() - self._said_s >= LINE_EVERY_S:
-            self._said_s = time.monotonic()
+        if state.n_new and time.monotonic() - self._printed_s >= LINE_EVERY_S:
+            self._printed_s = time.monotonic()
             click.echo(state.progress, err=True)

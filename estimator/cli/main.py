@@ -1,11 +1,12 @@
-"""Entry point of the command `coilcal`."""
+"""Entry point of the command `coilcal`.
+
+Files of commands declare arguments and options, and import what a command needs when it runs: help, shell completion, `--version` and
+refusals of arguments load neither torch nor any other large library.
+"""
 
 from __future__ import annotations
 
-import os
-
 import click
-import torch
 
 from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
@@ -29,7 +30,7 @@ from estimator.cli.simulate import simulate_command
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Threads of one tensor operation.",
+    help="Threads per tensor operation.",
 )
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
@@ -38,8 +39,6 @@ def main(threads: int) -> None:
 
     Of recalibrate also: 10 a drift was found, 11 a session was rejected.
     """
-    torch.set_num_threads(threads)
-    os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
 for command in (

@@ -11,40 +11,57 @@ import click
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-seed_option = click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+seed_option = click.option(
+    "--seed",
+    type=click.IntRange(0, 2**32 - 1),
+    default=0,
+    show_default=True,
+    help="Seed of the random numbers; the same seed repeats the same result.",
+)
 ess_option = click.option(
     "--ess",
     type=click.FloatRange(min=10),
     default=2000.0,
     show_default=True,
-    help="Effective samples of every parameter.",
+    help="Effective sample size that every parameter must reach.",
 )
 other_rig_option = click.option(
-    "--rig", "rig_path", type=click.Path(path_type=Path), help="Another description of the session's rig."
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path),
+    help="Rig file to use instead of the rig stored in the session.",
+)
+devices_option = click.option(
+    "--devices",
+    "devices_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Take the devices from this file instead of the rig file; coilcal rig-simulator writes such files.",
 )
 hide_option = click.option(
     "--hide",
     "hidden",
     multiple=True,
     metavar="CAUSE=SIZE",
-    help="Hide a cause that the rig file does not tell of, as CAUSE[PLACE].QUANTITY=SIZE in SI; place and quantity may be left out "
-    "where there is one, or the first is meant. Repeatable.",
+    help="Simulate a cause that the rig file does not describe, as CAUSE[PLACE].QUANTITY=SIZE in SI units. Leave PLACE or QUANTITY out "
+    "where there is only one, or to take the first. Repeatable.",
 )
 set_option = click.option(
     "--set",
     "assignments",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Set one parameter of the truth, in SI; repeatable.",
+    help="Set one parameter of the truth, in SI units. Repeatable.",
 )
 
 
 def truth_option(default: str) -> Decorator:
-    """Where the truth of a simulation comes from."""
+    """Option for the true parameter values of a simulation."""
     return click.option(
         "--truth",
         default=default,
         show_default=True,
-        help="'prior' draws the truth from the rig's priors, 'nominal' takes its values, else a JSON file {parameter: SI value}.",
+        help="True parameter values: 'prior' draws them from the rig's priors, 'nominal' takes the rig's values, anything else is a "
+        "JSON file {parameter: SI value}.",
     )

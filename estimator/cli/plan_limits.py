@@ -1,4 +1,4 @@
-"""A whole plan against the limits of a rig, before anything moves: nobody wants a refusal after an hour."""
+"""Checks a whole plan against the limits of a rig before anything moves, so that no refusal comes after an hour."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from estimator.store.growing import load_so_far
 def loads_so_far(
     records: Sequence[Mapping[str, Any]], rig: Rig, limits: RigLimits, now_s: float
 ) -> dict[str, CoilLoad]:
-    """How warm each coil is by what it has carried in the part of a session that is on the disk.
+    """Thermal load that the stops of a session so far have left in each coil.
 
     Args:
-        records: Of its journal.
+        records: Stops of the session's journal.
         rig: Names the coils.
-        limits: Of its devices.
-        now_s: Since the session began.
+        limits: Limits of its devices.
+        now_s: Time since the session began.
     """
-    found = {}
+    loads = {}
     for name, spells in load_so_far(records, [coil.name for coil in rig.coils], now_s).items():
         if name in limits.currents:
             load = CoilLoad(0.0, 0.0)
             for duration_s, current_A in spells:
                 load = load.after(current_A, load.time_s + duration_s, limits.currents[name])
-            found[name] = load
-    return found
+            loads[name] = load
+    return loads
 
 
 def check_currents(
@@ -46,17 +46,17 @@ def check_currents(
     n_before: int = 0,
     loads: Mapping[str, CoilLoad] | None = None,
 ) -> None:
-    """Refuse a plan that asks a coil for too much, at once or for too long.
+    """Refuse a plan that asks a coil for too much current, or for too much for too long.
 
     Args:
-        stops: Of the whole plan.
+        stops: Stops of the whole plan.
         rig: Names the coils.
-        limits: Of its devices.
-        times_s: That each stop takes.
+        limits: Limits of its devices.
+        times_s: Duration of each stop.
         n_before: Stops that earlier runs have visited; they are not counted again.
-        loads: What they left in the coils (`loads_so_far`); cold ones by default.
+        loads: Thermal load that they left in the coils (`loads_so_far`); cold coils by default.
     Raises:
-        Refused: It does; the message names the stop.
+        Refused: A coil would be overloaded; the message names the stop.
     """
     for i, coil in enumerate(rig.coils):
         if coil.name not in limits.currents:
@@ -75,26 +75,26 @@ def check_currents(
 def check_ways(
     stops: Observations, rig: Rig, limits: RigLimits, pace: Pace, references: Mapping[str, Transform]
 ) -> None:
-    """Refuse a plan that leads an arm out of its workspace, or too fast.
+    """Refuse a plan that leads an arm out of its workspace, or moves it too fast.
 
     Args:
-        stops: To be visited.
+        stops: Stops to visit.
         rig: Names the movers.
-        limits: Of its devices.
+        limits: Limits of its devices.
         pace: Speeds of the arms.
-        references: base_from_flange where displacements are zero, by mover. Without one, the way to the first stop is not checked, and of a
-            mover that counts displacements nothing: where it goes is not known before its arm is asked.
+        references: base_from_flange at zero displacement, by mover. Without it the way to the first stop is not checked, and a mover that
+            counts displacements is not checked at all: where it goes is not known before its arm is asked.
     Raises:
-        Refused: It does; the message names the stop.
+        Refused: A way is not allowed; the message names the stop.
     """
     for mover in rig.movers:
         reference = references.get(mover.name)
         if reference is None and mover.motion is MotionKind.DISPLACEMENT:
             continue
-        there = flange_to_reach(mover, stops.motion[mover.name], reference or Transform.identity())
-        start = _pose(there if reference is None else reference, 0)
+        targets = flange_to_reach(mover, stops.motion[mover.name], reference or Transform.identity())
+        start = _pose(targets if reference is None else reference, 0)
         for row in range(len(stops)):
-            target = _pose(there, row)
+            target = _pose(targets, row)
             try:
                 check_motion(start, target, pace.speed_m_per_s[mover.name], limits.arms[mover.name])
             except Refused as error:

@@ -1,20 +1,20 @@
-"""`coilcal predict`: the calibrated field with credible intervals on a grid."""
+"""`coilcal predict`: the field of a calibration with credible intervals, on a grid."""
 
 from __future__ import annotations
 
 import csv
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import numpy as np
-import torch
 
-from estimator.calibration.result import Calibration, write_text
 from estimator.cli.options import json_option, overwrite_option
-from estimator.cli.output import explain_errors, named_number, named_numbers, refuse_existing, show
+from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
-from estimator.units import split_unit
+
+if TYPE_CHECKING:
+    import numpy as np
 
 HEADER = (
     ["x_m", "y_m", "z_m"]
@@ -24,7 +24,7 @@ HEADER = (
 )
 
 
-@click.command("predict")
+@click.command("predict", cls=CoilcalCommand)
 @click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.option(
     "--grid",
@@ -32,7 +32,7 @@ HEADER = (
     multiple=True,
     required=True,
     metavar="AXIS=FROM:TO:COUNT",
-    help="e.g. x_mm=-50:50:11; an axis left out is 0.",
+    help="Points along an axis of the world frame, such as x_mm=-50:50:11. An axis left out is 0. Repeatable.",
 )
 @click.option(
     "--current",
@@ -40,20 +40,21 @@ HEADER = (
     multiple=True,
     required=True,
     metavar="COIL=AMPERE",
-    help="e.g. coil1=3; repeatable.",
+    help="Current of a coil, such as coil1=3. Repeatable.",
 )
 @click.option(
     "--motion",
     "motions",
     multiple=True,
     metavar="MOVER=V1,..,V6",
-    help="Six numbers of a mover's columns, in SI.",
+    help="Pose of a mover: the six numbers of its columns, in SI units. Repeatable.",
 )
-@click.option("--level", type=float, default=0.9, show_default=True, help="Probability inside the interval.")
+@click.option(
+    "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="CSV file to write.")
 @overwrite_option
 @json_option
-@explain_errors
 def predict_command(
     folder: Path,
     axes: tuple[str, ...],
@@ -64,14 +65,24 @@ def predict_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write the field of a CALIBRATION with credible intervals on a grid of the world frame, as CSV."""
+    """Write the field of CALIBRATION with credible intervals.
+
+    Points lie on a grid in the world frame; the output is CSV. CALIBRATION is a folder written by `coilcal calibrate`.
+    """
+    import numpy as np
+    import torch
+
+    from estimator.calibration.result import Calibration, write_text
+
     refuse_existing(out, overwrite)
     calibration = Calibration.load(folder)
-    given = [_axis(text) for text in axes]
-    if len({name for name, _ in given}) < len(given):
+    grid = [_axis(text) for text in axes]
+    if len({name for name, _ in grid}) < len(grid):
         raise InvalidInput(f"--grid must name an axis once; received {', '.join(axes)}")
-    stops = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(given)}
-    points_m = torch.from_numpy(np.stack(np.meshgrid(*stops.values(), indexing="ij"), axis=-1).reshape(-1, 3))
+    coordinates_m = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(grid)}
+    points_m = torch.from_numpy(
+        np.stack(np.meshgrid(*coordinates_m.values(), indexing="ij"), axis=-1).reshape(-1, 3)
+    )
     currents_A = named_number(currents, "--current")
     motion = {
         name: torch.tensor(values, dtype=torch.float64)
@@ -79,20 +90,22 @@ def predict_command(
     }
     field = calibration.field(points_m, currents_A, motion)
     lower, upper = calibration.field_interval(points_m, currents_A, level, motion)
-    inside = torch.isnan(field).any(dim=1)
+    is_inside = torch.isnan(field).any(dim=1)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(HEADER)
     bounds = torch.stack((lower, upper), dim=-1).flatten(1)
     for row in range(len(points_m)):
         numbers = torch.cat((points_m[row], field[row], bounds[row])).tolist()
-        writer.writerow([f"{v:.9g}" if np.isfinite(v) else "" for v in numbers] + [int(inside[row])])
+        writer.writerow(
+            [f"{number:.9g}" if np.isfinite(number) else "" for number in numbers] + [int(is_inside[row])]
+        )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, buffer.getvalue())
     except OSError as error:
         raise InvalidInput(f"output must be writable; {out} is not: {reason(error)}") from error
-    n_inside = int(inside.sum())
+    n_inside = int(is_inside.sum())
     text = f"{len(points_m)} points written to {out}" + (
         f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
     )
@@ -102,6 +115,11 @@ def predict_command(
 
 
 def _axis(text: str) -> tuple[str, np.ndarray]:
+    """Parse an option --grid into the axis and its coordinates in metres."""
+    import numpy as np
+
+    from estimator.units import split_unit
+
     key, _, span = text.partition("=")
     name, unit = split_unit(key)
     parts = span.split(":")

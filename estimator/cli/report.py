@@ -6,23 +6,26 @@ from pathlib import Path
 
 import click
 
-from estimator.calibration.report import calibration_report
-from estimator.calibration.result import Calibration, write_text
 from estimator.cli.options import json_option, overwrite_option
-from estimator.cli.output import explain_errors, refuse_existing, show
+from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 
 
-@click.command("report")
+@click.command("report", cls=CoilcalCommand)
 @click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Page to write; report.html in the folder by default."
 )
 @overwrite_option
 @json_option
-@explain_errors
 def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Write the HTML report of a stored CALIBRATION (a folder that `coilcal calibrate` wrote)."""
+    """Write the HTML report of CALIBRATION.
+
+    CALIBRATION is a folder written by `coilcal calibrate`.
+    """
+    from estimator.calibration.report import calibration_report
+    from estimator.calibration.result import Calibration, write_text
+
     path = out or folder / "report.html"
     refuse_existing(path, overwrite or out is None)
     page = calibration_report(Calibration.load(folder), f"coilcal report {folder}")

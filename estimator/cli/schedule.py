@@ -1,4 +1,4 @@
-"""A command that keeps running by itself where no cron, systemd timer or Kubernetes does it."""
+"""Repeats a command at intervals, where no cron, systemd timer or Kubernetes does so."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from estimator.errors import CoilcalError, InvalidInput
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
 SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-LONGEST_WAIT_S = 1.0  # a signal that comes in the instant before waiting begins is only seen when it ends
+LONGEST_WAIT_S = (
+    1.0  # a signal that comes in the instant before waiting begins is only seen when the wait ends
+)
 
 
 def interval_s(text: str) -> float:
-    """Seconds of a time such as 6h.
+    """Seconds of an interval such as 6h.
 
     Raises:
-        InvalidInput: It looks otherwise, or is shorter than a second.
+        InvalidInput: The text has another form, or the interval is shorter than a second.
     Examples:
         >>> interval_s("6h"), interval_s("1.5m")
         (21600.0, 90.0)
@@ -35,12 +37,12 @@ def interval_s(text: str) -> float:
 
 
 def keep_running(job: Callable[[], object], every_s: float) -> None:
-    """Run a job now and at every interval until SIGTERM or Ctrl-C, which interrupt it: it has to bear that at any instant.
+    """Run a job now and at every interval until SIGTERM or Ctrl-C. These interrupt the job, which must be safe to interrupt at any instant.
 
-    Intervals that end while the job runs are made up for by one run after it. A fault that coilcal or the system can explain is said
-    and does not end it: an inbox that is not mounted now may be there the next time.
+    Intervals that end while the job runs are made up for by one run after it. A fault that coilcal or the system can explain is printed
+    and does not end the loop: an inbox that is not mounted now may be there the next time.
     """
-    due: SimpleQueue[None] = SimpleQueue()  # unlike an Event, a signal may interrupt its waiting anywhere
+    due: SimpleQueue[None] = SimpleQueue()  # unlike an Event, a signal may interrupt its wait anywhere
     scheduler = BackgroundScheduler(timezone=UTC)
     scheduler.add_job(
         lambda: due.put(None) if due.empty() else None,
@@ -57,7 +59,7 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
         signal.signal(number, stop)
     try:
         scheduler.start()
-        # The job runs in this thread, where signals arrive; the scheduler's own thread only says when.
+        # The job runs in this thread, where signals arrive; the scheduler's own thread only says when it is due.
         while True:
             try:
                 due.get(timeout=LONGEST_WAIT_S)

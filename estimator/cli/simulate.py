@@ -1,9 +1,10 @@
-"""`coilcal simulate`: a session with known truth."""
+"""`coilcal simulate`: a session whose true parameters are known."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,21 +16,21 @@ from estimator.cli.options import (
     set_option,
     truth_option,
 )
-from estimator.cli.output import explain_errors, named_number, refuse_existing, show
+from estimator.cli.output import CoilcalCommand, named_number, refuse_existing, show
 from estimator.errors import InvalidInput, reason
-from estimator.model.hide import full_names
-from estimator.model.simulate import draw_truth, simulate
-from estimator.readings.plan import load_plan
-from estimator.rig.rig import Rig
-from estimator.rig_files.read import load_rig
-from estimator.store.importers.readings_csv import write_readings_csv
-from estimator.store.session import Session
+
+if TYPE_CHECKING:
+    from estimator.rig.rig import Rig
 
 
-@click.command("simulate")
+@click.command("simulate", cls=CoilcalCommand)
 @click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="Rig file.")
 @click.option(
-    "--plan", "plan_path", type=click.Path(path_type=Path), required=True, help="Poses and currents to visit."
+    "--plan",
+    "plan_path",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Plan file: poses and currents to visit.",
 )
 @truth_option("prior")
 @set_option
@@ -39,7 +40,6 @@ from estimator.store.session import Session
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
 @overwrite_option
 @json_option
-@explain_errors
 def simulate_command(
     rig_path: Path,
     plan_path: Path,
@@ -52,7 +52,14 @@ def simulate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Simulate a session: perfect readings of a known truth, then noise."""
+    """Simulate a session whose true parameters are known."""
+    from estimator.model.hide import full_names
+    from estimator.model.simulate import simulate
+    from estimator.readings.plan import load_plan
+    from estimator.rig_files.read import load_rig
+    from estimator.store.importers.readings_csv import write_readings_csv
+    from estimator.store.session import Session
+
     refuse_existing(out, overwrite)
     if csv_path is not None:
         refuse_existing(csv_path, overwrite)
@@ -74,8 +81,14 @@ def simulate_command(
 
 
 def truth_of(rig: Rig, choice: str, seed: int) -> dict[str, float]:
-    """What the option --truth asks for: `prior`, `nominal` or the numbers in a file."""
+    """Parameter values that the option --truth asks for: `prior`, `nominal` or a JSON file.
+
+    Raises:
+        InvalidInput: It is none of these.
+    """
     if choice == "prior":
+        from estimator.model.simulate import draw_truth
+
         return draw_truth(rig, seed)
     if choice == "nominal":
         return {parameter.name: parameter.value for parameter in rig.free}

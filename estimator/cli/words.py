@@ -1,4 +1,4 @@
-"""Times and places in words, for people at a terminal."""
+"""Times and positions in words, for people at a terminal."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from estimator.rig.rig import MotionKind, Mover
 
 
-def duration(time_s: float) -> str:
-    """A time in words.
+def duration_words(time_s: float) -> str:
+    """Format a duration.
 
     Examples:
-        >>> duration(42.4), duration(125.0), duration(7300.0)
+        >>> duration_words(42.4), duration_words(125.0), duration_words(7300.0)
         ('42 s', '2 min 5 s', '2 h 1 min')
     """
     whole_s = round(time_s)
@@ -23,17 +23,17 @@ def duration(time_s: float) -> str:
     return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"
 
 
-def place(mover: Mover, motion: Sequence[float]) -> str:
-    """Where a mover is, as its controller shows it.
+def motion_words(mover: Mover, motion: Sequence[float]) -> str:
+    """Format the columns of a mover as its controller shows them: joint angles, or position and rotation.
 
     Examples:
-        >>> place(Mover("arm1", MotionKind.DISPLACEMENT), [0.05, -0.02, 0.0, 0.0, 0.0, 0.0])
+        >>> motion_words(Mover("arm1", MotionKind.DISPLACEMENT), [0.05, -0.02, 0.0, 0.0, 0.0, 0.0])
         '50.0, -20.0, 0.0 mm'
     """
     if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
         return f"{_numbers([math.degrees(angle_rad) for angle_rad in motion])}°"
-    turned = [math.degrees(angle_rad) for angle_rad in motion[3:]]
-    rotation = f", turned by {_numbers(turned)}°" if any(turned) else ""
+    rotation_deg = [math.degrees(angle_rad) for angle_rad in motion[3:]]
+    rotation = f", turned by {_numbers(rotation_deg)}°" if any(rotation_deg) else ""
     return f"{_numbers([1e3 * x_m for x_m in motion[:3]])} mm{rotation}"
 
 

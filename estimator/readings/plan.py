@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from scipy.stats import qmc
 
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
@@ -166,6 +165,8 @@ def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
 
 
 def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
+    from scipy.stats import qmc  # takes a second to load, which few plans need
+
     unit = qmc.Halton(len(spans), scramble=False).random(count + 1)[1:]  # the first point is the corner
     low, high = np.array([[span[0], span[-1]] for span in spans]).T
     return np.asarray(low + unit * (high - low))

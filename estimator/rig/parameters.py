@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy import stats
+from scipy.special import ndtr
 from torch import Tensor
 
 from estimator.errors import InvalidInput
@@ -86,13 +86,15 @@ class Normal(Prior):
     @property
     def log_normaliser(self) -> float:
         ends = [(bound - self.mean) / self.standard_deviation for bound in (self.lower, self.upper)]
-        probability = float(stats.norm.cdf(ends[1]) - stats.norm.cdf(ends[0]))
+        probability = float(ndtr(ends[1]) - ndtr(ends[0]))
         return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(probability)
 
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        from scipy import stats  # takes a second to load, which only draws from a prior need
+
         low, high = ((bound - self.mean) / self.sd for bound in (self.lower, self.upper))
         draws = stats.truncnorm.rvs(low, high, loc=self.mean, scale=self.sd, size=size, random_state=rng)
         return np.asarray(draws)

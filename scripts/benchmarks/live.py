@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from estimator import Observations, draw_truth, load_plan, load_rig, simulate
-from estimator.cli.live import POLL_S
+from estimator.cli.live_session import POLL_S
 from estimator.live.stream import Stream
 from estimator.store.follow import Follower
 from estimator.store.growing import StopReadings, new_header, observations_of

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import pkgutil
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -89,12 +91,28 @@ def test_the_public_names_are_these() -> None:
     assert all(hasattr(estimator, name) for name in NAMES)
 
 
+def test_type_checkers_see_the_names_that_are_loaded_when_used() -> None:
+    """The imports for type checkers, the names and where each is loaded from say the same."""
+    tree = ast.parse(Path(estimator.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    seen = {alias.name: node.module for node in imports for alias in node.names}
+    assert seen == estimator._MODULES
+    assert sorted(seen) == NAMES
+
+
+def test_names_are_listed_before_they_are_loaded_and_others_are_refused() -> None:
+    assert set(NAMES) <= set(dir(estimator))
+    with pytest.raises(AttributeError, match="module 'estimator' has no attribute 'callibrate'"):
+        estimator.callibrate  # noqa: B018
+
+
 @pytest.mark.parametrize(("name", "parameters"), SIGNATURES.items())
 def test_public_calls_take_these_arguments(name: str, parameters: str) -> None:
-    found: object = estimator
+    member: object = estimator
     for part in name.split("."):
-        found = getattr(found, part)
-    assert ", ".join(inspect.signature(found).parameters) == parameters  # type: ignore[arg-type]
+        member = getattr(member, part)
+    assert ", ".join(inspect.signature(member).parameters) == parameters  # type: ignore[arg-type]
 
 
 def public_members(module: ModuleType) -> list[tuple[str, object]]:

@@ -1,37 +1,29 @@
-"""Importers of sessions from other formats: the readings CSV, and field maps of public repositories.
+"""Importers: from files of readings to sessions. Our own CSV, and field maps of public repositories.
 
-`IMPORTERS` gives them all one signature, for the command line: files, rig, and currents by coil (empty if not given).
+`IMPORTERS` gives all of them one signature, for the command line: files, rig, and currents by coil (empty if none are given). An importer
+is loaded when it is called, so that the command line can list the formats without loading torch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Rig
-from estimator.store.importers.axis_scan import read_axis_scan
-from estimator.store.importers.difference_scan import read_difference_scan
-from estimator.store.importers.mice import read_mice
-from estimator.store.importers.plane_map import read_plane_maps
-from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
-from estimator.store.session import Session
 
-__all__ = [
-    "IMPORTERS",
-    "Importer",
-    "read_axis_scan",
-    "read_difference_scan",
-    "read_mice",
-    "read_plane_maps",
-    "read_readings_csv",
-    "write_readings_csv",
-]
+if TYPE_CHECKING:
+    from estimator.rig.rig import Rig
+    from estimator.store.session import Session
 
-Importer = Callable[[Sequence[Path], Rig, Mapping[str, float]], Session]
+__all__ = ["IMPORTERS", "Importer"]
+
+Importer: TypeAlias = "Callable[[Sequence[Path], Rig, Mapping[str, float]], Session]"
 
 
 def _readings(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.readings_csv import read_readings_csv
+
     if currents_A:
         raise InvalidInput(
             f"currents must not be given for a readings CSV, which holds its own; received {', '.join(currents_A)}"
@@ -40,11 +32,27 @@ def _readings(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) 
 
 
 def _mice(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.mice import read_mice
+
     return read_mice(_only(paths), rig, currents_A)
 
 
+def _plane_map(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.plane_map import read_plane_maps
+
+    return read_plane_maps(paths, rig, currents_A)
+
+
 def _axis_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.axis_scan import read_axis_scan
+
     return read_axis_scan(_only(paths), rig, currents_A)
+
+
+def _difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.difference_scan import read_difference_scan
+
+    return read_difference_scan(paths, rig, currents_A)
 
 
 def _only(paths: Sequence[Path]) -> Path:
@@ -56,7 +64,7 @@ def _only(paths: Sequence[Path]) -> Path:
 IMPORTERS: Mapping[str, Importer] = {
     "readings": _readings,
     "mice": _mice,
-    "plane_map": read_plane_maps,
+    "plane_map": _plane_map,
     "axis_scan": _axis_scan,
-    "difference_scan": read_difference_scan,
+    "difference_scan": _difference_scan,
 }

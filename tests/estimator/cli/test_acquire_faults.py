@@ -16,7 +16,7 @@ from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.cli.rig_simulator import default_devices
+from estimator.cli.simulated_devices import default_devices
 from estimator.rig.rig import Rig
 from estimator.store.journal import JOURNAL
 from estimator.store.session import is_growing, load_session

@@ -18,7 +18,7 @@ from drivers.safety import CoilLoad, CurrentLimits, check_current
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.cli.rig_simulator import default_devices
+from estimator.cli.simulated_devices import default_devices
 from estimator.rig.rig import Rig
 from estimator.store.journal import read_journal
 from estimator.store.session import is_growing, load_session

@@ -194,7 +194,7 @@ def test_overwriting_refuses_a_folder_that_is_no_diagnosis_before_it_searches(
     def searched(*_: object, **__: object) -> None:
         raise InvalidInput("searched")
 
-    monkeypatch.setattr(importlib.import_module("estimator.cli.diagnose"), "diagnose", searched)
+    monkeypatch.setattr(importlib.import_module("estimator.diagnosis.diagnose"), "diagnose", searched)
     (tmp_path / "thesis.tex").write_text("years of work", encoding="utf-8")
     result = run("diagnose", workspace / "session.zarr", "--out", tmp_path, "--overwrite")
     assert refused(result) != "searched"

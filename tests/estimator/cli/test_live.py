@@ -18,8 +18,9 @@ import torch
 from click.testing import Result
 from rich.console import Console
 
-from estimator.cli import live
+from estimator.cli import live_session
 from estimator.cli.live_view import LiveState, LiveView, screen
+from estimator.live import refresh
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Stream
 from estimator.live.watch import Alarm
@@ -192,7 +193,7 @@ class Failing(Background):
 def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
     run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live, "Background", Failing)
+    monkeypatch.setattr(refresh, "Background", Failing)
     result = run("live", growing, "--json", "--wait", "20")
     assert result.exit_code == 0, result.stderr
     said = json.loads(result.stdout)
@@ -212,9 +213,9 @@ def test_nothing_is_made_of_the_readings_while_none_is_new(
         for one in stops[:5]:
             journal.append(one.entry())
     calls = []
-    real = live.observations_of
-    monkeypatch.setattr(live, "observations_of", lambda *given: calls.append(1) or real(*given))
-    monkeypatch.setattr(live, "Background", Failing)
+    real = live_session.observations_of
+    monkeypatch.setattr(live_session, "observations_of", lambda *given: calls.append(1) or real(*given))
+    monkeypatch.setattr(refresh, "Background", Failing)
     ending = threading.Timer(1.0, seal, [path])
     ending.start()
     result = run("live", path)

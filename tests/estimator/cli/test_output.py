@@ -8,7 +8,8 @@ import sys
 import pytest
 
 from estimator.calibration.calibrate import Stage
-from estimator.cli.output import StageReporter, explain_errors, named_number, named_numbers
+from estimator.cli.output import explained_errors, named_number, named_numbers
+from estimator.cli.stage_progress import StageReporter
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.ensemble import Progress
 from estimator.inference.laplace import OpenDirection
@@ -74,24 +75,16 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_fault_becomes_a_sentence_and_an_exit_code(
     capsys: pytest.CaptureFixture[str], fault: Exception, code: int, sentence: str
 ) -> None:
-    @explain_errors
-    def command() -> None:
+    with pytest.raises(SystemExit) as caught, explained_errors():
         raise fault
-
-    with pytest.raises(SystemExit) as caught:
-        command()
     assert caught.value.code == code
     assert capsys.readouterr() == ("", sentence)
 
 
 @pytest.mark.parametrize("fault", [BrokenPipeError(), ZeroDivisionError()])
 def test_a_closed_pipe_and_a_bug_are_not_explained_away(fault: Exception) -> None:
-    @explain_errors
-    def command() -> None:
+    with pytest.raises(type(fault)), explained_errors():
         raise fault
-
-    with pytest.raises(type(fault)):
-        command()
 
 
 def test_options_name_numbers() -> None:

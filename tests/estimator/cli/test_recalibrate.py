@@ -18,10 +18,10 @@ import torch
 from click.testing import CliRunner, Result
 
 from estimator.calibration.result import Calibration
-from estimator.cli import recalibrate as command
 from estimator.cli.main import main
 from estimator.cli.schedule import keep_running
 from estimator.readings.observations import Observations
+from estimator.recalibration import recalibrate as recalibration
 from estimator.recalibration.registry import Entry, Registry
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
@@ -51,7 +51,7 @@ def concluding(monkeypatch: pytest.MonkeyPatch, rig_file: Path, tmp_path: Path) 
                 on_entry(entry)
             return entries
 
-        monkeypatch.setattr(command, "recalibrate", job)
+        monkeypatch.setattr(recalibration, "recalibrate", job)
         call = [
             "recalibrate",
             "--rig",
@@ -94,7 +94,7 @@ def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_it
         on_entry(unsure)
         return [unsure]
 
-    monkeypatch.setattr(command, "recalibrate", job)
+    monkeypatch.setattr(recalibration, "recalibrate", job)
     call = ["recalibrate", "--rig", rig_file, "--inbox", tmp_path, "--registry", tmp_path / "r"]
     options = ["--alert-command", f"tee {tmp_path / 'alert.json'}"]
     assert CliRunner().invoke(main, [*map(str, call), *options]).exit_code == 4

@@ -12,7 +12,7 @@ from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
-from estimator.store.importers import read_axis_scan
+from estimator.store.importers.axis_scan import read_axis_scan
 
 CONFIGS = Path(__file__).parents[4] / "configs"
 CURRENT_A = {"coil1": 0.5}

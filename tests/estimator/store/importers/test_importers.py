@@ -8,7 +8,8 @@ import pytest
 
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import load_rig
-from estimator.store.importers import IMPORTERS, read_axis_scan
+from estimator.store.importers import IMPORTERS
+from estimator.store.importers.axis_scan import read_axis_scan
 from estimator.units import UNITS
 
 CONFIGS = Path(__file__).parents[4] / "configs"

@@ -13,8 +13,8 @@ from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
-from estimator.store.importers import read_mice
 from estimator.store.importers.common import map_observations
+from estimator.store.importers.mice import read_mice
 
 CONFIGS = Path(__file__).parents[4] / "configs"
 HEADER = (

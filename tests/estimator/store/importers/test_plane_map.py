@@ -12,7 +12,7 @@ from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
-from estimator.store.importers import read_plane_maps
+from estimator.store.importers.plane_map import read_plane_maps
 
 CONFIGS = Path(__file__).parents[4] / "configs"
 

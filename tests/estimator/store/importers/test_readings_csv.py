@@ -12,7 +12,7 @@ from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.importers import read_readings_csv, write_readings_csv
+from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
 from estimator.store.session import Session
 
 ONE_SENSOR = """

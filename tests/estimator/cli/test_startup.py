@@ -1,0 +1,122 @@
+"""Which large libraries each call loads: none for a page of help, and no command those of another."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+import torch
+from click.testing import CliRunner
+
+from estimator.acquisition.pace import FEWEST_READINGS
+from estimator.cli import acquire
+from estimator.cli.main import main
+
+ROOT = Path(__file__).parents[3]
+LARGE = (
+    *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numpy"),
+    *("pandas", "rich", "scipy", "scipy.stats", "torch", "xarray", "yaml", "zarr"),
+)
+MODEL = {"jaxtyping", "numpy", "scipy", "torch", "yaml"}
+DASK = {"dask", "jinja2"}  # xarray loads it where the extra `batch` is installed
+COMPLETION = {"_COILCAL_COMPLETE": "bash_complete", "COMP_WORDS": "coilcal cal", "COMP_CWORD": "1"}
+LONGEST_HELP_S = 1.5  # of the processor: 0.2 s on a quiet computer, 5.7 s when help still loaded torch
+
+LIGHT: dict[str, tuple[str, int, Mapping[str, str]]] = {
+    "help": ("--help", 0, {}),
+    "help of a command": ("predict --help", 0, {}),
+    "version": ("--version", 0, {}),
+    "no argument": ("predict", 2, {}),
+    "unknown command": ("predikt", 2, {}),
+    "unknown option": ("calibrate session.zarr --outt calibration", 2, {}),
+    "value out of range": ("--threads 0 calibrate session.zarr --out calibration", 2, {}),
+    "value that is no choice": ("import readings.csv --rig rig.yaml --out new.zarr --format docx", 2, {}),
+    "completion": ("", 0, COMPLETION),
+    "completion of options": ("", 0, {**COMPLETION, "COMP_WORDS": "coilcal predict --", "COMP_CWORD": "2"}),
+}
+
+
+def start(code: str, *arguments: object, variables: Mapping[str, str]) -> tuple[int, str, set[str], float]:
+    """Run code in a process of its own: exit code, standard output, large libraries loaded and processor time in seconds."""
+    at_exit = f"lambda: print(json.dumps([[n for n in {LARGE} if n in sys.modules], time.process_time()]), file=sys.stderr)"
+    program = f"import atexit, json, sys, time; atexit.register({at_exit}); {code}"
+    result = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, **variables},
+        check=False,
+    )
+    libraries, processor_s = json.loads(result.stderr.splitlines()[-1])
+    return result.returncode, result.stdout, set(libraries), processor_s
+
+
+def coilcal(
+    *arguments: object, variables: Mapping[str, str] | None = None
+) -> tuple[int, str, set[str], float]:
+    """Run the command `coilcal` in a process of its own."""
+    code = "from estimator.cli.main import main; main(prog_name='coilcal')"
+    return start(code, *arguments, variables=variables or {})
+
+
+@pytest.mark.parametrize("call", LIGHT)
+def test_help_completion_and_refusals_load_no_large_library(call: str) -> None:
+    arguments, exit_code, variables = LIGHT[call]
+    returned, printed, libraries, processor_s = coilcal(*arguments.split(), variables=variables)
+    assert (returned, libraries) == (exit_code, set())
+    assert bool(printed) == (exit_code == 0)
+    assert processor_s < LONGEST_HELP_S
+
+
+def test_completion_offers_the_commands() -> None:
+    assert coilcal(variables=COMPLETION)[1] == "plain,calibrate\n"
+
+
+def test_import_loads_neither_plots_nor_samplers(workspace: Path, tmp_path: Path) -> None:
+    call = ["import", workspace / "readings.csv", "--rig", workspace / "rig.yaml"]
+    exit_code, _, libraries, _ = coilcal(*call, "--out", tmp_path / "session.zarr")
+    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
+
+
+def test_devices_check_loads_the_rig_alone(rig_text: str, tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    devices = "devices:\n  hall: {sensor: lakeshore_460, range_mT: 30, serial: /dev/none}\n"
+    path.write_text(rig_text + devices, encoding="utf-8")
+    exit_code, _, libraries, _ = coilcal("devices", "check", path)
+    assert (exit_code, libraries) == (5, MODEL)
+
+
+def test_predict_loads_what_reads_a_posterior(workspace: Path, tmp_path: Path) -> None:
+    call = ["predict", workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"]
+    exit_code, _, libraries, _ = coilcal(*call, "--out", tmp_path / "field.csv")
+    assert (exit_code, libraries - DASK) == (0, MODEL | {"pandas", "xarray", "zarr"})
+
+
+def test_the_package_loads_a_public_name_when_it_is_used() -> None:
+    assert start("import estimator; dir(estimator)", variables={})[2] == set()
+    assert start("from estimator import InvalidInput", variables={})[2] == set()
+    assert start("from estimator import load_rig", variables={})[2] == MODEL
+
+
+def test_threads_are_set_where_a_command_runs(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[int] = []
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    call = ["--threads", "2", "report", str(workspace / "calibration"), "--out", str(tmp_path / "page.html")]
+    assert CliRunner().invoke(main, [*call, "--help"]).exit_code == 0
+    assert threads == []
+    assert CliRunner().invoke(main, call).exit_code == 0
+    assert threads == [2]
+
+
+def test_fewest_readings_of_a_stop_are_those_of_the_acquisition() -> None:
+    """The command states the number by itself: the acquisition needs torch."""
+    assert acquire.FEWEST_READINGS == FEWEST_READINGS
