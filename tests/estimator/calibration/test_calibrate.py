@@ -1,4 +1,4 @@
-"""The main job: it finds the truth, writes what DESIGN section 5 promises, stops, continues and refuses as it says."""
+"""The main job: it finds the truth, writes what docs/file-formats.md promises, stops, continues and refuses as it says."""
 
 from __future__ import annotations
 
