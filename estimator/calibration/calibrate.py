@@ -83,7 +83,7 @@ def calibrate(
         InvalidInput: The readings cannot support a fit, or are in another unit than they claim; `out` holds another calibration or cannot
             be written; settings do not fit the rig.
         CorruptStore: The chain to be continued is damaged.
-    References: Osinde et al., section 3; DESIGN decisions 3 to 5.
+    References: Osinde et al., section 3; docs/decisions/0004 and 0007.
     """
     tell = on_stage or (lambda stage: None)
     rig = rig or session.rig

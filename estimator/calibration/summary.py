@@ -1,4 +1,4 @@
-"""What a calibration found, as the plain values that become `summary.json`."""
+"""What a calibration found, as the plain values that become `summary.json` (docs/file-formats.md)."""
 
 from __future__ import annotations
 

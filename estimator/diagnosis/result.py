@@ -1,4 +1,4 @@
-"""The verdict on a session, and how `diagnosis.json` says it."""
+"""The verdict on a session, and how `diagnosis.json` says it (docs/file-formats.md)."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from estimator.rig.rig import Cause
 
 
 class Verdict(StrEnum):
-    """Outcome of a diagnosis; the words are stable (DESIGN section 5)."""
+    """Outcome of a diagnosis; the words are stable (docs/file-formats.md)."""
 
     NAMED = "named"
     INDISTINGUISHABLE = "indistinguishable"

@@ -179,7 +179,7 @@ class DisplacementFrameError(MotionEffect):
 
     name: ClassVar[str] = "displacement_frame"
     words: ClassVar[str] = "displacements are reported in other axes than the rig says"
-    source: ClassVar[str] = "any rotation: a tool may point anywhere (DESIGN section 2)"
+    source: ClassVar[str] = "any rotation: a tool may point anywhere"
     is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

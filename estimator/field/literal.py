@@ -1,7 +1,7 @@
 """The paper's sum as printed: spherical components of loops added as if all loops had one centre (eq 13).
 
 Each loop's B_r and B_theta refer to its own centre; the sum takes them along the unit vectors about the centre of the front face.
-In the paper's workspace this is off by 7 to 11 % (DESIGN, errata). Diagnosis uses it to recognise readings made with it.
+It is off by 4 to 22 % rms, the more the nearer the workspace (docs/paper.md, errata). Diagnosis uses it to recognise readings made with it.
 """
 
 from __future__ import annotations

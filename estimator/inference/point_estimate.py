@@ -53,7 +53,7 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
         posterior: Density with continuous counts over all readings.
         observations: The same readings.
         seed: Seed of starts and thinning.
-    References: Nelder and Mead, Comput. J. 7, 308 (1965); DESIGN decision 5.
+    References: Nelder and Mead, Comput. J. 7, 308 (1965); docs/paper.md, Solvers.
     """
     rng = np.random.default_rng(seed)
     coordinates = posterior.coordinates

@@ -1,6 +1,6 @@
 """The transform between the vector that a fit or a sampler moves and the parameters of a rig.
 
-In these coordinates a coil's posterior is close to normal (DESIGN decision 3, docs/decisions/0007). Positive numbers are logarithms. The
+In these coordinates a coil's posterior is close to normal (docs/decisions/0007). Positive numbers are logarithms. The
 rms radius of the loops replaces the external radius, and the position of the winding's middle that of its front face. Turns, length and
 thickness, which the data determine separately, replace wire radius and loop counts. With `integer_counts` the free loop counts are whole
 numbers, unchanged in the last columns.

@@ -1,6 +1,6 @@
 """What a session can reveal, computed before anything is named: the smallest visible size of each cause, and which cannot be told apart.
 
-Everything follows from the columns of the causes after projection on what the fit can follow (DESIGN section 4).
+Everything follows from the columns of the causes after projection on what the fit can follow (docs/physics.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What no known cause explains: a flexible discrepancy that detects structure and bounds it, and never extrapolates.
 
 Smooth functions of what a reading depends on (place, field, time, the move before it), each family scaled by its own amplitude and
-given a normal prior that weakens with the order. Their evidence competes with that of the causes (DESIGN decision 7).
+given a normal prior that weakens with the order. Their evidence competes with that of the causes (docs/decisions/0008).
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from estimator.errors import InvalidInput
 from estimator.rig_files.read import load_rig
 from estimator.rig_files.write import rig_text
 from estimator.store.session import load_session
+from tests.documented import DIAGNOSIS, keys
 from tests.estimator.cli.conftest import contents
 
 Run = Callable[..., Result]
@@ -74,18 +75,7 @@ def test_what_is_printed_is_what_is_written(record: dict[str, Any], out: Path):
 
 
 def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]):
-    assert {
-        "verdict",
-        "causes",
-        "stand_ins",
-        "indistinguishable",
-        "smallest_visible",
-        "gain",
-        "elpd_difference",
-        "elpd_se",
-        "rig_parameters",
-        "widening",
-    } <= set(record)
+    assert set(record) == set(keys(DIAGNOSIS))
     assert record["verdict"] in VERDICTS
     assert record["seed"] == 3
     for judged in (record["gain"]["before"], record["gain"]["after"]):

@@ -1,7 +1,7 @@
-"""What a session can reveal: the numbers of DESIGN section 4, what is absorbed, which causes are twins, and what a size means.
+"""What a session can reveal: the numbers of docs/physics.md, what is absorbed, which causes are twins, and what a size means.
 
-Section 4 says "5^3 grid, 3 A, 20 uT" and leaves the rest open. Its sizes are those of a grid whose middle lies 35 mm in front of the coil,
-visited to and fro: all of them then come out within a quarter. Our configs/paper_simulation.yaml puts the middle at 40 mm, where gradients
+The sizes are those of a grid of 5^3 positions whose middle lies 35 mm in front of the coil, visited to and fro at 3 A with 20 uT of noise:
+all of them then come out within a quarter. configs/paper_simulation.yaml puts the middle at 40 mm, where gradients
 are weaker (mount_tilt 2.2 instead of 1.4 mrad), and visits row by row from the same side, which hides lag and backlash.
 """
 
@@ -30,8 +30,8 @@ from tests.estimator.diagnosis.paper_grid import (
     visit,
 )
 
-# Cause: unit of the numbers, smallest and largest of its quantities in DESIGN section 4.
-DESIGN = {
+# Cause: unit of the numbers, smallest and largest of its quantities in docs/physics.md.
+SIZES = {
     "background_field": (1e-6, 12.0, 21.0),
     "axis_gain": (1e-2, 0.2, 0.2),
     "cross_axis": (1e-2, 0.24, 0.24),
@@ -48,13 +48,13 @@ ORDERS = ("snake", "raster", "random")
 def near() -> dict[str, Resolved]:
     """The grid at 35 mm in every order."""
     rig = paper_rig()
-    names = (*DESIGN, *OTHERS)
+    names = (*SIZES, *OTHERS)
     return {order: resolved(rig, visit(rig, 35.0, order), names, 35.0) for order in ORDERS}
 
 
 @pytest.fixture(scope="module")
 def configured() -> Resolved:
-    """The grid as configs/paper_simulation.yaml has it, with the causes that section 4 calls absorbed or twins."""
+    """The grid as configs/paper_simulation.yaml has it, with the causes that docs/physics.md calls absorbed or twins."""
     rig = paper_rig()
     absorbed = (
         "current_gain",
@@ -64,16 +64,16 @@ def configured() -> Resolved:
         "iron_core",
         "core_saturation",
     )
-    return resolved(rig, visit(rig, 40.0, "raster"), (*DESIGN, *OTHERS, *absorbed), 40.0)
+    return resolved(rig, visit(rig, 40.0, "raster"), (*SIZES, *OTHERS, *absorbed), 40.0)
 
 
 def twins(found: Resolved) -> list[set[str]]:
     return [{cause.name for cause in group} for group in indistinguishable(found.fit, found.pool)]
 
 
-@pytest.mark.parametrize("name", DESIGN)
-def test_five_sigma_sizes_are_those_of_the_design(near, name):
-    unit, low, high = DESIGN[name]
+@pytest.mark.parametrize("name", SIZES)
+def test_five_sigma_sizes_are_those_of_the_documentation(near, name):
+    unit, low, high = SIZES[name]
     sizes = [size / unit for size in near["snake"].sizes(name).values()]
     assert 0.75 * low < min(sizes)
     assert max(sizes) < 1.25 * high
@@ -102,7 +102,7 @@ def test_lag_and_play_hide_where_every_row_is_begun_from_the_same_side(near):
     assert 0.5 * play["snake"] == pytest.approx(25e-6, rel=0.35)  # half the play is what the axis misses
 
 
-@pytest.mark.parametrize("name", [name for name in DESIGN if name != "position_lag"])
+@pytest.mark.parametrize("name", [name for name in SIZES if name != "position_lag"])
 def test_five_millimetres_farther_off_everything_shows_less_but_for_fields_of_the_room(
     near, configured, name
 ):
@@ -134,7 +134,7 @@ def test_isotropic_robot_scale_is_followed_by_the_size_of_the_coil(configured):
 
 def test_ratio_of_pitches_shows_once_counts_are_known_but_not_by_the_wire_radius_alone():
     """A field tells turns, length and thickness. With the wire known there remain N_a, N_r and a pitch, which follow all three; what
-    is left are the priors of the counts. Section 4 names the wire too: that holds for whole counts, which this linear view lets run.
+    is left are the priors of the counts. Whole counts tell the ratio by the wire too; this linear view lets them run.
     """
     sizes = {}
     for known in (("coil1.axial_loops", "coil1.radial_loops"), ("coil1.wire_radius_m",)):

@@ -1,0 +1,115 @@
+"""The documentation names what is there: files, anchors, modules, causes, commands, keys."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+
+import click
+import pytest
+
+from estimator.cli.main import main
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
+from estimator.readings.metrics import Errors
+from tests.documented import CAUSES, COMMANDS, SUMMARY, keys, section
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(<?([^)>\s]+)>?\)")
+MODULE_FILE = re.compile(r"(?<![\w/.])(?:estimator|drivers|scripts|tests|configs)/[\w/.-]*\w")
+MODULE = re.compile(r"(?<![\w/.-])(?:estimator|drivers|scripts)(?:\.[a-z_]\w*)+")
+PROMISED = {"estimator.register_effect"}  # told of before `estimator` exports it; to be taken out then
+ROW = re.compile(r"^\| \*\*(.+?)\*\* \|", re.MULTILINE)
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """As GitHub makes them of headings: small letters, no punctuation, hyphens for spaces."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+def is_module(name: str) -> bool:
+    """Whether a dotted name is a package, a module, or a name that a module or package has."""
+    parts = name.split(".")
+    for n in range(len(parts), 0, -1):
+        base = ROOT.joinpath(*parts[:n])
+        file = base.with_suffix(".py") if base.with_suffix(".py").is_file() else base / "__init__.py"
+        if file.is_file():
+            rest = parts[n:]
+            return not rest or re.search(rf"\b{rest[0]}\b", file.read_text(encoding="utf-8")) is not None
+        if base.is_dir() and n == len(parts):
+            return True
+    return False
+
+
+@pages
+def test_links_lead_to_files_and_headings(page: Path) -> None:
+    for target in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{target} in {page}"
+        assert not anchor or anchor in anchors(file), f"{target} in {page}"
+
+
+@pages
+def test_paths_and_modules_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for path in MODULE_FILE.findall(text):
+        assert "NAME" in path or (ROOT / path).exists(), f"{path} in {page}"
+    for name in MODULE.findall(text):
+        assert "NAME" in name or name in PROMISED or is_module(name), f"{name} in {page}"
+
+
+@pytest.mark.parametrize("folder", ["estimator", "drivers", "scripts", "tests", "configs", "docs", "."])
+def test_what_is_cited_is_in_the_repository(folder: str) -> None:
+    """Pages by their path, decisions by path and number; other documents in capitals only where they are there."""
+    files = ROOT.glob("*.md") if folder == "." else (ROOT / folder).rglob("*")
+    for file in sorted(file for file in files if file.suffix in (".py", ".md", ".yaml")):
+        text = file.read_text(encoding="utf-8")
+        for path in re.findall(r"(?<![\w/.])docs/[\w/-]++(?:\.md)?(?!\[)", text):
+            assert any(ROOT.glob(f"{path}*")), f"{path} in {file}"
+        for name in re.findall(r"\b[A-Z][A-Z_]{3,}\.md\b", text):
+            assert (ROOT / name).is_file(), f"{name} in {file}"
+
+
+def test_every_cause_is_listed_with_its_quantities() -> None:
+    rows = re.findall(r"^\|[\w ]*\| `(\w+)` \|[\w ]*\| (.*?) \|", section(CAUSES), re.MULTILINE)
+    library = [n for n, effect in EFFECTS.items() if type(effect).__module__.startswith("estimator.effects.")]
+    assert sorted(name for name, _ in rows) == sorted(library)
+    for name, cell in rows:
+        listed = re.findall(r"`(\w+)`", cell)
+        quantities = [quantity.key for quantity in EFFECTS[name].quantities(Extent())]
+        assert listed == quantities or (set(listed) < set(quantities) and "and so on" in cell), name
+
+
+def test_every_command_is_listed() -> None:
+    context = click.Context(main)
+    names = []
+    for name, command in main.commands.items():
+        subcommands = command.list_commands(context) if isinstance(command, click.Group) else [""]
+        names += [f"coilcal {name} {subcommand}".strip() for subcommand in subcommands]
+    assert sorted(key for key in keys(COMMANDS) if key.startswith("coilcal")) == sorted(names)
+
+
+def test_error_keys_are_those_of_the_metrics() -> None:
+    text = section(SUMMARY).split("**Error keys.**")[1].split("\n\n")[0]
+    assert [key for key in re.findall(r"`(\w+)`", text) if key != "vector_T"] == [
+        field.name for field in fields(Errors) if field.name != "vector_T"
+    ]
+
+
+def test_glossary_explains_each_term_once_in_alphabetical_order() -> None:
+    terms = [
+        term.casefold() for term in ROW.findall((ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"))
+    ]
+    assert terms == sorted(set(terms))
