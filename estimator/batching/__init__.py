@@ -15,7 +15,15 @@ import numpy as np
 from estimator.batching.engine import cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
-from estimator.batching.work import MORE_STARTS, POSTERIOR, RESULT, describe, fit, is_enough, sampled
+from estimator.batching.work import (
+    CALIBRATION_FOLDER,
+    MORE_STARTS,
+    RESULT_FILE,
+    describe,
+    fit,
+    is_enough,
+    sampled,
+)
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
@@ -130,10 +138,10 @@ class _Run:
             self.tell(done, total, "done before")
 
     def is_fitted(self, job: Job) -> bool:
-        return (self.folder / job.name / RESULT).exists()
+        return (self.folder / job.name / RESULT_FILE).exists()
 
     def is_sampled(self, job: Job, settings: SamplerSettings) -> bool:
-        return is_enough(self.folder / job.name / POSTERIOR, settings)
+        return is_enough(self.folder / job.name / CALIBRATION_FOLDER, settings)
 
     def without_copies(self, jobs: Sequence[Job]) -> list[Job]:
         """Each fit once, also where the same readings lie in two places."""

@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from estimator.batching.work import POSTERIOR, RESULT
-from estimator.calibration.result import POSTERIOR as DRAWS
-from estimator.calibration.result import SUMMARY, Calibration, write_text
+from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
 from estimator.errors import InvalidInput
 
 
@@ -119,12 +118,12 @@ class BatchResult:
         Raises:
             InvalidInput: It was not sampled.
         """
-        return xr.open_datatree(self._sampled(name) / DRAWS, engine="zarr", consolidated=False)
+        return xr.open_datatree(self._sampled(name) / POSTERIOR_STORE, engine="zarr", consolidated=False)
 
     def _sampled(self, name: str) -> Path:
-        if not (self.folder / name / POSTERIOR / SUMMARY).exists():
+        if not (self.folder / name / CALIBRATION_FOLDER / SUMMARY_FILE).exists():
             raise InvalidInput(f"posterior of job {name!r} must have been sampled; it was not")
-        return self.folder / name / POSTERIOR
+        return self.folder / name / CALIBRATION_FOLDER
 
 
 def probabilities(table: pd.DataFrame) -> pd.Series[float]:
@@ -136,8 +135,8 @@ def probabilities(table: pd.DataFrame) -> pd.Series[float]:
 
 
 def _record(place: Path) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads((place / RESULT).read_text(encoding="utf-8"))
-    summary = place / POSTERIOR / SUMMARY
+    record: dict[str, Any] = json.loads((place / RESULT_FILE).read_text(encoding="utf-8"))
+    summary = place / CALIBRATION_FOLDER / SUMMARY_FILE
     record["is_sampled"] = summary.exists()
     if record["is_sampled"]:
         sampled = json.loads(summary.read_text(encoding="utf-8"))

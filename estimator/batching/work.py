@@ -16,7 +16,7 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import SUMMARY, write_text
+from estimator.calibration.result import SUMMARY_FILE, write_text
 from estimator.code_version import code_version
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
@@ -28,7 +28,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
 
-RESULT, POSTERIOR, UNFINISHED = "result.json", "calibration", ".unfinished"
+RESULT_FILE, CALIBRATION_FOLDER, UNFINISHED = "result.json", "calibration", ".unfinished"
 MORE_STARTS = 3
 
 
@@ -96,19 +96,19 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
     """
     torch.set_num_threads(1)
     place = Path(folder) / job.name
-    finished, unfinished = place / POSTERIOR, place / f".{POSTERIOR}.unfinished"
+    finished, unfinished = place / CALIBRATION_FOLDER, place / f".{CALIBRATION_FOLDER}.unfinished"
     try:
         session, rig = readings_and_rig(job, load_session(job.session))
-        with _only_writer(place / RESULT):
+        with _only_writer(place / RESULT_FILE):
             if is_enough(finished, settings):  # by a worker that was thought to be lost
                 return None
             if finished.exists() and not unfinished.exists():
-                copy = place / f".{POSTERIOR}.copy"
+                copy = place / f".{CALIBRATION_FOLDER}.copy"
                 shutil.rmtree(copy, ignore_errors=True)
                 shutil.copytree(finished, copy)
                 copy.rename(unfinished)
             if not is_enough(unfinished, settings):
-                (unfinished / SUMMARY).unlink(missing_ok=True)
+                (unfinished / SUMMARY_FILE).unlink(missing_ok=True)
                 calibrate(session, rig, out=unfinished, seed=job.seed, settings=settings)
             replace_folder(unfinished, finished)
     except CoilcalError as error:
@@ -119,7 +119,7 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
 def is_enough(posterior: Path, settings: SamplerSettings) -> bool:
     """Whether a posterior meets the targets, or as many steps were taken as are allowed."""
     try:
-        sampling = json.loads((posterior / SUMMARY).read_text(encoding="utf-8"))["sampling"]
+        sampling = json.loads((posterior / SUMMARY_FILE).read_text(encoding="utf-8"))["sampling"]
     except FileNotFoundError:
         return False
     ess, rhat = sampling["smallest_ess"], sampling["largest_rhat"]
@@ -172,10 +172,10 @@ def _vector_T(fit: Fit, observations: Observations) -> float:
 def _write(place: Path, record: dict[str, Any]) -> None:
     """A result folder, written under a name of its own and renamed; one that is there already stays, for it holds the same."""
     attempt = f".{place.name}.{uuid.uuid4().hex}{UNFINISHED}"
-    if not (place / RESULT).exists():
+    if not (place / RESULT_FILE).exists():
         unfinished = place.with_name(attempt)
         unfinished.mkdir(parents=True)
-        write_text(unfinished / RESULT, json.dumps(record, indent=2, allow_nan=False) + "\n")
+        write_text(unfinished / RESULT_FILE, json.dumps(record, indent=2, allow_nan=False) + "\n")
         with suppress(OSError):  # another attempt was faster
             unfinished.rename(place)
     for left in place.parent.glob(f".{place.name}.*{UNFINISHED}"):

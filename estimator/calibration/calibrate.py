@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
-from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
 from estimator.field.node_sum import SumMode
@@ -32,7 +32,7 @@ from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.session import Session
 
-CHAIN = "chain.zarr"
+CHAIN_STORE = "chain.zarr"
 COMPILE_ABOVE = 3e8  # loop fields x effective samples: about half a minute of eager sums
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
@@ -171,7 +171,7 @@ def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
         raise InvalidInput(
             f"output must not hold a finished calibration, or be replaced with --overwrite; received {folder}"
         )
-    path = folder / CHAIN
+    path = folder / CHAIN_STORE
     if not path.exists():
         return None
     try:
@@ -204,7 +204,7 @@ def _new_backend(
     if overwrite:
         _remove_result(folder)
     return ZarrBackend.create(
-        folder / CHAIN,
+        folder / CHAIN_STORE,
         coordinate_names=coordinates.labels,
         n_walkers=settings.n_walkers,
         checkpoint_steps=settings.check_every,
@@ -215,7 +215,7 @@ def _new_backend(
 def _is_finished(folder: Path) -> bool:
     """Whether a folder holds a calibration that reached its targets."""
     try:
-        return bool(json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("is_converged", True))
+        return bool(json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")).get("is_converged", True))
     except OSError:
         return False
     except (ValueError, AttributeError):
@@ -224,7 +224,7 @@ def _is_finished(folder: Path) -> bool:
 
 def _remove_result(folder: Path) -> None:
     """Delete the files of an earlier calibration from a folder, and nothing else."""
-    for name in (SUMMARY, CHAIN, POSTERIOR, "report.html"):
+    for name in (SUMMARY_FILE, CHAIN_STORE, POSTERIOR_STORE, "report.html"):
         path = folder / name
         if path.is_dir():
             shutil.rmtree(path)

@@ -27,7 +27,7 @@ from estimator.rig_files.read import rig_from_state, rig_state
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
-POSTERIOR, SUMMARY = "posterior.zarr", "summary.json"
+POSTERIOR_STORE, SUMMARY_FILE = "posterior.zarr", "summary.json"
 INTERVAL_DRAWS = 400
 
 
@@ -158,11 +158,11 @@ class Calibration:
         folder = Path(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            partial = folder / (POSTERIOR + ".partial")
+            partial = folder / (POSTERIOR_STORE + ".partial")
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
-            replace_folder(partial, folder / POSTERIOR)
-            write_text(folder / SUMMARY, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
+            replace_folder(partial, folder / POSTERIOR_STORE)
+            write_text(folder / SUMMARY_FILE, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 
@@ -175,15 +175,15 @@ class Calibration:
             CorruptStore: A file in it is damaged.
         """
         folder = Path(folder)
-        if not (folder / SUMMARY).is_file():
+        if not (folder / SUMMARY_FILE).is_file():
             raise InvalidInput(
-                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY}); received {folder}"
+                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}"
             )
         try:
-            record = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+            record = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
             with (
                 quiet_zarr(),
-                xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree,
+                xr.open_datatree(folder / POSTERIOR_STORE, engine="zarr", consolidated=False) as tree,
             ):
                 tree.load()
             if tree.attrs["schema_version"] != SCHEMA_VERSION:
@@ -193,7 +193,7 @@ class Calibration:
             seal = tree.attrs.pop("sha256")
             if seal != _seal(tree):
                 raise CorruptStore(
-                    f"calibration must match its SHA-256; {folder / POSTERIOR} was altered or lost a chunk"
+                    f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
                 )
             attributes = tree.attrs
             arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}

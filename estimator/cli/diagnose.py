@@ -15,7 +15,7 @@ from estimator.cli.options import json_option, other_rig_option, overwrite_optio
 from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.report import diagnosis_report
-from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, POSTERIOR, REPORT
+from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, EXTENDED_RIG, REPORT
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
@@ -41,7 +41,8 @@ from estimator.store.session import load_session
     "has_posterior",
     default=True,
     show_default=True,
-    help=f"Sample the extended rig with emcee into {POSTERIOR} below the folder, where a cause was found or something is left unexplained.",
+    help=f"Sample the extended rig with emcee into {CALIBRATION_FOLDER} below the folder, where a cause was found or something is left "
+    "unexplained.",
 )
 @seed_option
 @overwrite_option
@@ -77,7 +78,7 @@ def diagnose_command(
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
     write_text(made / REPORT, diagnosis_report(found, command))
     if found.posterior is not None:
-        write_text(made / POSTERIOR / REPORT, calibration_report(found.posterior, command))
+        write_text(made / CALIBRATION_FOLDER / REPORT, calibration_report(found.posterior, command))
     shutil.rmtree(out, ignore_errors=True)
     made.rename(out)
     record = found.record()

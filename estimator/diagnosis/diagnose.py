@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
-from estimator.diagnosis.result import POSTERIOR, Diagnosis, label_of
+from estimator.diagnosis.result import CALIBRATION_FOLDER, Diagnosis, label_of
 from estimator.diagnosis.structure.signatures import CLEAR
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.verdict import (
@@ -134,7 +134,7 @@ def diagnose(
             session,
             rig_from_text(result.extended_rig_text),
             result.widening,
-            out=None if folder is None else folder / POSTERIOR,
+            out=None if folder is None else folder / CALIBRATION_FOLDER,
             seed=seed,
         )
         result = replace(result, posterior=sampled)

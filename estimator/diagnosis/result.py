@@ -25,7 +25,7 @@ from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 
-DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
+DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "diagnosis.json",
     "rig_extended.yaml",
     "report.html",

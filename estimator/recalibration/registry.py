@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration, write_text
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
 
 VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
@@ -125,7 +125,7 @@ class Registry:
 
     def tree(self, version: int | None = None) -> xr.DataTree:
         """Posterior of one version in ArviZ's groups; by default of the current one."""
-        return xr.open_datatree(self._path(version) / POSTERIOR, engine="zarr", consolidated=False)
+        return xr.open_datatree(self._path(version) / POSTERIOR_STORE, engine="zarr", consolidated=False)
 
     def history(self) -> xr.Dataset:
         """Median, sd and 90 % interval of every parameter of every version, in SI; NaN where a version has not got it.
@@ -256,7 +256,7 @@ class Registry:
         return self.folder / VERSIONS / f"{version:04d}"
 
     def _record(self, version: int) -> Mapping[str, Any]:
-        path = self._path(version) / SUMMARY
+        path = self._path(version) / SUMMARY_FILE
         try:
             record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
