@@ -152,8 +152,9 @@ class _Run:
                 if job not in fitted:
                     self._fail(job.name, reasons.get(job.name, "its result is missing"))
 
-        calls = {i: (fit, (stack, str(self._folder))) for i, stack in enumerate(unfinished)}
-        self._cluster.run(calls, receive)
+        self._cluster.run(
+            {i: (fit, (stack, str(self._folder))) for i, stack in enumerate(unfinished)}, receive
+        )
         fitted = {job.name: job.session for job in jobs if self._is_fitted(job)}
         return BatchResult(self._folder, tuple(fitted), self.failed, sessions=fitted)
 
@@ -172,8 +173,9 @@ class _Run:
             else:
                 self._fail(name, failed)
 
-        calls = {name: (sampled, (job, str(self._folder), settings)) for name, job in unfinished.items()}
-        self._cluster.run(calls, receive)
+        self._cluster.run(
+            {name: (sampled, (job, str(self._folder), settings)) for name, job in unfinished.items()}, receive
+        )
 
     def _is_fitted(self, job: Job) -> bool:
         return (self._folder / job.name / RESULT_FILE).exists()

@@ -1,4 +1,4 @@
-"""What a diagnosis and a gain amount to, in the words of the log."""
+"""Causes of a diagnosis and the improvement of a new fit, in the words of the log."""
 
 from __future__ import annotations
 
@@ -10,44 +10,44 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.reporting.plots.style import shown, with_sd
 
 
-def causes_of(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
-    """As `diagnosis.json` holds them."""
-    return tuple(found.record()["causes"])
+def causes_of(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    """Causes as in `diagnosis.json`."""
+    return tuple(diagnosis.record()["causes"])
 
 
-def names_of(found: Diagnosis) -> str:
+def names_of(diagnosis: Diagnosis) -> str:
     """Names of the causes."""
-    return " and ".join(cause["name"] for cause in causes_of(found))
+    return " and ".join(cause["name"] for cause in causes_of(diagnosis))
 
 
-def mistake_in(found: Diagnosis) -> str:
-    """What is wrong with the record."""
-    return f"a mistake of the record: {sizes_of(found)}"
+def mistake_in(diagnosis: Diagnosis) -> str:
+    """Mistakes of the record, with their sizes."""
+    return f"a mistake of the record: {sizes_of(diagnosis)}"
 
 
-def sizes_of(found: Diagnosis) -> str:
+def sizes_of(diagnosis: Diagnosis) -> str:
     """Causes with the sizes of their quantities."""
-    return " and ".join(_size(cause) for cause in causes_of(found))
+    return " and ".join(_size(cause) for cause in causes_of(diagnosis))
 
 
 def _size(cause: Mapping[str, Any]) -> str:
-    sizes = [_quantity(f"{cause['name']}.{key}", own) for key, own in cause["parameters"].items()]
-    others = "".join(f" or {other['name']}" for other in cause["alternatives"])
-    return f"{cause['name']}{others} ({', '.join(sizes)})"
+    sizes = [_quantity(f"{cause['name']}.{key}", numbers) for key, numbers in cause["parameters"].items()]
+    alternatives = "".join(f" or {alternative['name']}" for alternative in cause["alternatives"])
+    return f"{cause['name']}{alternatives} ({', '.join(sizes)})"
 
 
-def _quantity(name: str, own: Mapping[str, Any]) -> str:
-    """A quantity as people read it; one in a unit such as T/h stays in that."""
-    show, value, sd = shown([name])[name], own["median"], own["sd"]
-    if show.unit or own["unit"] == "1":
+def _quantity(name: str, numbers: Mapping[str, Any]) -> str:
+    """A quantity in its display unit, or in its own unit if that has none, such as T/h."""
+    show, value, sd = shown([name])[name], numbers["median"], numbers["sd"]
+    if show.unit or numbers["unit"] == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
         return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + own["unit"].replace("/", "_per_"))
-    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {own['unit']}"
+    words = name.rpartition(".")[2].removesuffix("_" + numbers["unit"].replace("/", "_per_"))
+    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {numbers['unit']}"
 
 
 def words_of(better: Gain) -> str:
-    """Whether a new fit would be better, with the numbers."""
+    """Whether a new fit predicts unseen readings better, with the numbers."""
     words = (
         "predicts unseen readings better" if better.is_there else "does not predict unseen readings better"
     )

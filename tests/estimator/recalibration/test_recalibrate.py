@@ -291,7 +291,7 @@ def test_an_older_session_that_comes_late_never_replaces_the_calibration_of_a_la
     *_, late = recalibrate(small_rig, inbox, registry.folder, seed=1)
     assert (late.conclusion, late.made, late.version, late.agrees) == ("unchanged", None, 1, False)
     assert late.reason.startswith(
-        "comes late: its readings are older than those of version 1, which stays; beside"
+        "comes late: its readings are older than those of version 1, which stays; compared with"
     )
     assert late.estimate["coil1.world_from_coil0.z_m"][0] == pytest.approx(-0.0405, abs=2e-4)
     assert _since(registry.entries(), "9") == "9"
