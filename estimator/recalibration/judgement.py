@@ -1,4 +1,4 @@
-"""What one new session says of the current calibration, and the calibration that would take its place."""
+"""The conclusion on one new session beside the current calibration, and the calibration that would replace it."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ class Conclusion(StrEnum):
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a session amounts to.
+    """Conclusion on a session, with its reason and numbers.
 
     Attributes:
         conclusion: One of four.
-        reason: In one sentence, with the numbers.
-        calibration: To take the current one's place; None where that stays.
-        agrees: With the current version; None where that could not be asked.
-        causes: Of a drift, or mistakes of the record, as `diagnosis.json` holds them.
-        checks: The numbers behind the conclusion.
+        reason: Reason in one sentence, with the numbers.
+        calibration: Replaces the current one; None if that stays.
+        agrees: Whether the session agrees with the current version; None if they could not be compared.
+        causes: Causes of a drift, or mistakes of the record, as in `diagnosis.json`.
+        checks: Numbers behind the conclusion.
         estimate: Value and standard deviation of every parameter from this session within the widened prior.
     """
 
@@ -86,15 +86,15 @@ def judge(
     """Conclude on one session.
 
     Args:
-        session: The new readings. Those marked as validation judge a successor; where none is marked, a fifth is kept out in blocks.
-        rig: As the user describes it.
-        current: The calibration that is in use; None where there is none yet.
-        earlier: Evidence of the sessions right before that disagreed with the current version and led to no new one.
-        may_replace: False for readings that are older than those of the version in use: they are judged, and lead to no new one.
-        seed: Of everything random.
+        session: The new readings. Those marked as validation judge a successor; if none is marked, a fifth is kept out in blocks.
+        rig: Rig as the user describes it.
+        current: The calibration in use; None before the first.
+        earlier: Log Bayes factors of the preceding sessions that disagreed with the current version and led to no new one.
+        may_replace: False for readings older than those of the version in use: they are judged but lead to no new version.
+        seed: Seed of all random numbers.
         settings: When to stop sampling a successor.
     Raises:
-        InvalidInput: The rig or the current calibration cannot be used; what is wrong with the session is its conclusion.
+        InvalidInput: The rig or the current calibration cannot be used. Faults of the session do not raise: they lead to a rejection.
     """
     widened = None if current is None else widened_rig(current, rig)
     try:
@@ -118,12 +118,12 @@ def _with_held_out(session: Session, seed: int) -> Session:
 
 
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
-    found = diagnose(session, rig, seed=seed)
-    if found.faults:
-        return Judgement(Conclusion.REJECTED, mistake_in(found), causes=causes_of(found))
-    calibration = _sampled(session, found, seed, settings)
-    named = f", with {names_of(found)} in the rig" if found.causes else ""
-    left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
+    diagnosis = diagnose(session, rig, seed=seed)
+    if diagnosis.faults:
+        return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=causes_of(diagnosis))
+    calibration = _sampled(session, diagnosis, seed, settings)
+    named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""
+    left = "; structure is left that no known cause explains" if _is_unexplained(diagnosis) else ""
     unsure = (
         "" if calibration.record["is_converged"] else f"; {_short_of(calibration)}, intervals are provisional"
     )
@@ -131,9 +131,9 @@ def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | No
         Conclusion.UPDATED,
         f"first calibration{named}{left}{unsure}",
         calibration,
-        causes=causes_of(found),
-        checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.record["is_converged"]},
-        estimate=_estimate(found.fit),
+        causes=causes_of(diagnosis),
+        checks={"verdict": str(diagnosis.verdict), IS_CONVERGED: calibration.record["is_converged"]},
+        estimate=_estimate(diagnosis.fit),
     )
 
 
@@ -162,46 +162,48 @@ class _Comparison:
             return self._judgement(
                 Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
             )
-        found = diagnose(self.session, self.widened, seed=self.seed)
-        if found.faults:
-            return self._judgement(Conclusion.REJECTED, mistake_in(found), found)
-        if _is_unexplained(found) or not (found.causes or self.agreement.is_refit_enough):
-            if earlier and (names := named_together([*earlier, _evidence(found)])):
-                return self._together(found, names, len(earlier) + 1)
-            return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
-        return self._explained(found, settings, may_replace)
+        diagnosis = diagnose(self.session, self.widened, seed=self.seed)
+        if diagnosis.faults:
+            return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
+        if _is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
+            if earlier and (names := named_together([*earlier, _evidence(diagnosis)])):
+                return self._together(diagnosis, names, len(earlier) + 1)
+            return self._judgement(Conclusion.REJECTED, self._unexplained(), diagnosis)
+        return self._explained(diagnosis, settings, may_replace)
 
-    def _explained(self, found: Diagnosis, settings: SamplerSettings | None, may_replace: bool) -> Judgement:
-        """Other values or a cause explain the readings; whether the current version makes way is another question."""
-        better = self._gain(found)
-        stays = Conclusion.DRIFTED if found.causes else Conclusion.UNCHANGED
+    def _explained(
+        self, diagnosis: Diagnosis, settings: SamplerSettings | None, may_replace: bool
+    ) -> Judgement:
+        """Conclusion where other values or a cause explain the readings: the current version is replaced or stays."""
+        better = self._gain(diagnosis)
+        stays = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
-        if found.causes:
-            what = sizes_of(found)
+        if diagnosis.causes:
+            what = sizes_of(diagnosis)
         elif better.is_there:
-            what = self._moved(found, better)
+            what = self._moved(diagnosis, better)
         reason = f"{what}; {words_of(better)}"
         if not (better.is_there and may_replace):
-            return self._judgement(stays, reason, found, better)
-        successor = _sampled(self.session, found, self.seed, settings)
+            return self._judgement(stays, reason, diagnosis, better)
+        successor = _sampled(self.session, diagnosis, self.seed, settings)
         is_converged, stored = bool(successor.record["is_converged"]), self._stored_gain(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
-            replaced = Conclusion.DRIFTED if found.causes else Conclusion.UPDATED
-            return self._judgement(replaced, reason, found, better, successor, sampled)
+            replaced = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UPDATED
+            return self._judgement(replaced, reason, diagnosis, better, successor, sampled)
         doubt = (
             f"its sampled posterior predicts them worse (log density {stored:+.1f})"
             if is_converged
             else _short_of(successor)
         )
         reason = f"{reason}, but {doubt}: the current version stays"
-        return self._judgement(stays, reason, found, better, None, sampled)
+        return self._judgement(stays, reason, diagnosis, better, None, sampled)
 
     def _judgement(
         self,
         conclusion: Conclusion,
         reason: str,
-        found: Diagnosis | None = None,
+        diagnosis: Diagnosis | None = None,
         better: Gain | None = None,
         successor: Calibration | None = None,
         sampled: Mapping[str, Any] | None = None,
@@ -213,13 +215,13 @@ class _Comparison:
             "rms_sigma": self.agreement.rms_sigma,
             "striking_cause": self.agreement.striking_cause,
         }
-        if found is not None:
+        if diagnosis is not None:
             checks |= {
-                "verdict": str(found.verdict),
-                "lack_of_fit_p": found.before.lack_of_fit.p_value,
+                "verdict": str(diagnosis.verdict),
+                "lack_of_fit_p": diagnosis.before.lack_of_fit.p_value,
             }
-            if not found.faults:
-                checks[EVIDENCE] = _evidence(found)
+            if not diagnosis.faults:
+                checks[EVIDENCE] = _evidence(diagnosis)
         if better is not None:
             checks |= {
                 "elpd_difference": finite(better.elpd_difference),
@@ -232,38 +234,38 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            causes_of(found)
-            if found is not None and (found.faults or conclusion is Conclusion.DRIFTED)
+            causes_of(diagnosis)
+            if diagnosis is not None and (diagnosis.faults or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
             _estimate(self.refit),
         )
 
-    def _together(self, found: Diagnosis, names: Mapping[str, float], n: int) -> Judgement:
-        """A drift that several sessions name and none alone: its size is not known well enough for a new version."""
+    def _together(self, diagnosis: Diagnosis, names: Mapping[str, float], n: int) -> Judgement:
+        """A drift that several sessions name together and none alone: its size is too uncertain for a new version."""
         (first, probability), *others = names.items()
         words = " or ".join(names)
-        reason = (
-            f"{words} by {n} sessions in a row together, which none tells alone; the current version stays"
-        )
+        reason = f"{words}, by {n} sessions in a row together, none of which names it alone; the current version stays"
         cause = {
             "name": first,
             "probability": probability,
             "alternatives": [{"name": name, "probability": share} for name, share in others],
             "parameters": {},
         }
-        return replace(self._judgement(Conclusion.DRIFTED, reason, found), causes=(cause,))
+        return replace(self._judgement(Conclusion.DRIFTED, reason, diagnosis), causes=(cause,))
 
-    def _gain(self, found: Diagnosis) -> Gain:
-        """Of what the diagnosis ended with over the current version, on readings that neither has seen."""
-        made_from = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
-        rules = MeasurementModel.build(self.current.rig, made_from).rules
-        before = fit_rig(self.current.rig, made_from, self.current.best, rules)
-        return gain(before, found.fit, self._unseen())
+    def _gain(self, diagnosis: Diagnosis) -> Gain:
+        """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
+        fitted = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
+        rules = MeasurementModel.build(self.current.rig, fitted).rules
+        before = fit_rig(self.current.rig, fitted, self.current.best, rules)
+        return gain(before, diagnosis.fit, self._unseen())
 
     def _stored_gain(self, successor: Calibration) -> float:
-        """Of a successor over the current version, both as they are stored."""
-        before, after = (stored_log_density(one, self._unseen()) for one in (self.current, successor))
+        """Difference of log predictive density, successor less current version, both from their stored draws."""
+        before, after = (
+            stored_log_density(calibration, self._unseen()) for calibration in (self.current, successor)
+        )
         return float((after - before).sum())
 
     def _unseen(self) -> Observations:
@@ -280,13 +282,17 @@ class _Comparison:
             f"neither a refit nor a cause that can be named explains them ({like})"
         )
 
-    def _moved(self, found: Diagnosis, better: Gain) -> str:
-        """The value that moved most."""
+    def _moved(self, diagnosis: Diagnosis, better: Gain) -> str:
+        """The parameter that moved most, in words."""
         name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
-        show, old, sd = shown([name])[name], self.current.record["parameters"][name], found.fit.value_sd(name)
+        show, old, sd = (
+            shown([name])[name],
+            self.current.record["parameters"][name],
+            diagnosis.fit.value_sd(name),
+        )
         before, after = (
             with_sd(value * show.factor, width * show.factor)
-            for value, width in ((old["median"], old["sd"]), (float(found.fit.values[name]), sd))
+            for value, width in ((old["median"], old["sd"]), (float(diagnosis.fit.values[name]), sd))
         )
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
@@ -294,9 +300,11 @@ class _Comparison:
         )
 
 
-def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSettings | None) -> Calibration:
-    """The rig that a diagnosis ended with, sampled; a cause in it may need more walkers than were asked for."""
-    rig = rig_from_text(found.extended_rig_text)
+def _sampled(
+    session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
+) -> Calibration:
+    """Sample the extended rig of a diagnosis; its causes may need more walkers than were asked for."""
+    rig = rig_from_text(diagnosis.extended_rig_text)
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
@@ -304,23 +312,23 @@ def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSet
 
 
 def _short_of(calibration: Calibration) -> str:
-    """That sampling ended before its targets, with the numbers."""
+    """How sampling fell short of its targets, in words."""
     sampling = calibration.record["sampling"]
     rhat = sampling["largest_rhat"]
     numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
     return f"its posterior did not converge ({numbers})"
 
 
-def _is_unexplained(found: Diagnosis) -> bool:
-    """Whether more is left than noise, by structure or by size."""
-    if found.verdict is Verdict.UNEXPLAINED:
+def _is_unexplained(diagnosis: Diagnosis) -> bool:
+    """Whether the residual exceeds noise, in structure or in size."""
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
         return True
-    return found.after.lack_of_fit.p_value < FALSE_ALARMS
+    return diagnosis.after.lack_of_fit.p_value < FALSE_ALARMS
 
 
-def _evidence(found: Diagnosis) -> dict[str, float]:
-    """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
-    considered = found.record()["steps"][0]["considered"]
+def _evidence(diagnosis: Diagnosis) -> dict[str, float]:
+    """Log Bayes factor of every hypothesis against nothing, in the first step of the search."""
+    considered = diagnosis.record()["steps"][0]["considered"]
     return {rival["name"]: rival["log_bayes_factor"] for rival in considered}
 
 

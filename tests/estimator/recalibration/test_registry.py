@@ -39,8 +39,8 @@ def after(method):
     return run
 
 replaced = {
-    "before keeping": ("_keep", die),
-    "after keeping": ("_keep", after(Registry._keep)),
+    "before saving": ("_save", die),
+    "after saving": ("_save", after(Registry._save)),
     "in the log": ("_log", torn),
     "after the log": ("_log", after(Registry._log)),
     "after all": ("_point", after(Registry._point)),
