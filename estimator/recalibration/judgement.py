@@ -175,36 +175,36 @@ class _Comparison:
         self, diagnosis: Diagnosis, settings: SamplerSettings | None, may_replace: bool
     ) -> Judgement:
         """Conclusion where other values or a cause explain the readings: the current version is replaced or stays."""
-        better = self._gain(diagnosis)
+        improvement = self._improvement(diagnosis)
         stays = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
         if diagnosis.causes:
             what = sizes_of(diagnosis)
-        elif better.is_there:
-            what = self._moved(diagnosis, better)
-        reason = f"{what}; {words_of(better)}"
-        if not (better.is_there and may_replace):
-            return self._judgement(stays, reason, diagnosis, better)
+        elif improvement.is_there:
+            what = self._moved(diagnosis, improvement)
+        reason = f"{what}; {words_of(improvement)}"
+        if not (improvement.is_there and may_replace):
+            return self._judgement(stays, reason, diagnosis, improvement)
         successor = _sampled(self.session, diagnosis, self.seed, settings)
-        is_converged, stored = bool(successor.record["is_converged"]), self._stored_gain(successor)
+        is_converged, stored = bool(successor.record["is_converged"]), self._stored_improvement(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
             replaced = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UPDATED
-            return self._judgement(replaced, reason, diagnosis, better, successor, sampled)
+            return self._judgement(replaced, reason, diagnosis, improvement, successor, sampled)
         doubt = (
             f"its sampled posterior predicts them worse (log density {stored:+.1f})"
             if is_converged
             else _short_of(successor)
         )
         reason = f"{reason}, but {doubt}: the current version stays"
-        return self._judgement(stays, reason, diagnosis, better, None, sampled)
+        return self._judgement(stays, reason, diagnosis, improvement, None, sampled)
 
     def _judgement(
         self,
         conclusion: Conclusion,
         reason: str,
         diagnosis: Diagnosis | None = None,
-        better: Gain | None = None,
+        improvement: Gain | None = None,
         successor: Calibration | None = None,
         sampled: Mapping[str, Any] | None = None,
     ) -> Judgement:
@@ -222,11 +222,11 @@ class _Comparison:
             }
             if not diagnosis.faults:
                 checks[EVIDENCE] = _evidence(diagnosis)
-        if better is not None:
+        if improvement is not None:
             checks |= {
-                "elpd_difference": finite(better.elpd_difference),
-                "elpd_se": finite(better.elpd_se),
-                "moved_sd": {name: finite(value) for name, value in better.moved_sd.items()},
+                "elpd_difference": finite(improvement.elpd_difference),
+                "elpd_se": finite(improvement.elpd_se),
+                "moved_sd": {name: finite(value) for name, value in improvement.moved_sd.items()},
             }
         checks |= sampled or {}
         return Judgement(
@@ -254,14 +254,14 @@ class _Comparison:
         }
         return replace(self._judgement(Conclusion.DRIFTED, reason, diagnosis), causes=(cause,))
 
-    def _gain(self, diagnosis: Diagnosis) -> Gain:
+    def _improvement(self, diagnosis: Diagnosis) -> Gain:
         """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
         fitted = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
         rules = MeasurementModel.build(self.current.rig, fitted).rules
         before = fit_rig(self.current.rig, fitted, self.current.best, rules)
         return gain(before, diagnosis.fit, self._unseen())
 
-    def _stored_gain(self, successor: Calibration) -> float:
+    def _stored_improvement(self, successor: Calibration) -> float:
         """Difference of log predictive density, successor less current version, both from their stored draws."""
         before, after = (
             stored_log_density(calibration, self._unseen()) for calibration in (self.current, successor)
@@ -282,9 +282,9 @@ class _Comparison:
             f"neither a refit nor a cause that can be named explains them ({like})"
         )
 
-    def _moved(self, diagnosis: Diagnosis, better: Gain) -> str:
+    def _moved(self, diagnosis: Diagnosis, improvement: Gain) -> str:
         """The parameter that moved most, in words."""
-        name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
+        name, distance = max(improvement.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
             shown([name])[name],
             self.current.record["parameters"][name],

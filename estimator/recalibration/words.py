@@ -46,9 +46,11 @@ def _quantity(name: str, numbers: Mapping[str, Any]) -> str:
     return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {numbers['unit']}"
 
 
-def words_of(better: Gain) -> str:
+def words_of(improvement: Gain) -> str:
     """Whether a new fit predicts unseen readings better, with the numbers."""
     words = (
-        "predicts unseen readings better" if better.is_there else "does not predict unseen readings better"
+        "predicts unseen readings better"
+        if improvement.is_there
+        else "does not predict unseen readings better"
     )
-    return f"the new fit {words} than the current version (log density {better.elpd_difference:+.1f} ± {better.elpd_se:.1f})"
+    return f"the new fit {words} than the current version (log density {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f})"

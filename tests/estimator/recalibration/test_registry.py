@@ -173,8 +173,8 @@ def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
     seed = small_calibration.record["seed"]
     first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]
     assert [json.loads(line) for line in found.stdout.splitlines()] == [
-        ["before keeping", 9, seed, *first],
-        ["after keeping", 9, seed, *both],
+        ["before saving", 9, seed, *first],
+        ["after saving", 9, seed, *both],
         ["in the log", 9, seed, *both],
         ["after the log", 9, seed, *both],
         ["after all", 9, seed, *both],
