@@ -3,7 +3,7 @@
     versions/0001/   a whole calibration, its rig.yaml and provenance.json
     current          a link to the version in use, replaced by renaming
     log.jsonl        one entry per session or rollback, in order, one line each
-    told             number of entries whose notification was delivered
+    told             number of entries without a pending notification
     lock             held by the job that writes
 
 Renaming a finished version into `versions` commits it. Its log entry follows from its provenance and the link from the last entry, so the
