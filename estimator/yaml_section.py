@@ -14,24 +14,24 @@ from estimator.errors import InvalidInput, reason
 from estimator.units import UNITS, Unit, split_unit
 
 
-class _Loader(yaml.SafeLoader):
+class Loader(yaml.SafeLoader):
     """Numbers as in YAML 1.2: 2e-5 is one and 010 is ten, whereas 1:30, 1_000 and 2025-01-31 are text."""
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
-_Loader.yaml_implicit_resolvers = {
+Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INT, _FLOAT, _TIMESTAMP)]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver(_INT, re.compile(r"[-+]?[0-9]+$"), list("-+0123456789"))
-_Loader.add_implicit_resolver(
+Loader.add_implicit_resolver(_INT, re.compile(r"[-+]?[0-9]+$"), list("-+0123456789"))
+Loader.add_implicit_resolver(
     _FLOAT,
     re.compile(
         r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"
     ),
     list("-+.0123456789"),
 )
-_Loader.add_constructor(_INT, lambda _, node: int(node.value))
+Loader.add_constructor(_INT, lambda _, node: int(node.value))
 
 
 class Section:
@@ -66,7 +66,7 @@ class Section:
     def from_text(cls, text: str, file: str) -> Section:
         """The top mapping of a YAML text."""
         try:
-            node = yaml.compose(text, Loader=_Loader)
+            node = yaml.compose(text, Loader=Loader)
         except yaml.YAMLError as error:
             raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}") from error
         if not isinstance(node, yaml.MappingNode):
@@ -220,7 +220,7 @@ class Section:
 
 
 def _plain(node: yaml.Node) -> Any:
-    loader = _Loader("")
+    loader = Loader("")
     try:
         return loader.construct_object(node, deep=True)
     finally:

@@ -115,7 +115,7 @@ def acquire(
         for row in range(n_before, len(stops)):
             visit.go_to(stops, row)
             record = visit.read(stops, row)
-            journal.append(record.record())
+            journal.append(record.to_json())
             if on_stop is not None:
                 share = (time.monotonic() - begin_s) / sum(expected_s[n_before : row + 1])
                 on_stop(Progress(row + 1, len(stops), share * sum(expected_s[row + 1 :]), record))

@@ -19,7 +19,6 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.model.hide import cause_of
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
 
 PLAIN = "plain"
@@ -31,7 +30,7 @@ class Job:
 
     Attributes:
         session: Path of the session.
-        rig_text: Another description of its rig; empty for its own.
+        rig: Another description of its rig; None for its own.
         coil: The coil to calibrate, from readings in which it alone carries current; None for the whole rig.
         hypothesis: `plain`, or free causes joined by +.
         seed: Seed of starts and sampling.
@@ -42,7 +41,7 @@ class Job:
     """
 
     session: str
-    rig_text: str
+    rig: Rig | None
     coil: str | None
     hypothesis: str
     seed: int
@@ -65,7 +64,7 @@ class Job:
 
 def jobs_of(
     path: str,
-    rig_text: str,
+    rig: Rig | None,
     hypotheses: Sequence[str],
     is_each_coil: bool,
     seed: int,
@@ -77,13 +76,13 @@ def jobs_of(
         CoilcalError: The session cannot be read, or is of another rig.
     """
     session = load_session(path)
-    if rig_text:
-        session.check_rig(rig_from_text(rig_text))
+    if rig is not None:
+        session.check_rig(rig)
     coils: list[str | None] = [coil.name for coil in session.rig.coils] if is_each_coil else [None]
     jobs, refused = [], {}
     for coil in coils:
         for hypothesis in hypotheses:
-            job = Job(path, rig_text, coil, hypothesis, seed, session.hash)
+            job = Job(path, rig, coil, hypothesis, seed, session.hash)
             try:
                 jobs.append(_keyed(job, session, settings or SamplerSettings()))
             except CoilcalError as error:
@@ -97,7 +96,7 @@ def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
     Raises:
         InvalidInput: The coil never carries current alone, or the hypothesis does not exist in this rig.
     """
-    rig = rig_from_text(job.rig_text) if job.rig_text else session.rig
+    rig = job.rig or session.rig
     if job.coil is not None:
         session, rig = _one_coil(session, rig, job.coil)
     for cause_text in _causes(job.hypothesis):

@@ -77,12 +77,12 @@ def batch(
         raise InvalidInput(
             f"output must be a folder that can be written; {out} is not: {reason(error)}"
         ) from error
-    rig_text = load_rig(rig).text if rig else ""
+    described_rig = load_rig(rig) if rig else None
     hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
     with cluster(workers, scheduler) as connected:
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
-        described = run.describe(paths, (rig_text, hypotheses, is_each_coil, seed, chosen))
+        described = run.describe(paths, (described_rig, hypotheses, is_each_coil, seed, chosen))
         described.sort(
             key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))
         )

@@ -34,7 +34,7 @@ MORE_STARTS = 3
 
 def describe(
     path: str,
-    rig_text: str,
+    rig: Rig | None,
     hypotheses: tuple[str, ...],
     is_each_coil: bool,
     seed: int,
@@ -42,7 +42,7 @@ def describe(
 ) -> tuple[list[Job], dict[str, str]] | str:
     """The jobs of one session with the reasons against others, or the reason why there are none, in a sentence."""
     try:
-        return jobs_of(path, rig_text, hypotheses, is_each_coil, seed, settings)
+        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings)
     except CoilcalError as error:
         return str(error)
 

@@ -136,7 +136,7 @@ def calibrate(
 
     tell(Stage("errors, coverage and summary"))
     calibration = _calibration(session, rig, lattice.coordinates, mixture, samples)
-    content = {
+    summary_json = {
         **summary(session, calibration),
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
@@ -146,7 +146,7 @@ def calibrate(
         "seed": seed,
         "versions": versions(),
     }
-    calibration = replace(calibration, record=content)
+    calibration = replace(calibration, summary_json=summary_json)
     if folder is not None:
         calibration.save(folder)
     return calibration

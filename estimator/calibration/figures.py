@@ -26,7 +26,7 @@ PLANE_DRAWS = 100
 
 def pictures(calibration: Calibration) -> list[Picture]:
     """The figures of the report, each with a title and a sentence on what to look for."""
-    title = f"{calibration.rig.name}, {calibration.record['session_created'][:10]}"
+    title = f"{calibration.rig.name}, {calibration.summary()['session_created'][:10]}"
     return [*_fit_figures(calibration, title), *_posterior_figures(calibration, title)]
 
 
@@ -100,13 +100,15 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
     draws = {name: calibration.draws[name].reshape(-1) for name in names}
     moving = [name for name in names if np.ptp(draws[name]) > 0.0][:MOST_CORNER_PARAMETERS]
     truth = {
-        name: calibration.record["truth"][name] for name in moving if name in calibration.record["truth"]
+        name: calibration.summary()["truth"][name]
+        for name in moving
+        if name in calibration.summary()["truth"]
     }
     priors = {p.name: p.prior for p in calibration.rig.free if p.prior is not None}
     yield Picture(
         "What the data taught",
         "Posterior interval of every parameter in units of its prior; a narrow one is determined by the data.",
-        _figure(plots.interval_summary(draws, priors, calibration.record["truth"] or None, title=title)),
+        _figure(plots.interval_summary(draws, priors, calibration.summary()["truth"] or None, title=title)),
     )
     if len(moving) > 1:
         point = {name: calibration.best[name] for name in moving}

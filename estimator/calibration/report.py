@@ -22,30 +22,30 @@ def calibration_report(calibration: Calibration, command: str) -> str:
         calibration: Made by `estimator.calibration.calibrate` or loaded from disk.
         command: The command that produced it, shown as provenance.
     """
-    record = calibration.record
+    summary = calibration.summary()
     page = ReportPage(
         title=f"Calibration of {calibration.rig.name}",
-        subtitle=f"{record['session_source']}; readings recorded {record['session_created']}",
+        subtitle=f"{summary['session_source']}; readings recorded {summary['session_created']}",
         verdict=_verdict(calibration),
-        warnings=_warnings(record),
+        warnings=_warnings(summary),
         tables=_tables(calibration),
         figures=pictures(calibration),
         provenance={
             "command": command,
-            "seed": str(record["seed"]),
-            "session": record["session_hash"],
-            "rig": record["rig_hash"],
-            "versions": ", ".join(f"{name} {v}" for name, v in record["versions"].items()),
-            "sampling": _sampling(record),
+            "seed": str(summary["seed"]),
+            "session": summary["session_hash"],
+            "rig": summary["rig_hash"],
+            "versions": ", ".join(f"{name} {v}" for name, v in summary["versions"].items()),
+            "sampling": _sampling(summary),
         },
     )
     return render_report(page)
 
 
 def _verdict(calibration: Calibration) -> list[str]:
-    record, observations = calibration.record, calibration.observations
-    role = "validation" if record["rmse"]["validation"] else "calibration"
-    error, nominal = record["rmse"][role], record["rmse_nominal"][role]
+    summary, observations = calibration.summary(), calibration.observations
+    role = "validation" if summary["rmse"]["validation"] else "calibration"
+    error, nominal = summary["rmse"][role], summary["rmse_nominal"][role]
     readings = (
         "readings kept out of the fit"
         if role == "validation"
@@ -55,14 +55,14 @@ def _verdict(calibration: Calibration) -> list[str]:
         f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
         f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
         _noise_share(calibration, observations.rows(observations.is_validation == (role == "validation"))),
-        f"Its 90 % intervals hold {record['coverage90'][role]:.1%} of the components of these readings.",
+        f"Its 90 % intervals hold {summary['coverage90'][role]:.1%} of the components of these readings.",
     ]
-    for entry in _most_probable(record["loop_counts"]):
+    for entry in _most_probable(summary["loop_counts"]):
         sentences.append(
             f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.2f}."
         )
     n_fit = len(observations.calibration)
-    sentences.append(f"{n_fit} readings determined {len(record['point_estimate']['values'])} parameters.")
+    sentences.append(f"{n_fit} readings determined {len(summary['point_estimate']['values'])} parameters.")
     return sentences
 
 
@@ -80,28 +80,28 @@ def _noise_share(calibration: Calibration, judged: Observations) -> str:
     )
 
 
-def _warnings(record: Mapping[str, Any]) -> list[str]:
+def _warnings(summary: Mapping[str, Any]) -> list[str]:
     warnings = []
-    if not record["is_converged"]:
-        warnings.append(f"Sampling did not converge: {_sampling(record)}. The intervals are provisional.")
-    if wider := record.get("widening"):
+    if not summary["is_converged"]:
+        warnings.append(f"Sampling did not converge: {_sampling(summary)}. The intervals are provisional.")
+    if wider := summary.get("widening"):
         warnings.append(
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
             f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
         )
-    for direction in record["undetermined"]:
+    for direction in summary["undetermined"]:
         warnings.append(
             f"The data do not determine {direction['words']}: their standard deviation alone is "
             f"{min(direction['data_over_prior_sd'], 9999):.3g} times the prior's, so the interval is the prior's."
         )
-    for name, distance in record["prior_tension"].items():
+    for name, distance in summary["prior_tension"].items():
         warnings.append(
             f"{split_unit(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
             "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
         )
-    if not record["has_integer_counts"] and any(name.endswith("_loops") for name in record["parameters"]):
+    if not summary["has_integer_counts"] and any(name.endswith("_loops") for name in summary["parameters"]):
         warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
-    estimate = record["point_estimate"]
+    estimate = summary["point_estimate"]
     if estimate["starts_agreeing"] < 0.5 * estimate["starts"]:
         warnings.append(
             f"Only {estimate['starts_agreeing']} of {estimate['starts']} starts found the best maximum: there may be several."
@@ -110,10 +110,10 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
 
 
 def _tables(calibration: Calibration) -> list[Table]:
-    record = calibration.record
-    names = list(record["parameters"])
+    summary = calibration.summary()
+    names = list(summary["parameters"])
     display = shown(names)
-    truth = record["truth"]
+    truth = summary["truth"]
     header = [
         "parameter",
         "median ± sd",
@@ -124,7 +124,7 @@ def _tables(calibration: Calibration) -> list[Table]:
     ]
     rows = []
     for name in names:
-        numbers, factor = record["parameters"][name], display[name].factor
+        numbers, factor = summary["parameters"][name], display[name].factor
         low, high = (to_digit_of(numbers["sd"] * factor, end * factor) for end in numbers["ci90"])
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
@@ -137,23 +137,23 @@ def _tables(calibration: Calibration) -> list[Table]:
         ]
         rows.append(row + ([f"{truth[name] * factor:.6g}" if name in truth else "—"] if truth else []))
     tables = [Table("Parameters", header, rows, "Medians and central 90 % intervals of the posterior.")]
-    if record["loop_counts"]:
+    if summary["loop_counts"]:
         counts = [
             [e["coil"], str(e["axial"]), str(e["radial"]), f"{e['probability']:.4f}"]
-            for e in record["loop_counts"][:10]
+            for e in summary["loop_counts"][:10]
         ]
         tables.append(Table("Loop counts", ["coil", "axial", "radial", "probability"], counts))
-    tables.append(_error_table(record))
+    tables.append(_error_table(summary))
     if len(calibration.rig.sensors) > 1:
-        tables.append(_sensor_table(record))
+        tables.append(_sensor_table(summary))
     return tables
 
 
-def _error_table(record: Mapping[str, Any]) -> Table:
+def _error_table(summary: Mapping[str, Any]) -> Table:
     rows = []
     for role in ("calibration", "validation"):
         for label, source in (("nominal", "rmse_nominal"), ("calibrated", "rmse")):
-            metrics = record[source][role]
+            metrics = summary[source][role]
             if metrics is None:
                 continue
             angle = metrics["angular_deviation_rad"]
@@ -180,10 +180,10 @@ def _error_table(record: Mapping[str, Any]) -> Table:
     return Table("Errors", header, rows, "The paper's metric is half the vector rms.")
 
 
-def _sensor_table(record: Mapping[str, Any]) -> Table:
+def _sensor_table(summary: Mapping[str, Any]) -> Table:
     rows = [
         [name, _microtesla(metrics["vector_T"]), f"{metrics['relative']:.3%}"]
-        for name, metrics in record["rmse_by_sensor"]["calibration"].items()
+        for name, metrics in summary["rmse_by_sensor"]["calibration"].items()
     ]
     return Table("Errors by sensor", ["sensor", "vector rms", "of rms field"], rows)
 
@@ -196,8 +196,8 @@ def _most_probable(loop_counts: Sequence[Mapping[str, Any]]) -> list[Mapping[str
     return list(by_coil.values())
 
 
-def _sampling(record: Mapping[str, Any]) -> str:
-    sampling = record["sampling"]
+def _sampling(summary: Mapping[str, Any]) -> str:
+    sampling = summary["sampling"]
     rhat = f"{sampling['largest_rhat']:.4f}" if sampling["largest_rhat"] is not None else "none"
     return (
         f"{sampling['steps']} steps of {sampling['walkers']} walkers, acceptance {sampling['acceptance']:.2f}, "

@@ -23,7 +23,7 @@ from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
-from estimator.rig_files.read import rig_from_state, rig_state
+from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
@@ -41,7 +41,7 @@ class Calibration:
         best: Every number of the rig at the maximum of the posterior, with the most probable whole loop counts.
         draws: Posterior draws of every free parameter, walker by step.
         log_prob: Log posterior density of the draws, up to a constant. Draws that were widened keep the density of the draws before.
-        record: Content of `summary.json`.
+        summary_json: Content of `summary.json`.
     """
 
     rig: Rig
@@ -49,7 +49,7 @@ class Calibration:
     best: Mapping[str, float]
     draws: Mapping[str, np.ndarray]
     log_prob: np.ndarray
-    record: Mapping[str, Any]
+    summary_json: Mapping[str, Any]
 
     def field(
         self,
@@ -149,7 +149,7 @@ class Calibration:
 
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
-        return self.record
+        return self.summary_json
 
     def save(self, folder: Path | str) -> None:
         """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete."""
@@ -160,7 +160,7 @@ class Calibration:
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
             replace_folder(partial, folder / POSTERIOR_STORE)
-            write_text(folder / SUMMARY_FILE, json.dumps(self.record, indent=2, allow_nan=False) + "\n")
+            write_text(folder / SUMMARY_FILE, json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n")
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 

@@ -1,4 +1,4 @@
-"""The result of a calibration in numbers, as `summary.json` holds it (DESIGN section 5)."""
+"""The result of a calibration in numbers, as `summary.json` holds it."""
 
 from __future__ import annotations
 
@@ -148,10 +148,10 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         model = MeasurementModel.build(calibration.rig, observations)
         measured = observations.field_sensor_T.numpy()
         predicted = model.predict(best).expand(len(observations), 3).numpy()
-        result["rmse"][role] = _json(errors(measured, predicted))
-        result["rmse_nominal"][role] = _json(errors(measured, model.predict(nominal).numpy()))
+        result["rmse"][role] = _error_sizes(errors(measured, predicted))
+        result["rmse_nominal"][role] = _error_sizes(errors(measured, model.predict(nominal).numpy()))
         result["rmse_by_sensor"][role] = {
-            sensor.name: _json(errors(measured[is_own], predicted[is_own]))
+            sensor.name: _error_sizes(errors(measured[is_own], predicted[is_own]))
             for i, sensor in enumerate(calibration.rig.sensors)
             if (is_own := observations.sensor.numpy() == i).any()
         }
@@ -182,7 +182,7 @@ def _coverage(calibration: Calibration, model: MeasurementModel, observations: O
     return inside / int(observations.is_measured.sum())
 
 
-def _json(metrics: Errors) -> dict[str, float | None]:
+def _error_sizes(metrics: Errors) -> dict[str, float | None]:
     return {name: finite(value) for name, value in asdict(metrics).items()}
 
 

@@ -72,36 +72,36 @@ def calibrate_command(
         )
     command = f"coilcal calibrate {session_path} --out {out} --seed {seed}"
     write_text(out / "report.html", calibration_report(calibration, command))
-    show(dict(calibration.record), _text(calibration.record, out), as_json)
-    if not calibration.record["is_converged"]:
+    show(dict(calibration.summary()), _text(calibration.summary(), out), as_json)
+    if not calibration.summary()["is_converged"]:
         click.echo(
-            f"coilcal: sampling did not converge in {calibration.record['sampling']['steps']} steps; intervals are provisional "
+            f"coilcal: sampling did not converge in {calibration.summary()['sampling']['steps']} steps; intervals are provisional "
             "(the same command with more --max-steps continues)",
             err=True,
         )
         sys.exit(EXIT_NOT_CONVERGED)
 
 
-def _text(record: Any, out: Path) -> str:
+def _text(summary: Any, out: Path) -> str:
     lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
-    for name, p in record["parameters"].items():
+    for name, p in summary["parameters"].items():
         low, high = p["ci90"]
         lines.append(f"{name:38} {p['median']:12.6g} {low:13.6g} {high:13.6g}  {p['unit']}")
-    for entry in record["loop_counts"][:3]:
+    for entry in summary["loop_counts"][:3]:
         lines.append(
             f"{entry['coil']}: {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.3f}"
         )
-    for role, metrics in record["rmse"].items():
+    for role, metrics in summary["rmse"].items():
         if metrics:
-            nominal = record["rmse_nominal"][role]
+            nominal = summary["rmse_nominal"][role]
             lines.append(
                 f"{role}: error {metrics['vector_T'] * 1e6:.4g} uT rms of the vector ({metrics['relative']:.3%} of the field), "
-                f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {record['coverage90'][role]:.1%}"
+                f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {summary['coverage90'][role]:.1%}"
             )
     lines += [
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
-        for name, distance in record["prior_tension"].items()
+        for name, distance in summary["prior_tension"].items()
     ]
-    lines += [f"not determined by the data: {d['words']}" for d in record["undetermined"]]
+    lines += [f"not determined by the data: {d['words']}" for d in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

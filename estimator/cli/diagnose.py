@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -15,7 +14,8 @@ from estimator.cli.options import json_option, other_rig_option, overwrite_optio
 from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.report import diagnosis_report
-from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, EXTENDED_RIG, REPORT
+from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, EXTENDED_RIG, REPORT, Diagnosis
+from estimator.diagnosis.verdict import Verdict
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
@@ -72,17 +72,16 @@ def diagnose_command(
     rig = load_rig(rig_path) if rig_path else None
     made = out.with_name(f".{out.name}.unfinished")
     shutil.rmtree(made, ignore_errors=True)
-    found = diagnose(
+    diagnosis = diagnose(
         session, rig, validation=validation, out=made, seed=seed, has_posterior=has_posterior, on_stage=_tell
     )
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
-    write_text(made / REPORT, diagnosis_report(found, command))
-    if found.posterior is not None:
-        write_text(made / CALIBRATION_FOLDER / REPORT, calibration_report(found.posterior, command))
+    write_text(made / REPORT, diagnosis_report(diagnosis, command))
+    if diagnosis.posterior is not None:
+        write_text(made / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
     shutil.rmtree(out, ignore_errors=True)
     made.rename(out)
-    record = found.record()
-    show(record, _text(record, out), as_json)
+    show(diagnosis.to_json(), _text(diagnosis, out), as_json)
 
 
 def _tell(words: str) -> None:
@@ -90,39 +89,41 @@ def _tell(words: str) -> None:
     sys.stderr.flush()
 
 
-def _text(record: dict[str, Any], out: Path) -> str:
-    lines = [f"verdict: {record['verdict']}"]
-    for cause in record["causes"]:
-        others = "".join(f", or {o['name']} ({o['probability']:.0%})" for o in cause["alternatives"])
-        lines.append(f"  {cause['name']} ({cause['probability']:.0%}){others}")
-        for key, p in cause["parameters"].items():
-            low, high = p["ci90"]
-            lines.append(f"    {key:16} {p['median']:12.5g}  90 %: {low:.5g} to {high:.5g}  {p['unit']}")
-    if record["stand_ins"]:
-        kept = ", ".join(cause["name"] for cause in record["stand_ins"])
+def _text(diagnosis: Diagnosis, out: Path) -> str:
+    left_open, gain = diagnosis.left_open, diagnosis.gain
+    lines = [f"verdict: {diagnosis.verdict}"]
+    for cause in diagnosis.sized_causes:
+        rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
+        others = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
+        lines.append(f"  {cause.name} ({cause.probability:.0%}){others}")
+        for key, p in cause.quantities.items():
+            low, high = p.ci90
+            lines.append(f"    {key:16} {p.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {p.unit}")
+    if diagnosis.found.stand_ins:
+        names = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
         lines.append(
-            f"  {EXTENDED_RIG} also has {kept}: needed here, but something unknown may look like them"
+            f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
         )
-    if record["verdict"] == "unexplained":
-        left = record["unexplained"]
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        left = diagnosis.found.search.steps[-1].left
         lines.append(
-            f"  something is left that no known cause explains: it depends on {left['looks_like']}, {left['rms_sigma']:.2g} of the "
-            f"noise rms, log evidence {left['log_bayes_factor']:.3g}"
+            f"  something is left that no known cause explains: it depends on {left.family}, {left.rms_sigma:.2g} of the "
+            f"noise rms, log evidence {left.log_bayes_factor:.3g}"
         )
-    if record["indistinguishable"]:
-        groups = "; ".join(" = ".join(group) for group in record["indistinguishable"])
+    if left_open.twins:
+        groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)
         lines.append(f"  this session cannot tell apart: {groups}")
-    if "gain" in record:
-        before, after = record["gain"]["before"], record["gain"]["after"]
+    if gain is not None:
+        before, after = gain.before, gain.after
         lines.append(
-            f"unseen readings: {before['vector_T'] * 1e6:.4g} -> {after['vector_T'] * 1e6:.4g} uT rms of the vector; coverage of 90 % "
-            f"intervals {before['coverage90']:.1%} -> {after['coverage90']:.1%}; log predictive density "
-            f"{record['elpd_difference']:+.1f} +- {record['elpd_se']:.1f}"
+            f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
+            f"of 90 % intervals {before.coverage90:.1%} -> {after.coverage90:.1%}; log predictive density "
+            f"{gain.elpd_difference:+.1f} +- {gain.elpd_se:.1f}"
         )
-    if record["next_measurement"]:
-        best = record["next_measurement"][0]
+    if left_open.next_measurements:
+        best = left_open.next_measurements[0]
         lines.append(
-            f"  to tell them apart, measure {best['action']} (expected log evidence {best['expected_log_evidence']:.0f})"
+            f"  to tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})"
         )
     lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}")
     return "\n".join(lines)

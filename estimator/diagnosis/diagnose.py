@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from estimator.diagnosis.extension import extended_text
+from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.hypotheses.record_mistakes import Fault, without_faults
@@ -15,7 +15,15 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
-from estimator.diagnosis.result import CALIBRATION_FOLDER, Diagnosis, label_of
+from estimator.diagnosis.result import (
+    CALIBRATION_FOLDER,
+    Diagnosis,
+    Fits,
+    Found,
+    LeftOpen,
+    Question,
+    label_of,
+)
 from estimator.diagnosis.structure.signatures import CLEAR
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.verdict import (
@@ -34,7 +42,6 @@ from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 
 MORE_STARTS = 3
@@ -105,35 +112,40 @@ def diagnose(
     judged = gain(before, after, thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
+    is_unexplained = verdict is Verdict.UNEXPLAINED
     result = Diagnosis(
-        rig,
-        session.source,
-        verdict,
-        tuple(faults),
-        tuple(named),
-        tuple(stand_ins(found, named)),
-        found,
-        tuple(smallest_visible(base, found.pool)),
-        tuple(indistinguishable(base, found.pool)),
-        tuple(_next_measurements(found, named, rig)),
-        plain,
-        extended,
-        after,
-        Symptoms.of(plain, seed),
-        Symptoms.of(extended, seed),
-        judged,
-        extended_text(rig, after),
-        seed,
-        Widening.of(extended, after, found.steps[-1].left) if verdict is Verdict.UNEXPLAINED else None,
+        question=Question(rig, session.source, seed),
+        verdict=verdict,
+        found=Found(
+            search=found,
+            faults=tuple(faults),
+            causes=tuple(named),
+            stand_ins=tuple(stand_ins(found, named)),
+        ),
+        fits=Fits(
+            plain=plain,
+            extended=extended,
+            final=after,
+            before=Symptoms.of(plain, seed),
+            after=Symptoms.of(extended, seed),
+            gain=judged,
+        ),
+        left_open=LeftOpen(
+            visible=tuple(smallest_visible(base, found.pool)),
+            twins=tuple(indistinguishable(base, found.pool)),
+            next_measurements=tuple(_next_measurements(found, named, rig)),
+            widening=Widening.of(extended, after, found.steps[-1].left) if is_unexplained else None,
+        ),
+        extended_rig=extended_rig(rig, after),
     )
     folder = None if out is None else Path(out)
-    is_changed = bool(result.fit.rig.effects) or verdict is Verdict.UNEXPLAINED
+    is_changed = bool(result.fits.final.rig.effects) or is_unexplained
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
         tell("posterior of the extended rig")
         sampled = extended_posterior(
             session,
-            rig_from_text(result.extended_rig_text),
-            result.widening,
+            result.extended_rig,
+            result.left_open.widening,
             out=None if folder is None else folder / CALIBRATION_FOLDER,
             seed=seed,
         )

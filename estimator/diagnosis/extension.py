@@ -1,61 +1,37 @@
-"""The rig with the causes that were found, as a rig file."""
+"""The rig with the causes that were found: what the posterior is sampled of, and what `rig_extended.yaml` holds."""
 
 from __future__ import annotations
 
-import math
-
-import yaml
+from dataclasses import replace
 
 from estimator.diagnosis.fitting import Fit
-from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Uniform
+from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
-from estimator.yaml_section import Section
 
-NOTE = "# Found by coilcal diagnose; null is 0 unless said otherwise."
+NOTE = (
+    "Extended by coilcal diagnose: under effects is what was found, in SI; null is 0 unless said otherwise."
+)
 
 
-def extended_text(rig: Rig, fit: Fit) -> str:
-    """The rig's YAML with the effects of a fit: those of the file as they were written, new ones with values at the maximum."""
-    base, written = _without_effects(rig.text)
-    entries: dict[str, object] = {}
+def extended_rig(rig: Rig, fit: Fit) -> Rig:
+    """The rig with the effects of a fit: those that it had stay as they were described, new ones have values at the maximum.
+
+    Args:
+        rig: As it was described; its other numbers keep their nominal values.
+        fit: Of that rig with some effects.
+    """
+    extended = rig
+    for cause in rig.effects:
+        extended = extended.without_cause(cause)
     for cause in fit.rig.effects:
-        prefix = f"{cause.label}."
-        entries[cause.label] = written.get(cause.label) or {
-            name[len(prefix) :]: _entry(parameter, float(fit.values[name]))
-            for name, parameter in fit.rig.parameters.items()
-            if name.startswith(prefix)
-        }
-    if not entries:
-        return base
-    block = yaml.safe_dump({"effects": entries}, sort_keys=False, default_flow_style=None, width=130)
-    return f"{base}\n{NOTE}\n{block}"
+        source = rig if cause in rig.effects else fit.rig
+        parameters = [p for name, p in source.parameters.items() if name.startswith(f"{cause.label}.")]
+        is_new = cause not in rig.effects
+        extended = extended.with_cause(cause, [_at_maximum(p, fit) if is_new else p for p in parameters])
+    return extended
 
 
-def _without_effects(text: str) -> tuple[str, dict[str, object]]:
-    """A rig file without its effects, and what it says of them."""
-    lines = [line for line in text.splitlines() if line != NOTE]
-    top = yaml.compose("\n".join(lines))
-    written = Section.from_text("\n".join(lines), "rig").value("effects") or {}
-    nodes = top.value if isinstance(top, yaml.MappingNode) else []
-    for key, value in nodes:
-        if key.value == "effects":
-            end = value.end_mark.line + (value.end_mark.column > 0)
-            lines[key.start_mark.line : end] = []
-    return "\n".join(lines).rstrip() + "\n", written
-
-
-def _entry(parameter: Parameter, value: float) -> object:
-    """One number in the notation of rig files, in SI."""
-    if parameter.prior is None:
-        return value
-    return {"value": value, "prior": _prior(parameter.prior)}
-
-
-def _prior(prior: Prior) -> dict[str, dict[str, float]]:
-    bounds = {key: end for key, end in (("lower", prior.lower), ("upper", prior.upper)) if math.isfinite(end)}
-    if isinstance(prior, Normal):
-        return {"normal": {"mean": prior.mean, "sd": prior.standard_deviation, **bounds}}
-    if isinstance(prior, LogNormal):
-        return {"log_normal": {"median": prior.median, "relative_sd": prior.relative_sd, **bounds}}
-    assert isinstance(prior, Uniform)
-    return {"uniform": bounds}
+def _at_maximum(parameter: Parameter, fit: Fit) -> Parameter:
+    """A parameter with the fitted value for its nominal one; by rounding that may lie a last digit beyond a bound of the prior."""
+    value, prior = float(fit.values[parameter.name]), parameter.prior
+    return replace(parameter, value=value if prior is None else min(max(value, prior.lower), prior.upper))

@@ -29,7 +29,7 @@ def pictures(diagnosis: Diagnosis) -> list[Picture]:
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before, after = diagnosis.plain, diagnosis.extended
+    before, after = diagnosis.fits.plain, diagnosis.fits.extended
     residuals = [_residual_T(fit) for fit in (before, after)]
     is_extended = bool(after.rig.effects)
     rig = diagnosis.rig
@@ -54,7 +54,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before, after = diagnosis.plain, diagnosis.extended
+    before, after = diagnosis.fits.plain, diagnosis.fits.extended
     if not after.rig.effects:
         return
     change_T = (predicted_T(after) - predicted_T(before)).numpy()
@@ -70,10 +70,10 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    stages = diagnosis.search.stages
+    stages = diagnosis.found.search.stages
     if len(stages) < LEAST_STEPS:
         return
-    fits = [diagnosis.search.base, *(stage.fit for stage in stages)]
+    fits = [diagnosis.found.search.base, *(stage.fit for stage in stages)]
     figure = plots.ladder(
         [diagnosis.label_of_stage(stage) for stage in stages],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
@@ -89,8 +89,8 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before = diagnosis.before.structure
-    after = {one.covariate.name: one for one in diagnosis.after.structure}
+    before = diagnosis.fits.before.structure
+    after = {one.covariate.name: one for one in diagnosis.fits.after.structure}
     chosen = [one for one in before if one.covariate.name in after][:MOST_COVARIATES]
     names = [one.covariate.name for one in chosen]
     yield Picture(
@@ -110,9 +110,9 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
     now = after[first.name].covariate
     factor, unit = _display(first.unit)
     for fit, covariate, when in (
-        (diagnosis.plain, first, "before"),
-        (diagnosis.extended, now, "after"),
-    )[: 2 if diagnosis.extended.rig.effects else 1]:
+        (diagnosis.fits.plain, first, "before"),
+        (diagnosis.fits.extended, now, "after"),
+    )[: 2 if diagnosis.fits.extended.rig.effects else 1]:
         figure = plots.residual_against(
             covariate.by_reading.numpy() * factor,
             _residual_T(fit),
@@ -130,10 +130,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
     for number, (title, step) in enumerate(diagnosis.races[:MOST_STEPS], start=1):
-        evidence = {
-            rival.name if rival.cause is None else diagnosis.label(rival.cause): rival.log_bayes_factor
-            for rival in step.rivals
-        }
+        evidence = {diagnosis.label_of_rival(rival): rival.log_bayes_factor for rival in step.rivals}
         taken = None if step.taken is None else diagnosis.label(step.taken)
         figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
         assert isinstance(figure, Figure)

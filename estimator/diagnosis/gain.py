@@ -34,7 +34,7 @@ class Judged:
     coverage90: float
     log_density: Float[Tensor, " reading"]
 
-    def record(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """As JSON holds it; None stands for what does not apply, such as angles where one component was measured."""
         numbers = {
             **asdict(self.errors),

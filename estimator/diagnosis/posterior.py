@@ -37,13 +37,13 @@ def extended_posterior(
     sampled = calibrate(session, rig, out=out, overwrite=True, seed=seed, settings=settings)
     if widening is None:
         return sampled
-    coordinates = Coordinates(rig, integer_counts=sampled.record["has_integer_counts"])
+    coordinates = Coordinates(rig, integer_counts=sampled.summary()["has_integer_counts"])
     wider = replace(sampled, draws=widening.spread(coordinates, sampled.draws))
     factors = {
         name: float(wider.draws[name].std() / draws.std()) if draws.std() > 0.0 else 1.0
         for name, draws in sampled.draws.items()
     }
-    wider = replace(wider, record={**sampled.record, **summary(session, wider), "widening": factors})
+    wider = replace(wider, summary_json={**sampled.summary(), **summary(session, wider), "widening": factors})
     if out is not None:
         wider.save(out)
     return wider

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.gain import Judged
 from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.result import Diagnosis, Interval
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.page import ReportPage, Table, render_report
@@ -30,13 +29,13 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
     """
     page = ReportPage(
         title=f"Diagnosis of {diagnosis.rig.name}",
-        subtitle=diagnosis.source,
+        subtitle=diagnosis.question.source,
         verdict=_verdict(diagnosis),
         warnings=_warnings(diagnosis),
         tables=_tables(diagnosis),
         figures=pictures(diagnosis),
         appendix=_appendix(diagnosis),
-        provenance={"command": command, "seed": str(diagnosis.seed), "rig": diagnosis.rig.hash},
+        provenance={"command": command, "seed": str(diagnosis.question.seed), "rig": diagnosis.rig.hash},
     )
     return render_report(page)
 
@@ -75,18 +74,18 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
             sentences.append(
                 f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
             )
-    if diagnosis.stand_ins:
-        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.stand_ins)
+    if diagnosis.found.stand_ins:
+        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
         sentences.append(
             f"The extended rig also has {kept}: needed here, but something unknown may look like them."
         )
-    sentences += [_next(diagnosis)] if diagnosis.next_measurements else []
-    left = diagnosis.search.steps[-1].left
+    sentences += [_next(diagnosis)] if diagnosis.left_open.next_measurements else []
+    left = diagnosis.found.search.steps[-1].left
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        seen = left if left.log_bayes_factor > 0.0 else diagnosis.search.whole
+        seen = left if left.log_bayes_factor > 0.0 else diagnosis.found.search.whole
         sentences.append(f"What is left looks like {seen.family}: {seen.rms_sigma:.2g} of the noise rms.")
     gain = diagnosis.gain
-    if gain is not None and diagnosis.extended.rig.effects:
+    if gain is not None and diagnosis.fits.extended.rig.effects:
         sentences.append(
             f"On {len(gain.before.log_density)} readings kept out of all fits the error falls from "
             f"{_microtesla(gain.before)} to {_microtesla(gain.after)}."
@@ -94,9 +93,9 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
             else f"On {len(gain.before.log_density)} readings kept out of all fits the extension gains nothing that is certain: "
             f"{_microtesla(gain.before)} before, {_microtesla(gain.after)} after."
         )
-    sentences.append("Before: " + " ".join(diagnosis.before.sentences()))
-    if diagnosis.extended.rig.effects:
-        sentences.append("After: " + " ".join(diagnosis.after.sentences()))
+    sentences.append("Before: " + " ".join(diagnosis.fits.before.sentences()))
+    if diagnosis.fits.extended.rig.effects:
+        sentences.append("After: " + " ".join(diagnosis.fits.after.sentences()))
     return sentences
 
 
@@ -108,7 +107,7 @@ def _alternative(diagnosis: Diagnosis, other: Alternative) -> str:
 
 
 def _next(diagnosis: Diagnosis) -> str:
-    best = diagnosis.next_measurements[0]
+    best = diagnosis.left_open.next_measurements[0]
     return f"To tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})."
 
 
@@ -121,7 +120,7 @@ def _warnings(diagnosis: Diagnosis) -> list[str]:
         found.append(
             f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
         )
-    for cause in diagnosis.search.dropped:
+    for cause in diagnosis.found.search.dropped:
         found.append(
             f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained what it had explained."
         )
@@ -131,8 +130,8 @@ def _warnings(diagnosis: Diagnosis) -> list[str]:
 def _tables(diagnosis: Diagnosis) -> list[Table]:
     tables = []
     rows = [
-        [label, key, with_sd(p["median"] * f, p["sd"] * f), f"{to_digit_of(p['sd'] * f, p['ci90'][0] * f)} to "
-         f"{to_digit_of(p['sd'] * f, p['ci90'][1] * f)}", unit]
+        [label, key, with_sd(p.median * f, p.sd * f), f"{to_digit_of(p.sd * f, p.ci90[0] * f)} to "
+         f"{to_digit_of(p.sd * f, p.ci90[1] * f)}", unit]
         for label, key, p, f, unit in _parameters(diagnosis)
     ]  # fmt: skip
     if rows:
@@ -142,10 +141,10 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
         tables.append(_gain_table(diagnosis))
         moved = _moved_table(diagnosis)
         tables += [moved] if moved.rows else []
-    if diagnosis.next_measurements:
+    if diagnosis.left_open.next_measurements:
         proposals = [
             [one.action.words, " or ".join(one.splits), f"{one.expected_log_evidence:.1f}"]
-            for one in diagnosis.next_measurements
+            for one in diagnosis.left_open.next_measurements
         ]
         tables.append(
             Table(
@@ -166,21 +165,20 @@ def _appendix(diagnosis: Diagnosis) -> list[Table]:
     ]
 
 
-def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, dict[str, Any], float, str]]:
+def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
     found = []
-    for cause in diagnosis.fit.rig.effects:
-        for key, p in diagnosis.parameters(cause).items():
+    for cause in diagnosis.fits.final.rig.effects:
+        for key, p in diagnosis.quantities(cause).items():
             display = shown([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
-            if p["unit"] == "1" and abs(p["median"]) < 1.0:
+            if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
-            elif p["unit"].startswith("T/") and not p["unit"].startswith("T/m"):
-                factor, unit = 1e6, f"µ{p['unit']}"
+            elif p.unit.startswith("T/") and not p.unit.startswith("T/m"):
+                factor, unit = 1e6, f"µ{p.unit}"
             else:
-                factor, unit = display.factor, display.unit or p["unit"]
+                factor, unit = display.factor, display.unit or p.unit
             label = diagnosis.label(cause)
-            found.append(
-                (f"{label} (stands in)" if cause in diagnosis.stand_ins else label, key, p, factor, unit)
-            )
+            role = " (stands in)" if cause in diagnosis.found.stand_ins else ""
+            found.append((label + role, key, p, factor, unit))
     return found
 
 
@@ -227,11 +225,13 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
         show = display[name]
-        old, new = (float(fit.values[name]) * show.factor for fit in (diagnosis.plain, diagnosis.fit))
+        old, new = (
+            float(fit.values[name]) * show.factor for fit in (diagnosis.fits.plain, diagnosis.fits.final)
+        )
         rows.append(
             [
                 show.words,
-                with_sd(old, diagnosis.plain.value_sd(name) * show.factor),
+                with_sd(old, diagnosis.fits.plain.value_sd(name) * show.factor),
                 with_sd(new, diagnosis.value_sd(name) * show.factor),
                 show.unit or "1",
                 f"{gain.moved_sd[name]:+.1f}".replace("-", "−"),
@@ -251,7 +251,7 @@ def _rivals_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> 
     share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
     rows = [
         [
-            rival.name if rival.cause is None else diagnosis.label(rival.cause),
+            diagnosis.label_of_rival(rival),
             _words(rival),
             _signed(rival.log_bayes_factor),
             _percent(share.get(rival.name)),
@@ -310,8 +310,8 @@ def _why(step: Step, rival: Rival) -> str:
 
 
 def _visible_table(diagnosis: Diagnosis) -> Table:
-    visible = [one for one in diagnosis.visible if one.is_visible]
-    hidden = {diagnosis.label(one.cause) for one in diagnosis.visible} - {
+    visible = [one for one in diagnosis.left_open.visible if one.is_visible]
+    hidden = {diagnosis.label(one.cause) for one in diagnosis.left_open.visible} - {
         diagnosis.label(o.cause) for o in visible
     }
     sizes: dict[str, list[str]] = {}
@@ -321,7 +321,7 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
             f"{quantity} {size_with_unit(one.size, one.unit)}"
         )
     rows = [[label, "; ".join(words)] for label, words in sizes.items()]
-    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.twins)
+    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
     says = "Sizes that these readings would show at five standard deviations, were nothing else wrong."
     if hidden:
         says += f" Not visible at any likely size: {', '.join(sorted(hidden))}."

@@ -64,19 +64,16 @@ def refreshed(session: Session, seed: int) -> Refreshed:
     begin_s = time.monotonic()
     calibration = calibrate(session, settings=QUICK, seed=seed)
     parameters = calibration.summary()["parameters"]
-    diagnosis = diagnose(session, seed=seed).record()
-    causes = tuple(
-        " or ".join([_label(cause), *(alternative["name"] for alternative in cause["alternatives"])])
-        for cause in diagnosis["causes"]
-    )
+    diagnosis = diagnose(session, seed=seed)
+    causes = diagnosis.sized_causes
     return Refreshed(
         len(session.observations),
         dict(calibration.best),
         {name: (numbers["ci90"][0], numbers["ci90"][1]) for name, numbers in parameters.items()},
-        str(diagnosis["verdict"]),
-        causes,
+        str(diagnosis.verdict),
+        tuple(" or ".join([sized.cause.label, *sized.alternative_names]) for sized in causes),
         time.monotonic() - begin_s,
-        tuple(cause["place"] for cause in diagnosis["causes"] if cause.get("place")),
+        tuple(sized.cause.place for sized in causes),
     )
 
 
@@ -188,7 +185,3 @@ def _serve(pipe: Connection, seed: int) -> None:
         except Exception as error:  # must not stop the running estimate
             answer = f"{type(error).__name__}: {error}"
         pipe.send(answer)
-
-
-def _label(cause: Mapping[str, str]) -> str:
-    return f"{cause['name']}[{cause['place']}]" if cause.get("place") else cause["name"]

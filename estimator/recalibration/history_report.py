@@ -55,7 +55,7 @@ def _warnings(registry: Registry, entries: Sequence[Entry]) -> list[str]:
         warnings.append(f"Drift since {_date(last.since or last.taken)}: {_sentence(last)}")
     if entries[-1].conclusion == "rejected":
         warnings.append(f"The last session was rejected: {_sentence(entries[-1])}")
-    if registry.current is not None and not registry.calibration().record["is_converged"]:
+    if registry.current is not None and not registry.calibration().summary()["is_converged"]:
         warnings.append(f"Version {registry.current} did not converge; its intervals are provisional.")
     if entries[-1].made is None and entries[-1].checks.get(IS_CONVERGED) is False:
         warnings.append("The last session's calibration did not converge and replaced nothing.")

@@ -27,10 +27,9 @@ from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
 from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
-from estimator.recalibration.words import causes_of, mistake_in, names_of, sizes_of, words_of
+from estimator.recalibration.words import mistake_in, names_of, sizes_of, words_of
 from estimator.reporting.plots.style import shown, with_sd
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from estimator.units import split_unit
 
@@ -120,20 +119,22 @@ def _with_held_out(session: Session, seed: int) -> Session:
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
     diagnosis = diagnose(session, rig, seed=seed)
     if diagnosis.faults:
-        return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=causes_of(diagnosis))
+        return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=_causes(diagnosis))
     calibration = _sampled(session, diagnosis, seed, settings)
     named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""
     left = "; structure is left that no known cause explains" if _is_unexplained(diagnosis) else ""
     unsure = (
-        "" if calibration.record["is_converged"] else f"; {_short_of(calibration)}, intervals are provisional"
+        ""
+        if calibration.summary()["is_converged"]
+        else f"; {_short_of(calibration)}, intervals are provisional"
     )
     return Judgement(
         Conclusion.UPDATED,
         f"first calibration{named}{left}{unsure}",
         calibration,
-        causes=causes_of(diagnosis),
-        checks={"verdict": str(diagnosis.verdict), IS_CONVERGED: calibration.record["is_converged"]},
-        estimate=_estimate(diagnosis.fit),
+        causes=_causes(diagnosis),
+        checks={"verdict": str(diagnosis.verdict), IS_CONVERGED: calibration.summary()["is_converged"]},
+        estimate=_estimate(diagnosis.fits.final),
     )
 
 
@@ -166,7 +167,7 @@ class _Comparison:
         if diagnosis.faults:
             return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
         if _is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
-            if earlier and (names := named_together([*earlier, _evidence(diagnosis)])):
+            if earlier and (names := named_together([*earlier, diagnosis.evidence()])):
                 return self._together(diagnosis, names, len(earlier) + 1)
             return self._judgement(Conclusion.REJECTED, self._unexplained(), diagnosis)
         return self._explained(diagnosis, settings, may_replace)
@@ -186,7 +187,7 @@ class _Comparison:
         if not (improvement.is_there and may_replace):
             return self._judgement(stays, reason, diagnosis, improvement)
         successor = _sampled(self.session, diagnosis, self.seed, settings)
-        is_converged, stored = bool(successor.record["is_converged"]), self._stored_improvement(successor)
+        is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_improvement(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
             replaced = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UPDATED
@@ -218,10 +219,10 @@ class _Comparison:
         if diagnosis is not None:
             checks |= {
                 "verdict": str(diagnosis.verdict),
-                "lack_of_fit_p": diagnosis.before.lack_of_fit.p_value,
+                "lack_of_fit_p": diagnosis.fits.before.lack_of_fit.p_value,
             }
             if not diagnosis.faults:
-                checks[EVIDENCE] = _evidence(diagnosis)
+                checks[EVIDENCE] = diagnosis.evidence()
         if improvement is not None:
             checks |= {
                 "elpd_difference": finite(improvement.elpd_difference),
@@ -234,7 +235,7 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            causes_of(diagnosis)
+            _causes(diagnosis)
             if diagnosis is not None and (diagnosis.faults or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
@@ -259,7 +260,7 @@ class _Comparison:
         fitted = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
         rules = MeasurementModel.build(self.current.rig, fitted).rules
         before = fit_rig(self.current.rig, fitted, self.current.best, rules)
-        return gain(before, diagnosis.fit, self._unseen())
+        return gain(before, diagnosis.fits.final, self._unseen())
 
     def _stored_improvement(self, successor: Calibration) -> float:
         """Difference of log predictive density, successor less current version, both from their stored draws."""
@@ -287,12 +288,12 @@ class _Comparison:
         name, distance = max(improvement.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
             shown([name])[name],
-            self.current.record["parameters"][name],
-            diagnosis.fit.value_sd(name),
+            self.current.summary()["parameters"][name],
+            diagnosis.fits.final.value_sd(name),
         )
         before, after = (
             with_sd(value * show.factor, width * show.factor)
-            for value, width in ((old["median"], old["sd"]), (float(diagnosis.fit.values[name]), sd))
+            for value, width in ((old["median"], old["sd"]), (float(diagnosis.fits.final.values[name]), sd))
         )
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
@@ -304,7 +305,7 @@ def _sampled(
     session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
 ) -> Calibration:
     """Sample the extended rig of a diagnosis; its causes may need more walkers than were asked for."""
-    rig = rig_from_text(diagnosis.extended_rig_text)
+    rig = diagnosis.extended_rig
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
@@ -313,7 +314,7 @@ def _sampled(
 
 def _short_of(calibration: Calibration) -> str:
     """How sampling fell short of its targets, in words."""
-    sampling = calibration.record["sampling"]
+    sampling = calibration.summary()["sampling"]
     rhat = sampling["largest_rhat"]
     numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
     return f"its posterior did not converge ({numbers})"
@@ -323,13 +324,12 @@ def _is_unexplained(diagnosis: Diagnosis) -> bool:
     """Whether the residual exceeds noise, in structure or in size."""
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         return True
-    return diagnosis.after.lack_of_fit.p_value < FALSE_ALARMS
+    return diagnosis.fits.after.lack_of_fit.p_value < FALSE_ALARMS
 
 
-def _evidence(diagnosis: Diagnosis) -> dict[str, float]:
-    """Log Bayes factor of every hypothesis against nothing, in the first step of the search."""
-    considered = diagnosis.record()["steps"][0]["considered"]
-    return {rival["name"]: rival["log_bayes_factor"] for rival in considered}
+def _causes(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    """Causes as in the log and `diagnosis.json`."""
+    return tuple(cause.to_json() for cause in diagnosis.sized_causes)
 
 
 def _estimate(fit: Fit) -> dict[str, tuple[float, float]]:

@@ -27,6 +27,7 @@ import xarray as xr
 
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.rig_files.write import rig_text
 
 VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"
@@ -269,13 +270,13 @@ class Registry:
     def _save(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
         partial = self.folder / VERSIONS / ".partial"
         calibration.save(partial)
-        (partial / RIG).write_text(calibration.rig.text, encoding="utf-8")
+        (partial / RIG).write_text(rig_text(calibration.rig), encoding="utf-8")
         content = {
             "version": entry.made,
             "previous": self.current,
             "rig_hash": calibration.rig.hash,
-            "seed": calibration.record["seed"],
-            "versions": calibration.record["versions"],
+            "seed": calibration.summary()["seed"],
+            "versions": calibration.summary()["versions"],
             **provenance,
             "entry": asdict(entry),
         }

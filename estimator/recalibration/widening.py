@@ -15,19 +15,16 @@ diagonal for variances).
 
 from __future__ import annotations
 
-import json
 import math
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-import yaml
 
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
-from estimator.rig.parameters import LogNormal, Parameter, Prior
+from estimator.errors import InvalidInput
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior
 from estimator.rig.rig import POSE_KEYS, Rig
-from estimator.rig_files.read import rig_from_text
-from estimator.units import split_unit
 
 EXPANSION = 3e-4  # of a winding's lengths: copper by 20 K
 LOOPS = 0.01  # a winding keeps its loops; its leads are part of one
@@ -36,8 +33,6 @@ SHARE_OF_POSE = 1.0  # a body that is mounted anew stands where it could have st
 SHARE_OF_CAUSE = 1.0  # a cause that has begun may go on
 LENGTHS = ("radius_m", "wire_radius_m", "axial_pitch_m", "radial_pitch_m")
 LEAST_SHARE_LEFT = 1e-9  # of a variance: numbers that follow from others by rounding
-HOLDERS = ("movers", "coils", "sensors", "effects")  # the sections with parameters
-NOTE = "# Priors: the last calibration's posterior, widened by coilcal recalibrate."
 
 
 def widened_rig(calibration: Calibration, described: Rig) -> Rig:
@@ -49,16 +44,25 @@ def widened_rig(calibration: Calibration, described: Rig) -> Rig:
         calibration: The current version.
         described: The rig as the user describes it, with the first priors; causes found later keep those of their rig.
     """
-    rig = calibration.rig
-    tree = json.loads(json.dumps(yaml.safe_load(rig.text)))  # what anchors share becomes each body's own
-    left = _left_sd(calibration)
-    for parameter in rig.free:
-        first = described.parameters.get(parameter.name, parameter).prior or parameter.prior
-        best = calibration.best[parameter.name]
-        assert first is not None
-        change = _change(parameter, first, best)
-        _replace(tree, parameter, _entry(first, best, math.hypot(left[parameter.name], change)))
-    return rig_from_text(NOTE + "\n" + yaml.safe_dump(tree, sort_keys=False, width=130), f"rig {rig.name!r}")
+    rig, left = calibration.rig, _left_sd(calibration)
+    widened = rig.with_parameters(
+        _widened(parameter, described, calibration.best[parameter.name], left[parameter.name])
+        for parameter in rig.free
+    )
+    broken = widened.broken_rule()
+    if broken is not None:
+        name, rule, value = broken
+        raise InvalidInput(f"{name} {rule}; received {value} (rig {rig.name!r}, the last calibration)")
+    return widened
+
+
+def _widened(parameter: Parameter, described: Rig, best: float, left_sd: float) -> Parameter:
+    first = described.parameters.get(parameter.name, parameter).prior or parameter.prior
+    assert first is not None
+    sd = math.hypot(left_sd, _change(parameter, first, best))
+    if isinstance(first, LogNormal):
+        return replace(parameter, value=best, prior=LogNormal(best, sd / best, first.lower, first.upper))
+    return replace(parameter, value=best, prior=Normal(best, sd, first.lower, first.upper))
 
 
 def _left_sd(calibration: Calibration) -> dict[str, float]:
@@ -93,32 +97,3 @@ def _is_pose(parameter: Parameter) -> bool:
 
 def _is_of_cause(body: str) -> bool:
     return body.partition("[")[0] in EFFECTS
-
-
-def _entry(first: Prior, centre: float, sd: float) -> dict[str, Any]:
-    """One number in the notation of rig files, in SI."""
-    bounds = {key: end for key in ("lower", "upper") if math.isfinite(end := getattr(first, key))}
-    if isinstance(first, LogNormal):
-        prior = {"log_normal": {"median": centre, "relative_sd": sd / centre, **bounds}}
-    else:
-        prior = {"normal": {"mean": centre, "sd": sd, **bounds}}
-    return {"value": centre, "prior": prior}
-
-
-def _replace(tree: dict[str, Any], parameter: Parameter, entry: dict[str, Any]) -> None:
-    """Put an entry in SI in the place of a parameter's, whatever unit that was written in."""
-    body, *blocks, key = parameter.name.split(".")
-    (node,) = (tree[kind][body] for kind in HOLDERS if body in tree.get(kind, {}))
-    for block in blocks:
-        node = node[block]
-    entries = {key if _is_same(written, key) else written: value for written, value in node.items()}
-    node.clear()
-    node.update({**entries, key: entry})
-
-
-def _is_same(written: str, key: str) -> bool:
-    """Whether a key of the file states the quantity of an SI key, as radius_mm that of radius_m."""
-    (quantity, unit), (wanted, si) = split_unit(written), split_unit(key)
-    return written == key or (
-        quantity == wanted and unit is not None and si is not None and unit.dimension == si.dimension
-    )

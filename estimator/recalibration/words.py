@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from estimator.diagnosis.gain import Gain
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
 from estimator.reporting.plots.style import shown, with_sd
-
-
-def causes_of(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:
-    """Causes as in `diagnosis.json`."""
-    return tuple(diagnosis.record()["causes"])
 
 
 def names_of(diagnosis: Diagnosis) -> str:
     """Names of the causes."""
-    return " and ".join(cause["name"] for cause in causes_of(diagnosis))
+    return " and ".join(cause.name for cause in diagnosis.sized_causes)
 
 
 def mistake_in(diagnosis: Diagnosis) -> str:
@@ -27,23 +19,23 @@ def mistake_in(diagnosis: Diagnosis) -> str:
 
 def sizes_of(diagnosis: Diagnosis) -> str:
     """Causes with the sizes of their quantities."""
-    return " and ".join(_size(cause) for cause in causes_of(diagnosis))
+    return " and ".join(_size(cause) for cause in diagnosis.sized_causes)
 
 
-def _size(cause: Mapping[str, Any]) -> str:
-    sizes = [_quantity(f"{cause['name']}.{key}", numbers) for key, numbers in cause["parameters"].items()]
-    alternatives = "".join(f" or {alternative['name']}" for alternative in cause["alternatives"])
-    return f"{cause['name']}{alternatives} ({', '.join(sizes)})"
+def _size(cause: SizedCause) -> str:
+    sizes = [_quantity(f"{cause.name}.{key}", interval) for key, interval in cause.quantities.items()]
+    alternatives = "".join(f" or {name}" for name in cause.alternative_names)
+    return f"{cause.name}{alternatives} ({', '.join(sizes)})"
 
 
-def _quantity(name: str, numbers: Mapping[str, Any]) -> str:
+def _quantity(name: str, interval: Interval) -> str:
     """A quantity in its display unit, or in its own unit if that has none, such as T/h."""
-    show, value, sd = shown([name])[name], numbers["median"], numbers["sd"]
-    if show.unit or numbers["unit"] == "1":
+    show, value, sd, unit = shown([name])[name], interval.median, interval.sd, interval.unit
+    if show.unit or unit == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
         return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + numbers["unit"].replace("/", "_per_"))
-    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {numbers['unit']}"
+    words = name.rpartition(".")[2].removesuffix("_" + unit.replace("/", "_per_"))
+    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
 
 
 def words_of(improvement: Gain) -> str:

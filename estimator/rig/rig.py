@@ -121,7 +121,6 @@ class Rig:
         name: Shown in titles.
         coils, sensors, movers: In the order of the session's columns.
         parameters: Every number by its dotted name, in file order.
-        text: The YAML it was read from; its hash identifies the rig.
         effects: What is known or supposed to be wrong with it.
         devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
     """
@@ -131,7 +130,6 @@ class Rig:
     sensors: tuple[Sensor, ...]
     movers: tuple[Mover, ...]
     parameters: Mapping[str, Parameter]
-    text: str = ""
     effects: tuple[Cause, ...] = ()
     devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -177,8 +175,12 @@ class Rig:
 
     def with_fixed(self, names: Iterable[str]) -> Rig:
         """The same rig with some parameters fixed at their nominal values."""
-        fixed = {name: replace(self.parameters[name], prior=None) for name in names}
-        return replace(self, parameters={**self.parameters, **fixed})
+        return self.with_parameters(replace(self.parameters[name], prior=None) for name in names)
+
+    def with_parameters(self, parameters: Iterable[Parameter]) -> Rig:
+        """The same rig with other descriptions of some of its parameters."""
+        others = {parameter.name: parameter for parameter in parameters}
+        return replace(self, parameters={**self.parameters, **others})
 
     def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
@@ -51,28 +49,15 @@ def load_rig(path: Path | str) -> Rig:
     Raises:
         InvalidInput: Unknown key, missing unit, impossible geometry, unknown mover: with file, line, key, rule and value.
     """
-    section = Section.from_file(Path(path))
-    return _rig(section, Path(path).read_text(encoding="utf-8"))
+    return _rig(Section.from_file(Path(path)))
 
 
 def rig_from_text(text: str, file: str = "rig") -> Rig:
     """Read a rig from YAML text; `file` names its origin in messages."""
-    return _rig(Section.from_text(text, file), text)
+    return _rig(Section.from_text(text, file))
 
 
-def rig_state(rig: Rig) -> dict[str, Any]:
-    """A rig as JSON can hold it: its text, and what was set or fixed since it was read."""
-    values = {name: float(p.value) for name, p in rig.parameters.items() if p.tie is None}
-    return {"text": rig.text, "values": values, "free": [parameter.name for parameter in rig.free]}
-
-
-def rig_from_state(state: Mapping[str, Any], file: str) -> Rig:
-    """The rig that `rig_state` described."""
-    rig = rig_from_text(state["text"], file).with_values(state["values"])
-    return rig.with_fixed(parameter.name for parameter in rig.free if parameter.name not in state["free"])
-
-
-def _rig(top: Section, text: str) -> Rig:
+def _rig(top: Section) -> Rig:
     version = top.required("schema_version")
     if version != SCHEMA_VERSION:
         top.refuse("schema_version", f"must be {SCHEMA_VERSION}", repr(version))
@@ -89,7 +74,7 @@ def _rig(top: Section, text: str) -> Rig:
         if number == 0:
             raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
     _check_names((mover_sections, coil_sections, sensor_sections))
-    rig = Rig(name, coils, sensors, movers, numbers.parameters, text)
+    rig = Rig(name, coils, sensors, movers, numbers.parameters)
     effect_sections = top.section("effects")
     causes = tuple(
         _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections

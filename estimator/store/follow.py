@@ -9,7 +9,7 @@ from pathlib import Path
 
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_state
+from estimator.rig_files.state import rig_from_state
 from estimator.store.growing import GROWING
 from estimator.store.journal import JOURNAL, Record, parsed_lines
 from estimator.store.session import is_growing

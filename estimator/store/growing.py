@@ -13,7 +13,7 @@ from torch import Tensor
 
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_state
+from estimator.rig_files.state import rig_state
 from estimator.store.journal import Record
 
 GROWING = "coilcal growing session"
@@ -64,7 +64,7 @@ class StopRecord:
     end_s: float | None = None
     answer_s: Mapping[str, float] = field(default_factory=dict)
 
-    def record(self) -> Record:
+    def to_json(self) -> Record:
         """For the journal."""
         return {
             **asdict(self),

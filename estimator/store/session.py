@@ -27,7 +27,8 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
-from estimator.rig_files.read import rig_from_state, rig_state
+from estimator.rig_files.state import rig_from_state, rig_state
+from estimator.rig_files.write import rig_text
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
 
@@ -35,6 +36,19 @@ SCHEMA_VERSION = 1
 KIND = "coilcal session"
 GROUP = "zarr.json"
 PARTIAL = "sealing.partial"
+
+
+@dataclass(frozen=True)
+class StoredRig:
+    """A rig that was read from a store, with the words in which that holds it."""
+
+    rig: Rig
+    state: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, state: Mapping[str, Any], file: str) -> StoredRig:
+        """Read the rig; `file` names its origin in messages."""
+        return cls(rig_from_state(state, file), state)
 
 
 @dataclass(frozen=True)
@@ -47,6 +61,7 @@ class Session:
         source: Where they come from, in words.
         created: ISO date and time of the record.
         truth: Values a simulation used, by parameter name; empty for measured data.
+        stored_rig: The rig in the words of the store that it was read from, which its hash covers; None where there was none.
     """
 
     rig: Rig
@@ -54,13 +69,20 @@ class Session:
     source: str
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     truth: Mapping[str, float] = field(default_factory=dict)
+    stored_rig: StoredRig | None = field(default=None, repr=False, compare=False)
 
     @property
     def hash(self) -> str:
         """SHA-256 over readings and rig, not over its devices; the same readings always give the same hash."""
-        state = rig_state(self.rig)
-        state["text"] = without_devices(state["text"])
-        return digest(observation_arrays(self.observations), state)
+        state = self._stored_state or {"text": rig_text(self.rig)}
+        text = without_devices(state["text"])
+        return digest(observation_arrays(self.observations), {**state, "text": text})
+
+    @property
+    def _stored_state(self) -> Mapping[str, Any] | None:
+        """The rig word by word as it was read; None where it was not read from a store, or another has taken its place since."""
+        stored = self.stored_rig
+        return stored.state if stored is not None and stored.rig == self.rig else None
 
     def check_rig(self, rig: Rig) -> None:
         """Refuse another description of the rig that does not name the same things in the same order.
@@ -99,6 +121,16 @@ class Session:
             raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
 
     def _write(self, path: Path) -> None:
+        attributes: dict[str, Any] = {
+            "kind": KIND,
+            "schema_version": SCHEMA_VERSION,
+            "created": self.created,
+            "source": self.source,
+            "truth": dict(self.truth),
+            "rig": self._stored_state or rig_state(self.rig),
+            "coil": [coil.name for coil in self.rig.coils],
+            "sensor": [sensor.name for sensor in self.rig.sensors],
+        }
         group = zarr.open_group(path, mode="w", zarr_format=3)
         arrays = observation_arrays(self.observations)
         for name, (dimensions, data) in arrays.items():
@@ -111,16 +143,6 @@ class Session:
                 dimension_names=list(dimensions),
             )
             array[...] = data
-        attributes: dict[str, Any] = {
-            "kind": KIND,
-            "schema_version": SCHEMA_VERSION,
-            "created": self.created,
-            "source": self.source,
-            "truth": dict(self.truth),
-            "rig": rig_state(self.rig),
-            "coil": [coil.name for coil in self.rig.coils],
-            "sensor": [sensor.name for sensor in self.rig.sensors],
-        }
         group.attrs.update({**attributes, "sha256": digest(arrays, attributes)})
 
 
@@ -150,15 +172,16 @@ def load_session(path: Path | str) -> Session:
             }
         if digest(arrays, attributes) != seal:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
-        rig = rig_from_state(attributes["rig"], f"rig inside {path}")
-        observations = observations_from({name: data for name, (_, data) in arrays.items()}, rig)
+        stored = StoredRig.of(attributes["rig"], f"rig inside {path}")
+        observations = observations_from({name: data for name, (_, data) in arrays.items()}, stored.rig)
     except CoilcalError:
         raise
     except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
         raise CorruptStore(
             f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
         ) from error
-    return Session(rig, observations, attributes["source"], attributes["created"], attributes["truth"])
+    provenance = (attributes["source"], attributes["created"], attributes["truth"])
+    return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
 def is_growing(path: Path) -> bool:
@@ -211,8 +234,9 @@ def _from_journal(path: Path) -> Session:
     header, records = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
-    rig = rig_from_state(header["rig"], f"rig inside {path}")
-    return Session(rig, observations_of(records, rig), header["source"], header["created"])
+    stored = StoredRig.of(header["rig"], f"rig inside {path}")
+    observations = observations_of(records, stored.rig)
+    return Session(stored.rig, observations, header["source"], header["created"], stored_rig=stored)
 
 
 def _is_session(path: Path) -> bool:

@@ -115,7 +115,9 @@ def superposition(
     diagnosis = diagnose(joint_session, seed=seed, on_stage=on_stage)
     checked = session.observations.rows(several)
     measured_T, predicted_T = checked.field_sensor_T, predicted_readings_T(system, session, checked)
-    return Superposition(errors(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fit))
+    return Superposition(
+        errors(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fits.final)
+    )
 
 
 def predicted_readings_T(

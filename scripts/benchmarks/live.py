@@ -64,7 +64,7 @@ def write(session: Path, readings: Observations, pause_s: float) -> None:
             field_T = {"hall": readings.field_sensor_T[row].tolist()}
             now_s = time.monotonic()
             current_A = readings.current_A[row].tolist()
-            journal.append(StopRecord(now_s, current_A, motion, field_T, False, 0).record())
+            journal.append(StopRecord(now_s, current_A, motion, field_T, False, 0).to_json())
             time.sleep(pause_s)
 
 

@@ -96,14 +96,12 @@ def predicted_T(fit: Fit, part: Observations) -> np.ndarray:
 
 def verdict(diagnosis: Diagnosis) -> str:
     """The verdict, its causes, and the improvement on readings that were not fitted."""
-    record = diagnosis.record()
-    lines = [f"diagnose, not told: {record['verdict']}"]
-    for cause in record["causes"]:
-        others = ", ".join(f"{a['name']} {a['probability']:.2g}" for a in cause["alternatives"]) or "none"
-        lines.append(
-            f"- {cause['name']}: log evidence {cause['log_bayes_factor']:+.0f}, alternatives: {others}"
-        )
-        lines += [f"  {key} = {v['median']:.4f} +- {v['sd']:.4f}" for key, v in cause["parameters"].items()]
+    lines = [f"diagnose, not told: {diagnosis.verdict}"]
+    for cause in diagnosis.sized_causes:
+        rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
+        others = ", ".join(f"{name} {rival.probability:.2g}" for name, rival in rivals) or "none"
+        lines.append(f"- {cause.name}: log evidence {cause.log_bayes_factor:+.0f}, alternatives: {others}")
+        lines += [f"  {key} = {v.median:.4f} +- {v.sd:.4f}" for key, v in cause.quantities.items()]
     assert diagnosis.gain is not None
     before, after = diagnosis.gain.before, diagnosis.gain.after
     lines.append(
@@ -125,8 +123,8 @@ def study(out: Path) -> str:
     fitted = session.observations.calibration
     rules = MeasurementModel.build(right, fitted).rules
     fits = {
-        "literal sum": diagnosis.plain,
-        "extended by diagnose": diagnosis.extended,
+        "literal sum": diagnosis.fits.plain,
+        "extended by diagnose": diagnosis.fits.extended,
         "right sum": fit_rig(right, fitted, {}, rules, more_starts=3),
     }
     for name, title in {

@@ -83,7 +83,6 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, c
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
     diagnosis = diagnose(session, seed=seed, out=out / data_set.name, most_causes=most_causes, on_stage=tell)
-    record = diagnosis.record()
     write_text(
         out / data_set.name / REPORT,
         diagnosis_report(diagnosis, f"python -m scripts.studies.diagnose_real {data_set.name}"),
@@ -91,28 +90,28 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, c
     for picture in pictures(diagnosis):
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
-    print(f"  verdict: {record['verdict']}; left: {record['unexplained']}")
-    for cause in record["stand_ins"]:
-        print(f"  stands in: {cause['name']}")
-    for cause in record["causes"]:
-        alternatives = [alternative["name"] for alternative in cause["alternatives"]]
-        print(
-            f"  {cause['name']} ({cause['log_bayes_factor']:.0f} in log evidence)"
-            + (f", or {', '.join(alternatives)}" if alternatives else "")
-        )
-        for key, numbers in cause["parameters"].items():
-            print(f"    {key:18} {numbers['median']:12.4g} +- {numbers['sd']:.1g} {numbers['unit']}")
-    if "gain" in record:
-        for name in ("before", "after"):
-            judged = record["gain"][name]
+    left = diagnosis.found.search.steps[-1].left
+    print(
+        f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms along {left.family}, "
+        f"log evidence {left.log_bayes_factor:.3g}"
+    )
+    for stand_in in diagnosis.found.stand_ins:
+        print(f"  stands in: {diagnosis.label(stand_in)}")
+    for cause in diagnosis.sized_causes:
+        others = f", or {', '.join(cause.alternative_names)}" if cause.alternatives else ""
+        print(f"  {cause.name} ({cause.log_bayes_factor:.0f} in log evidence){others}")
+        for key, p in cause.quantities.items():
+            print(f"    {key:18} {p.median:12.4g} +- {p.sd:.1g} {p.unit}")
+    if (gain := diagnosis.gain) is not None:
+        for name, judged in (("before", gain.before), ("after", gain.after)):
             print(
-                f"  {name}: {judged['vector_T'] * 1e3:.3f} mT rms ({judged['relative']:.3%}), largest {judged['max_T'] * 1e3:.2f} mT, "
-                f"coverage of 90 % intervals {judged['coverage90']:.1%}"
+                f"  {name}: {judged.errors.vector_T * 1e3:.3f} mT rms ({judged.errors.relative:.3%}), largest "
+                f"{judged.errors.max_T * 1e3:.2f} mT, coverage of 90 % intervals {judged.coverage90:.1%}"
             )
-        print(f"  log predictive density {record['elpd_difference']:+.0f} +- {record['elpd_se']:.0f}")
-        moved = {name: round(value, 1) for name, value in record["moved_sd"].items() if abs(value) > 2.0}
+        print(f"  log predictive density {gain.elpd_difference:+.0f} +- {gain.elpd_se:.0f}")
+        moved = {name: round(value, 1) for name, value in gain.moved_sd.items() if abs(value) > 2.0}
         print(f"  moved by more than two standard deviations: {moved}")
-    for words, fit in (("before", diagnosis.plain), ("after", diagnosis.fit)):
+    for words, fit in (("before", diagnosis.fits.plain), ("after", diagnosis.fits.final)):
         print(f"  coils against their drawing, {words}: {against_prior(fit)}")
 
 

@@ -83,8 +83,8 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
     begin = time.perf_counter()
     diagnosis = diagnose(session, seed=seed)
     seconds = time.perf_counter() - begin
-    record, truth = diagnosis.record(), hidden.truth()
-    unflawed = fit_without_flaws(hidden, diagnosis.plain) if kind == "single" else None
+    record, truth = diagnosis.to_json(), hidden.truth()
+    unflawed = fit_without_flaws(hidden, diagnosis.fits.plain) if kind == "single" else None
     noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
     return {
         "kind": kind,
@@ -104,14 +104,14 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
         "coil": {
             name: {
                 "truth": value,
-                "before": float(diagnosis.plain.values[name]),
-                "after": float(diagnosis.fit.values[name]),
-                "sd_before": diagnosis.plain.value_sd(name),
+                "before": float(diagnosis.fits.plain.values[name]),
+                "after": float(diagnosis.fits.final.values[name]),
+                "sd_before": diagnosis.fits.plain.value_sd(name),
                 "sd_after": diagnosis.value_sd(name),
                 "unflawed": None if unflawed is None else float(unflawed.values[name]),
             }
             for name, value in truth["values"].items()
-            if name in diagnosis.plain.posterior.coordinates.names and not name.endswith("noise_T")
+            if name in diagnosis.fits.plain.posterior.coordinates.names and not name.endswith("noise_T")
         },
         "n_unseen": None if diagnosis.gain is None else len(diagnosis.gain.after.log_density),
         "seconds": seconds,

@@ -176,7 +176,7 @@ def check_versions(registry: Registry) -> None:
             registry.roll_back(version)
         if (
             registry.current != version
-            or registry.calibration().record != registry.calibration(version).record
+            or registry.calibration().summary() != registry.calibration(version).summary()
         ):
             raise RuntimeError(f"version {version} must be current again; {registry.current} is")
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import jacfwd
 
-from estimator.diagnosis.extension import extended_text
+from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -16,6 +16,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.write import rig_text
 
 RIG = """
 schema_version: 1
@@ -171,7 +172,7 @@ def test_rig_file_with_the_effect_predicts_the_same(rig, observations, name):
     cause = Cause(name, EFFECTS[name].places(rig)[0])
     model, values = chain_with(rig, observations, cause)
     fit = fit_rig(model.rig, observations, values, model.rules)
-    again = rig_from_text(extended_text(rig, fit))
+    again = rig_from_text(rig_text(extended_rig(rig, fit)))
     assert again.effects == (cause,)
     for parameter in (p for p in again.parameters.values() if p.name.startswith(cause.label)):
         known = model.rig.parameters[parameter.name]

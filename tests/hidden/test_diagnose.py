@@ -29,7 +29,7 @@ def verdict(
     """What the diagnosis says of a session with something hidden."""
     draw_session(seed, cause, sigma, protocol).write(folder)
     session = read_readings_csv(folder / "readings.csv", load_rig(folder / "rig.yaml"))
-    return diagnose(session, seed=seed).record()
+    return diagnose(session, seed=seed).to_json()
 
 
 @pytest.mark.parametrize("cause", CASES)

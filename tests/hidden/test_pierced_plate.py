@@ -22,7 +22,7 @@ def test_plate_is_named_and_its_place_and_opening_are_found(tmp_path, seed):
     height_m, opening_m = rng.uniform(0.2, 0.26), rng.uniform(0.045, 0.06)
     write(tmp_path, height_m, opening_m, rng)
     rig = load_rig(tmp_path / "rig.yaml")
-    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).record()
+    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).to_json()
     assert found["verdict"] == "named"
     cause = found["causes"][0]
     assert cause["name"] == "pierced_plate"

@@ -31,7 +31,7 @@ def test_every_probe_that_is_wrong_is_named_for_what_it_has(tmp_path, seed):
     }
     write(tmp_path, offsets_T, misplaced, rng)
     rig = load_rig(tmp_path / "rig.yaml")
-    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).record()
+    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).to_json()
     assert found["verdict"] == "named"
     causes = {cause["name"]: cause["parameters"] for cause in found["causes"]}
     sizes = {f"sensor_offset[{name}]": dict(zip(ZERO, size, strict=True)) for name, size in offsets_T.items()}

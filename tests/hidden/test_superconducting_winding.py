@@ -36,7 +36,7 @@ def test_flux_that_the_idle_coil_holds_and_screens_is_named_and_measured(tmp_pat
     truth = {"axial_T": rng.uniform(1e-3, 3e-3), "susceptibility": rng.uniform(0.05, 0.2)}
     write(tmp_path, truth, rng)
     rig = load_rig(tmp_path / "rig.yaml")
-    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).record()
+    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).to_json()
     assert found["verdict"] == "named"
     cause = found["causes"][0]
     assert cause["name"] == "filament_magnetisation[idle]"

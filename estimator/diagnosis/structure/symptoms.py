@@ -32,7 +32,7 @@ class Symptoms:
         """
         return cls(lack_of_fit(fit), tuple(structure(fit, seed)), signatures(fit))
 
-    def record(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
         return {
             "lack_of_fit": {

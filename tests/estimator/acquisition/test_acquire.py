@@ -318,7 +318,7 @@ def test_a_thermometer_added_while_a_session_is_interrupted_knows_nothing_of_bef
     small_rig: Rig,
 ) -> None:
     records = [
-        StopRecord(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).record()
+        StopRecord(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).to_json()
         for i in range(2)
     ]
     del records[0]["temperature_C"]  # as in journals of earlier versions

@@ -112,9 +112,9 @@ def test_a_posterior_goes_on_where_more_is_asked_for_and_ends_as_if_that_had_bee
 
 def test_other_walkers_are_another_job(sessions):
     names = {
-        jobs_of(str(sessions[0]), "", ("plain",), False, 0, SamplerSettings(n_walkers=n, target_ess=ess))[0][
+        jobs_of(str(sessions[0]), None, ("plain",), False, 0, SamplerSettings(n_walkers=n, target_ess=ess))[
             0
-        ].name
+        ][0].name
         for n, ess in ((16, 100.0), (18, 100.0), (18, 200.0))
     }
     assert len(names) == 2
@@ -238,7 +238,7 @@ def test_what_is_finished_is_not_done_again(fitted, sessions, address):
 
 
 def test_unfinished_rest_of_a_stack_gets_the_same_numbers(fitted, sessions, tmp_path):
-    jobs = [job for path in sessions for job in jobs_of(str(path), "", HYPOTHESES, False, 0)[0]]
+    jobs = [job for path in sessions for job in jobs_of(str(path), None, HYPOTHESES, False, 0)[0]]
     assert {job.name for job in jobs} == set(fitted.names)
     stack = next(iter(stacks(jobs, 8000, 64)))
     assert len(stack) == 3
@@ -254,7 +254,7 @@ def test_unfinished_rest_of_a_stack_gets_the_same_numbers(fitted, sessions, tmp_
 
 
 def test_a_session_fitted_alone_agrees_with_the_stack(fitted, sessions, tmp_path):
-    (job,), _ = jobs_of(str(sessions[1]), "", ("plain",), False, 0)
+    (job,), _ = jobs_of(str(sessions[1]), None, ("plain",), False, 0)
     fit([job], str(tmp_path))
     old, new = (
         json.loads((where / job.name / "result.json").read_text()) for where in (fitted.folder, tmp_path)
@@ -270,14 +270,14 @@ def test_each_coil_is_calibrated_from_readings_in_which_it_alone_has_current(tmp
     truth = {name: value for name, value in rig.nominal_values().items() if rig.parameters[name].tie is None}
     observations = simulate(rig, load_plan(tmp_path / "plan.yaml", rig), truth, seed=1)
     Session(rig, observations, "two coils").save(tmp_path / "both.zarr")
-    jobs, _ = jobs_of(str(tmp_path / "both.zarr"), "", ("plain",), True, 0)
+    jobs, _ = jobs_of(str(tmp_path / "both.zarr"), None, ("plain",), True, 0)
     assert [job.coil for job in jobs] == ["coil1", "coil2"]
     n_first = int((observations.current_A[:, 1] == 0.0).sum())
     assert jobs[0].n_readings == n_first
     only_one = observations.rows(observations.current_A[:, 1] == 0.0)
     Session(rig, only_one, "one coil").save(tmp_path / "one.zarr")
     path = str(tmp_path / "one.zarr")
-    jobs, refused = jobs_of(path, "", ("plain",), True, 0)
+    jobs, refused = jobs_of(path, None, ("plain",), True, 0)
     assert [job.coil for job in jobs] == ["coil1"]
     assert refused == {
         f"{path}, coil2, plain": "coil2 must carry current alone in some reading; it never does"

@@ -123,7 +123,7 @@ def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("must not be sampled twice")
 
-    (job,), _ = jobs_of(str(sessions[0]), "", ("plain",), False, 0, SETTINGS)
+    (job,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0, SETTINGS)
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         assert fit([job], str(tmp_path / folder)) == {}
@@ -144,7 +144,7 @@ def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior
 def test_two_attempts_at_one_fit_leave_one_result_and_nothing_else(
     sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (job,), _ = jobs_of(str(sessions[0]), "", ("plain",), False, 0, SETTINGS)
+    (job,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0, SETTINGS)
     real = work.write_text
     inner: list[dict[str, str]] = []
 

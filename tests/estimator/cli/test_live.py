@@ -71,7 +71,7 @@ def growing(tmp_path: Path, small_rig: Rig, stops: list[StopRecord]) -> Iterator
         time.sleep(0.3)
         with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
             for one in stops:
-                journal.append(one.record())
+                journal.append(one.to_json())
                 time.sleep(0.02)
         seal(path)
 
@@ -101,7 +101,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     stops[5] = replace(stops[5], n_gaps={"hall": 2})
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for one in stops[:9]:
-            journal.append(one.record())
+            journal.append(one.to_json())
     seal(path)
     said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
     assert (said["stops"], said["readings"], said["skipped"], said["gaps"]) == (9, 7, 2, 2)
@@ -131,7 +131,7 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     def write() -> None:
         with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
             for one in warm:
-                journal.append(one.record())
+                journal.append(one.to_json())
                 time.sleep(0.02)
         seal(path)
 
@@ -210,7 +210,7 @@ def test_nothing_is_made_of_the_readings_while_none_is_new(
     path = tmp_path / "session.zarr"
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for one in stops[:5]:
-            journal.append(one.record())
+            journal.append(one.to_json())
     calls = []
     real = live.observations_of
     monkeypatch.setattr(live, "observations_of", lambda *given: calls.append(1) or real(*given))
@@ -274,7 +274,7 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
         field_T={"hall": [float("nan"), 1e-3, 2e-3]},
         is_settled=False,
         temperature_C={"coil1": 31.26, "hall": float("nan")},
-    ).record()
+    ).to_json()
     text = shown(
         LiveState(
             "session.zarr",

@@ -126,7 +126,7 @@ def test_missing_components_do_not_count_and_nothing_becomes_nan_in_json(found, 
     assert len(own.log_density) == len(unseen)
     assert own.elpd < whole.elpd  # densities in tesla are large: fewer components, less of them
     assert math.isnan(own.errors.angular_deviation_rad)
-    record = own.record()
+    record = own.to_json()
     assert record["angular_deviation_rad"] is None
     assert all(value is None or math.isfinite(value) for value in record.values())
 

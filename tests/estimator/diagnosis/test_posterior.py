@@ -37,12 +37,12 @@ def widened(
 
 
 def test_draws_are_wider_and_counts_are_not(small_calibration: Calibration, widened: Calibration):
-    factors = widened.record["widening"]
+    factors = widened.summary()["widening"]
     for name in (RADIUS, HEIGHT):
         assert widened.draws[name].std() == pytest.approx(factors[name] * small_calibration.draws[name].std())
         assert factors[name] == pytest.approx(3.0, rel=0.1)
     assert (widened.draws[COUNT] == small_calibration.draws[COUNT]).all()
-    assert "widening" not in small_calibration.record
+    assert "widening" not in small_calibration.summary()
 
 
 def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calibration, widened: Calibration):
@@ -55,7 +55,7 @@ def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calib
 
 
 def test_summary_and_page_say_the_wider_intervals(widened: Calibration):
-    low, high = widened.record["parameters"][RADIUS]["ci90"]
+    low, high = widened.summary()["parameters"][RADIUS]["ci90"]
     assert high - low == pytest.approx(2.0 * 1.645 * widened.draws[RADIUS].std(), rel=0.1)
     assert re.search(
         r"up to (2\.\d+|3|3\.\d+) times", calibration_report(widened, "coilcal diagnose session.zarr")
@@ -65,4 +65,4 @@ def test_summary_and_page_say_the_wider_intervals(widened: Calibration):
 def test_what_lies_on_disk_is_the_wide_posterior(widened: Calibration, folder: Path):
     stored = Calibration.load(folder)
     assert (stored.draws[RADIUS] == widened.draws[RADIUS]).all()
-    assert stored.record["widening"] == widened.record["widening"]
+    assert stored.summary()["widening"] == widened.summary()["widening"]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from estimator.cli.diagnose import _text
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
@@ -58,24 +60,26 @@ def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
 
 def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
     """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
-    fit = diagnosis.fit
+    fit = diagnosis.fits.final
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
-    heated = replace(diagnosis, fit=fit_rig(rig, fit.observations, {}, fit.posterior.model.rules))
-    assert set(heated.parameters(HEATING)) == {"loss_per_A2", "tau_h"}
+    final = fit_rig(rig, fit.observations, {}, fit.posterior.model.rules)
+    heated = replace(diagnosis, fits=replace(diagnosis.fits, final=final))
+    assert set(heated.quantities(HEATING)) == {"loss_per_A2", "tau_h"}
 
 
 def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
     cause = diagnosis.causes[0].cause
-    key = next(iter(diagnosis.parameters(cause)))
-    wide = replace(diagnosis, widening=Widening(diagnosis.fit, 9.0 * diagnosis.fit.covariance))
+    key = next(iter(diagnosis.quantities(cause)))
+    widening = Widening(diagnosis.fits.final, 9.0 * diagnosis.fits.final.covariance)
+    wide = replace(diagnosis, left_open=replace(diagnosis.left_open, widening=widening))
     for known, wider in (
-        (diagnosis.of_rig()[RADIUS], wide.of_rig()[RADIUS]),
-        (diagnosis.parameters(cause)[key], wide.parameters(cause)[key]),
+        (diagnosis.rig_numbers()[RADIUS], wide.rig_numbers()[RADIUS]),
+        (diagnosis.quantities(cause)[key], wide.quantities(cause)[key]),
     ):
-        assert wider["median"] == known["median"]
-        assert wider["sd"] == pytest.approx(3.0 * known["sd"])
-        low, high = (end - known["median"] for end in wider["ci90"])
-        assert high == pytest.approx(1.645 * 3.0 * known["sd"], rel=1e-3)
+        assert wider.median == known.median
+        assert wider.sd == pytest.approx(3.0 * known.sd)
+        low, high = (end - known.median for end in wider.ci90)
+        assert high == pytest.approx(1.645 * 3.0 * known.sd, rel=1e-3)
         assert low == pytest.approx(-high)
 
 
@@ -93,35 +97,44 @@ def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
 
 def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
     several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
-    found = replace(diagnosis, causes=several, verdict=Verdict.NAMED, next_measurements=())
-    said = diagnosis_report(found, "")
+    found, left_open = (
+        replace(diagnosis.found, causes=several),
+        replace(diagnosis.left_open, next_measurements=()),
+    )
+    said = diagnosis_report(replace(diagnosis, found=found, verdict=Verdict.NAMED, left_open=left_open), "")
     assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in said
 
 
 def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
     other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
     (one,) = diagnosis.causes
-    found = as_text(replace(diagnosis, causes=(replace(one, alternatives=(other,)),)))
-    assert "could as well be axis_gain (25%)." in found
+    found = replace(diagnosis.found, causes=(replace(one, alternatives=(other,)),))
+    assert "could as well be axis_gain (25%)." in as_text(replace(diagnosis, found=found))
 
 
 def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
     (one,) = diagnosis.causes
-    said = as_text(replace(diagnosis, causes=(), stand_ins=(one.cause,), verdict=Verdict.UNEXPLAINED))
+    found = replace(diagnosis.found, causes=(), stand_ins=(one.cause,))
+    unexplained = replace(diagnosis, found=found, verdict=Verdict.UNEXPLAINED)
+    said = as_text(unexplained)
     label = diagnosis.label(one.cause)
     assert (
         f"The extended rig also has {label}: needed here, but something unknown may look like them." in said
     )
     assert f"{label} (stands in) x_T" in said
     assert f"{label} (" not in said.partition("The extended rig")[0]
+    assert f"rig_extended.yaml also has {label}: needed here" in _text(unexplained, Path("out"))
+    assert "also has" not in _text(diagnosis, Path("out"))
 
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
-    first, *rest = diagnosis.search.stages
-    again = replace(diagnosis.search, stages=(first, first, *rest))
+    first, *rest = diagnosis.found.search.stages
+    again = replace(diagnosis.found.search, stages=(first, first, *rest))
     (ladder,) = [
-        p for p in pictures(replace(diagnosis, search=again)) if p.title == "What each cause brought"
+        p
+        for p in pictures(replace(diagnosis, found=replace(diagnosis.found, search=again)))
+        if p.title == "What each cause brought"
     ]
     labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
     assert labels[1] == labels[2] == f"+ {diagnosis.label_of_stage(first)}"
@@ -129,5 +142,5 @@ def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None
 
 def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
     causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
-    stage = Stage(tuple(causes), diagnosis.fit)
+    stage = Stage(tuple(causes), diagnosis.fits.final)
     assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"

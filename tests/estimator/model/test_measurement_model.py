@@ -22,6 +22,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.write import rig_text
 from estimator.units import MU0_T_M_PER_A
 
 LOOP = "radius_mm: 50.5, wire_radius_mm: 0.5, axial_loops: 1, radial_loops: 1"  # of 50 mm, 0.5 mm behind the face
@@ -325,7 +326,7 @@ def test_displaced_elements_of_one_sensor_and_a_leaking_supply_concern_theirs_al
 
     def with_effects(names: str, effects: str) -> Rig:
         plain = rig(TWO_COILS, "\n".join(sensors[name] for name in names), STAGE)
-        return rig_from_text(plain.text + f"effects:\n  {effects}\n")
+        return rig_from_text(rig_text(plain) + f"effects:\n  {effects}\n")
 
     poses, which = random_poses(4, seed=8), [1, 0, 1, 0]
     current_A = [[1.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 2.0]]

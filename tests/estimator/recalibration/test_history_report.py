@@ -74,7 +74,7 @@ def test_calibrations_that_did_not_converge_are_warned_of(
     assert _warnings(registry, registry.entries()) == [
         "The last session's calibration did not converge and replaced nothing."
     ]
-    unsure = replace(small_calibration, record={**small_calibration.record, "is_converged": False})
+    unsure = replace(small_calibration, summary_json={**small_calibration.summary(), "is_converged": False})
     with registry.writing():
         registry.commit(UPDATED, unsure)
     assert _warnings(registry, registry.entries()) == [

@@ -100,7 +100,7 @@ def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
     assert drift.checks["elpd_difference"] > 2.0 * drift.checks["elpd_se"]
     extended = registry.calibration()
     assert [one.name for one in extended.rig.effects] == [cause["name"]]
-    assert extended.record["is_converged"]
+    assert extended.summary()["is_converged"]
 
     assert (damaged.conclusion, damaged.version, damaged.made) == ("rejected", 2, None)
     assert damaged.reason.startswith("the session cannot be read: ")
@@ -350,7 +350,7 @@ def test_a_coil_mounted_anew_updates_the_calibration(
     assert judged.conclusion == "updated"
     assert "coil1.world_from_coil0.z moved by" in judged.reason
     assert judged.calibration is not None
-    z = judged.calibration.record["parameters"]["coil1.world_from_coil0.z_m"]
+    z = judged.calibration.summary()["parameters"]["coil1.world_from_coil0.z_m"]
     assert z["median"] == pytest.approx(-0.0405, abs=4.0 * z["sd"])
 
 

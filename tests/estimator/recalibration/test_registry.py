@@ -14,12 +14,14 @@ import pytest
 from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import load_rig
 
 KILLS = """
 import json, os, signal, sys, shutil
 from pathlib import Path
 from estimator.calibration.result import Calibration
 from estimator.recalibration.registry import Entry, Registry
+from estimator.rig_files.read import load_rig
 
 kept, work = Path(sys.argv[1]), Path(sys.argv[2])
 successor = Calibration.load(kept / "versions/0001")
@@ -56,7 +58,7 @@ for name, (method, how) in replaced.items():
             registry.commit(Entry("updated", "again", "b.zarr", "hash b"), successor)
     _, status = os.waitpid(child, 0)
     registry = Registry(work)
-    left = registry.calibration().record["seed"]
+    left = registry.calibration().summary()["seed"]
     with registry.writing():
         pass
     entries = registry.entries()
@@ -88,7 +90,7 @@ def test_a_version_is_whole_with_its_rig_and_provenance(
     assert np.array_equal(
         registry.calibration().draws["coil1.radius_m"], small_calibration.draws["coil1.radius_m"]
     )
-    assert (folder / "rig.yaml").read_text(encoding="utf-8") == small_calibration.rig.text
+    assert load_rig(folder / "rig.yaml") == small_calibration.rig
     provenance = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     assert provenance["previous"] is None
     assert provenance["rig_hash"] == small_calibration.rig.hash
@@ -132,7 +134,7 @@ def test_history_is_a_dataset_of_versions_and_parameters(
     registry: Registry, small_calibration: Calibration
 ) -> None:
     history = registry.history()
-    own = small_calibration.record["parameters"]["coil1.radius_m"]
+    own = small_calibration.summary()["parameters"]["coil1.radius_m"]
     radius = history.sel(version=1, parameter="coil1.radius_m")
     assert float(radius["median"]) == own["median"]
     assert [float(radius["lower90"]), float(radius["upper90"])] == own["ci90"]
@@ -170,7 +172,7 @@ def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
         check=False,
     )
     assert process.returncode == 0, process.stderr
-    seed = small_calibration.record["seed"]
+    seed = small_calibration.summary()["seed"]
     first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]
     assert [json.loads(line) for line in process.stdout.splitlines()] == [
         ["before saving", 9, seed, *first],

@@ -19,6 +19,7 @@ from estimator.recalibration.widening import (
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.write import rig_text
 
 RADIUS, LOOPS_OF_COIL, HEIGHT = "coil1.radius_m", "coil1.axial_loops", "coil1.world_from_coil0.z_m"
 
@@ -85,7 +86,7 @@ def test_nothing_else_of_the_rig_changes_and_its_text_says_all(
     fixed = {n: p for n, p in small_rig.parameters.items() if not p.is_free}
     assert {n: widened.parameters[n] for n in fixed} == fixed
     assert widened.parameters["coil1.axial_loops"].prior.lower == 1.0  # type: ignore[union-attr]
-    assert rig_from_text(widened.text).hash == widened.hash
+    assert rig_from_text(rig_text(widened)).hash == widened.hash
 
 
 def test_a_cause_that_began_may_go_on_and_noise_may_age(

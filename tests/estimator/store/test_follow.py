@@ -30,7 +30,7 @@ def test_every_record_is_handed_out_once_while_another_thread_writes(folder: Pat
     def write() -> None:
         with Journal.resume(folder) as journal:
             for number in range(100):
-                journal.append(stop(number).record())
+                journal.append(stop(number).to_json())
         seal(folder)
 
     writer = threading.Thread(target=write)
@@ -49,7 +49,7 @@ def test_every_record_is_handed_out_once_while_another_thread_writes(folder: Pat
 def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
     follower = Follower(folder)
     with Journal.resume(folder) as journal:
-        journal.append(stop(0).record())
+        journal.append(stop(0).to_json())
     whole = (folder / JOURNAL).read_bytes()
     for n_missing in (9, 1):
         (folder / JOURNAL).write_bytes(whole[:-n_missing])
@@ -62,7 +62,7 @@ def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
 def test_damage_is_found_when_it_is_read(folder: Path) -> None:
     follower = Follower(folder)
     with Journal.resume(folder) as journal:
-        journal.append(stop(0).record())
+        journal.append(stop(0).to_json())
     data = bytearray((folder / JOURNAL).read_bytes())
     data[-20] ^= 1
     (folder / JOURNAL).write_bytes(data)

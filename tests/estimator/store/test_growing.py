@@ -34,7 +34,7 @@ def folder(tmp_path: Path, small_rig: Rig) -> Path:
     path = tmp_path / "session.zarr"
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
         for number in range(3):
-            journal.append(stop(number, (1e-3, math.nan, 3e-3)).record())
+            journal.append(stop(number, (1e-3, math.nan, 3e-3)).to_json())
     return path
 
 
@@ -43,7 +43,7 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     growing = load_session(folder)
     assert (growing.rig.hash, growing.source, len(growing.observations)) == (small_rig.hash, "a test", 3)
     with Journal.resume(folder) as journal:
-        journal.append(stop(3).record())
+        journal.append(stop(3).to_json())
         sealed = seal(folder)
     assert not is_growing(folder)
     again = load_session(folder)
@@ -59,7 +59,7 @@ def test_what_flowed_in_the_coils_is_known_from_the_journal() -> None:
         return StopRecord(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
 
     stops = [one(1.0, 4.0, 3.0, 0.0), one(4.0, 6.0, -2.0, 1.0), one(100.0, 102.0, 0.0, -5.0)]
-    found = load_so_far([stop.record() for stop in stops], ["a", "b"], 103.0)
+    found = load_so_far([stop.to_json() for stop in stops], ["a", "b"], 103.0)
     # Before the first stop nothing; after the second, where a run ended, perhaps for another 3 s; after the last for 1 s.
     seconds = [1.0, 3.0, 2.0, 3.0, 91.0, 2.0, 1.0]
     assert found == {
@@ -82,7 +82,7 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
         path.write_bytes(whole[:cut])
         assert len(load_session(folder).observations) == 2
     with Journal.resume(folder) as journal:
-        journal.append(stop(2, (1e-3, math.nan, 3e-3)).record())
+        journal.append(stop(2, (1e-3, math.nan, 3e-3)).to_json())
     assert path.read_bytes() == whole
 
 
@@ -136,10 +136,10 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
     with Journal.resume(folder) as journal:
         monkeypatch.setattr(os, "pwrite", lambda d, data, place: full(d, data[:40], place))
         with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
-            journal.append(stop(3).record())
+            journal.append(stop(3).to_json())
         monkeypatch.undo()
         assert (folder / JOURNAL).read_bytes() == whole
-        journal.append(stop(3).record())
+        journal.append(stop(3).to_json())
     assert len(load_session(folder).observations) == 4
 
 
@@ -153,10 +153,10 @@ def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_on
         monkeypatch.setattr(os, "fsync", refuse)
         monkeypatch.setattr(os, "ftruncate", refuse)
         with pytest.raises(InvalidInput, match=r"session.zarr is not: Input/output error"):
-            journal.append(stop(3).record())
+            journal.append(stop(3).to_json())
         monkeypatch.undo()
         with pytest.raises(InvalidInput, match="must be writable"):
-            journal.append(stop(4).record())  # would begin where the lost line is
+            journal.append(stop(4).to_json())  # would begin where the lost line is
     with Journal.resume(folder) as journal:
         assert [record["time_s"] for record in journal.records] == [0.0, 1.0, 2.0, 3.0]  # it was all there
 
@@ -292,7 +292,7 @@ def test_what_a_process_writes_is_not_taken_away(folder: Path, small_session: Se
     with Journal.resume(folder) as journal:
         with pytest.raises(InvalidInput, match=r"one process at a time; another writes .*session\.zarr$"):
             take_away()
-        journal.append(stop(3).record())
+        journal.append(stop(3).to_json())
     assert len(read_journal(folder)[1]) == 4
     take_away()
     assert not is_growing(folder)
