@@ -117,7 +117,7 @@ class Settings:
     def finish(self) -> None:
         """Refuse keys that nobody took."""
         if self._untaken:
-            raise Refused(f"{self.place}.{self._untaken[0]} is not a key that is known here")
+            raise Refused(f"{self.place}.{self._untaken[0]} is not a known key")
 
     def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
         found = [(f"{quantity}_{unit}", factor) for unit, factor in _UNITS[dimension].items()]

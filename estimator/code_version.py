@@ -1,4 +1,4 @@
-"""Which code produced a result: the commit, where it runs from a checkout; releases are told by their version."""
+"""Identify the code that produced a result: by its commit in a checkout, by its version number in a release."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 
 
 @cache
 def code_version() -> str | None:
-    """Commit of the checkout that runs, with `-dirty` where files differ from it; None without a checkout or git."""
+    """Commit of the running checkout, with `-dirty` if files differ from it; None without a checkout or git."""
     if not (ROOT / ".git").exists():
         return None
-    ask = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        done = subprocess.run(ask, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+        completed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None
+    return completed.stdout.strip() or None

@@ -1,14 +1,14 @@
-"""The few exceptions a caller of coilcal may see; everything else is a bug."""
+"""The exceptions a caller of coilcal may see; any other is a bug."""
 
 from __future__ import annotations
 
 
 class CoilcalError(Exception):
-    """A fault coilcal can explain in one sentence: thing, rule, value, place."""
+    """A fault that one sentence explains: thing, rule, value and where it was found."""
 
 
 class InvalidInput(CoilcalError, ValueError):
-    """The caller's data or settings break a rule; the message names thing, rule, value and place.
+    """The caller's data or settings break a rule; the message names thing, rule, value and file.
 
     Examples:
         >>> raise InvalidInput("coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)")
@@ -23,7 +23,7 @@ class CorruptStore(CoilcalError):
 
 
 def reason(error: Exception) -> str:
-    """What the system says of a file, without the path that the message names anyway.
+    """Cause of an error in words; for a file, without the path, which the message names already.
 
     Examples:
         >>> reason(FileNotFoundError(2, "No such file or directory", "rig.yaml"))

@@ -1,10 +1,10 @@
 """Rigid transforms between the frames of a rig: world, base, flange, coil, sensor.
 
-First link of the model: poses of robots and mounts become one `Transform`, which carries sensor positions
+First step of the measurement model: poses of robots and mounts become one `Transform`, which maps sensor positions
 into a coil's frame and fields back out of it. `a_from_b` maps coordinates in frame b to coordinates in frame
 a, so neighbours match: ``world_from_coil = world_from_flange @ flange_from_coil``. Everything broadcasts over
-leading axes, keeps dtype and device, and is differentiable, also at zero rotation, where fits start and where
-the usual axis-angle formulas give NaN.
+leading axes, keeps dtype and device, and is differentiable. That includes zero rotation, where fits start and the
+usual axis-angle formulas give NaN.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Transform:
         return cls(rotation.expand(*translation_m.shape, 3), translation_m)
 
     def __matmul__(self, other: Transform) -> Transform:
-        """MeasurementModel ``a_from_b @ b_from_c = a_from_c``."""
+        """Compose transforms: ``a_from_b @ b_from_c = a_from_c``."""
         return Transform(self.rotation @ other.rotation, self.apply(other.translation_m))
 
     def inverse(self) -> Transform:
@@ -63,7 +63,7 @@ class Transform:
         return Transform(self.rotation.mT, -self.unrotate(self.translation_m))
 
     def rows(self, index: Int[Tensor, " row"]) -> Transform:
-        """Chosen rows of the last batch axis; one that stands for all rows stays as it is."""
+        """Select rows of the last batch axis; an axis of length 1, which broadcasts, stays as it is."""
         rotation, translation_m = self.rotation, self.translation_m
         return Transform(
             rotation if rotation.shape[-3] == 1 else rotation[..., index, :, :],
@@ -87,7 +87,7 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
     """Rotation matrix of a rotation vector v: turn by |v| about v, right-handed.
 
     Args:
-        rotation_vector_rad: Axis times angle, of any length; (0, 0, 0) is no rotation and no singular point.
+        rotation_vector_rad: Axis times angle, of any length; (0, 0, 0) is no rotation and not a singular point.
     References: Rodrigues' formula R = cos(t) I + sin(t)/t [v]x + (1 - cos(t))/t^2 v v^T with t = |v|. The
         vector is the one in a pose p[x, y, z, rx, ry, rz] of Universal Robots' script manual.
     Examples:
@@ -97,7 +97,7 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
     # The coefficients are smooth in t^2, whereas t has a kink at 0.
     square = rotation_vector_rad.square().sum(-1)
     small = square < _SMALL_SQUARE
-    # where() also differentiates the side it does not take: that one must be finite, or the gradient is NaN.
+    # where() also differentiates the branch not taken, which must be finite, or the gradient is NaN.
     angle = square.where(~small, 1.0).sqrt()
     sinc = torch.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), angle.sin() / angle)
     versine = torch.where(
@@ -133,7 +133,7 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     largest = torch.stack([ww, xx, yy, zz], -1).argmax(-1)[..., None, None]
     row = products.take_along_dim(largest, -2)[..., 0, :]
     quaternion = row / row.square().sum(-1, keepdim=True).sqrt()
-    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)  # the short way round
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)  # the shorter rotation
     cosine, imaginary = quaternion[..., 0], quaternion[..., 1:]  # cos(t/2) and the axis times sin(t/2)
     square = imaginary.square().sum(-1)
     small = square < _SMALL_SQUARE

@@ -1,6 +1,6 @@
 """Constants and units: SI inside, the user's units only at the edges.
 
-A key or column name carries its unit as suffix (``radius_mm``); `split_unit` takes it apart. `MU0_T_M_PER_A` is the CODATA 2018
+A key or column name carries its unit as suffix (``radius_mm``), which `split_unit` splits off. `MU0_T_M_PER_A` is the CODATA 2018
 magnetic constant; it differs from 4 pi 1e-7 by 5e-10, far below any winding's tolerance.
 """
 
@@ -45,7 +45,7 @@ UNITS: dict[str, Unit] = {
 
 
 def split_unit(key: str) -> tuple[str, Unit | None]:
-    """Take a key apart into quantity and unit; the unit is None where the key carries none.
+    """Split a key into quantity and unit; the unit is None if the key carries none.
 
     Examples:
         >>> split_unit("wire_radius_mm")

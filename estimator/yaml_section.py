@@ -1,4 +1,4 @@
-"""A YAML mapping that knows its file, line and place, and refuses keys that nobody asked for."""
+"""Read a YAML mapping key by key: typed values, errors with file and line, and refusal of unknown keys."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from estimator.units import UNITS, Unit, split_unit
 
 
 class Loader(yaml.SafeLoader):
-    """Numbers as in YAML 1.2: 2e-5 is one and 010 is ten, whereas 1:30, 1_000 and 2025-01-31 are text."""
+    """Numbers as in YAML 1.2: 2e-5 is a number and 010 is ten; 1:30, 1_000 and 2025-01-31 are text."""
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
@@ -35,7 +35,7 @@ Loader.add_constructor(_INT, lambda _, node: int(node.value))
 
 
 class Section:
-    r"""One mapping of a YAML file; every key must be taken before `finish`.
+    r"""One mapping of a YAML file; every key must be read before `finish`.
 
     Examples:
         >>> section = Section.from_text("radius_mm: 51\n", "rig.yaml")
@@ -56,11 +56,11 @@ class Section:
             key = str(key_node.value)
             if key in self._entries:
                 raise InvalidInput(
-                    f"{self.place(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
+                    f"{self.path_of(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
                 )
             self._entries[key], self._lines[key] = value_node, line
             self._spans[key] = (key_node.start_mark.index, value_node.end_mark.index)
-        self._untaken = set(self._entries)
+        self._unread = set(self._entries)
 
     @classmethod
     def from_text(cls, text: str, file: str) -> Section:
@@ -90,71 +90,71 @@ class Section:
     def __contains__(self, key: str) -> bool:
         return key in self._entries
 
-    def place(self, key: str) -> str:
-        """Dotted place of a key."""
+    def path_of(self, key: str) -> str:
+        """Dotted path of a key, from the top of the file."""
         return f"{self.path}.{key}" if self.path else key
 
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
-        """Raise InvalidInput that names place, rule, value, file and line."""
-        raise InvalidInput(f"{self.place(key)} {rule}; received {received} ({self.where(key)})")
+        """Raise InvalidInput that names key, rule, value, file and line."""
+        raise InvalidInput(f"{self.path_of(key)} {rule}; received {received} ({self.where(key)})")
 
     def where(self, key: str) -> str:
         """File and line of a key."""
         return f"{self.file}, line {self._lines.get(key, self.line)}"
 
     def span(self, key: str) -> tuple[int, int] | None:
-        """First character of a key and the one after its value, in the text; None where the key is absent."""
+        """Start of a key and end of its value as character indices of the text; None if the key is absent."""
         return self._spans.get(key)
 
     def value(self, key: str, default: Any = None) -> Any:
         """Plain value of a key: text, number, list or None."""
         if key not in self._entries:
             return default
-        self._untaken.discard(key)
+        self._unread.discard(key)
         try:
             return _plain(self._entries[key])
         except yaml.YAMLError as error:
             raise InvalidInput(
-                f"{self.place(key)} must be plain text, a number or a list ({self.where(key)})"
+                f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})"
             ) from error
 
     def required(self, key: str) -> Any:
-        """Plain value of a key that must be there."""
+        """Plain value of a key that must be present."""
         if key not in self._entries:
-            raise InvalidInput(f"{self.place(key)} is missing ({self.where(key)})")
+            raise InvalidInput(f"{self.path_of(key)} is missing ({self.where(key)})")
         return self.value(key)
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number; required where there is no default."""
+        """A finite number; required unless there is a default."""
         value = self.required(key) if default is None else self.value(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             self.refuse(key, "must be a finite number", repr(value))
         return float(value)
 
     def choice(self, key: str, choices: tuple[str, ...], default: str | None = None) -> str:
-        """One word out of a list."""
+        """One word of a list."""
         value = self.required(key) if default is None else self.value(key, default)
         if value not in choices:
             self.refuse(key, f"must be one of {', '.join(choices)}", repr(value))
         return str(value)
 
     def flag(self, key: str) -> bool:
-        """Whether a key says true; false where it is not given."""
+        """Truth value of a key; false if it is absent."""
         value = self.value(key, False)
         if not isinstance(value, bool):
             self.refuse(key, "must be true or false", value)
         return value
 
     def key_of(self, choices: tuple[str, ...], section: str) -> str:
-        """The one key that the mapping below `section` holds, out of a list."""
+        """The only key of the mapping below `section`, which must be one of a list."""
         keys = list(self.section(section))
         if len(keys) != 1 or keys[0] not in choices:
             self.refuse(section, f"must be one of {', '.join(choices)}", " and ".join(keys) or "nothing")
         return keys[0]
 
     def section(self, key: str) -> Section:
-        """A mapping below this one; empty where the key is absent."""
-        self._untaken.discard(key)
+        """A mapping below this one; empty if the key is absent."""
+        self._unread.discard(key)
         node = self._entries.get(key)
         if node is None:
             node = yaml.MappingNode(
@@ -162,61 +162,61 @@ class Section:
             )
         if not isinstance(node, yaml.MappingNode):
             self.refuse(key, "must hold keys and values", repr(self.value(key)))
-        return Section(node, self.place(key), self.file)
+        return Section(node, self.path_of(key), self.file)
 
     def sections(self, key: str) -> list[Section]:
-        """Mappings in a list below this one; none where the key is absent."""
-        self._untaken.discard(key)
+        """Mappings in a list below this one; none if the key is absent."""
+        self._unread.discard(key)
         node = self._entries.get(key)
         if node is None:
             return []
         entries = node.value if isinstance(node, yaml.SequenceNode) else []
         if not entries or not all(isinstance(entry, yaml.MappingNode) for entry in entries):
             self.refuse(key, "must be a list of keys and values", repr(self.value(key)))
-        return [Section(entry, f"{self.place(key)}[{i}]", self.file) for i, entry in enumerate(entries)]
+        return [Section(entry, f"{self.path_of(key)}[{i}]", self.file) for i, entry in enumerate(entries)]
 
     def is_section(self, key: str) -> bool:
         """Whether the key holds a mapping."""
         return isinstance(self._entries.get(key), yaml.MappingNode)
 
     def key_with_unit(self, quantity: str, dimension: str) -> tuple[str, Unit] | None:
-        """The key that states this quantity, with its unit; None where it is absent.
+        """The key that states this quantity, with its unit; None if it is absent.
 
         Raises:
             InvalidInput: The key has no unit, one of another dimension, or appears with two units.
         """
         symbols = [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
-        found = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
-        for key in found:
+        keys = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
+        for key in keys:
             unit = split_unit(key)[1]
             if unit is None:
-                written = " or ".join(f"{quantity}_{symbol}" for symbol in symbols)
-                self.refuse(key, f"must carry its unit: write {written}", repr(self.value(key)))
+                spellings = " or ".join(f"{quantity}_{symbol}" for symbol in symbols)
+                self.refuse(key, f"must carry its unit: write {spellings}", repr(self.value(key)))
             if unit.dimension != dimension:
                 rule = f"must be in a unit of {dimension} ({', '.join(symbols)})"
                 self.refuse(key, rule, f"{self.value(key)!r} in {unit.symbol}")
-        if len(found) > 1:
-            self.refuse(found[1], "must be given in one unit", " and ".join(found))
-        if not found:
+        if len(keys) > 1:
+            self.refuse(keys[1], "must be given in one unit", " and ".join(keys))
+        if not keys:
             return None
-        unit = split_unit(found[0])[1]
+        unit = split_unit(keys[0])[1]
         assert unit is not None
-        return found[0], unit
+        return keys[0], unit
 
     def quantity(self, quantity: str, dimension: str) -> tuple[str, float] | None:
-        """SI key and SI value of a plain quantity; None where it is absent."""
+        """SI key and SI value of a plain quantity; None if it is absent."""
         entry = self.key_with_unit(quantity, dimension)
         if entry is None:
             return None
-        key, unit = entry
-        si = next(u.symbol for u in UNITS.values() if u.dimension == dimension)
-        return f"{quantity}_{si}", self.number(key) * unit.to_si
+        key, key_unit = entry
+        si_symbol = next(unit.symbol for unit in UNITS.values() if unit.dimension == dimension)
+        return f"{quantity}_{si_symbol}", self.number(key) * key_unit.to_si
 
     def finish(self) -> None:
-        """Refuse keys that nobody took."""
+        """Refuse keys that nobody read."""
         for key in self._entries:
-            if key in self._untaken:
-                raise InvalidInput(f"{self.place(key)} is not a key that is known here ({self.where(key)})")
+            if key in self._unread:
+                raise InvalidInput(f"{self.path_of(key)} is not a known key ({self.where(key)})")
 
 
 def _plain(node: yaml.Node) -> Any:

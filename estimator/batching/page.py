@@ -13,7 +13,7 @@ from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
 from estimator.reporting import plots
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 
 MOST_PARAMETERS = 12
 SCATTER_TOO_WIDE = 2.0  # chi-square per degree of freedom of a parameter across sessions
@@ -81,7 +81,7 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
     sentences = [f"{fits}, {n_sampled} of them sampled{failures}."]
     if len(best) > 1:
         disagreeing = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
-        words = shown(names)
+        words = displays(names)
         sentences.append(
             "Sessions differ by more than their intervals in "
             + ", ".join(words[name].words for name in disagreeing)
@@ -108,7 +108,7 @@ def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
 def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[Table]:
     tables = []
     if len(best) > 1 and names:
-        words = shown(names)
+        words = displays(names)
         rows = []
         for name in names:
             show, sd = words[name], best[f"{name}.sd"].to_numpy()

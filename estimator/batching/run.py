@@ -17,19 +17,19 @@ from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
 from estimator.batching.work import (
     CALIBRATION_FOLDER,
-    MORE_STARTS,
     RESULT_FILE,
     describe,
     fit,
     is_enough,
     sampled,
 )
+from estimator.diagnosis import policy
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
 
 # A larger stack is slower than two smaller ones, because it no longer fits the processor's cache.
-STACK_READINGS, STACK_JOBS = 8000 // (1 + MORE_STARTS), 64
+STACK_READINGS, STACK_JOBS = 8000 // (1 + policy.MORE_STARTS), 64
 LEADS_ABOVE = 0.05  # probability of a hypothesis above which its posterior is sampled
 JOBS = "jobs"
 

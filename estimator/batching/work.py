@@ -18,18 +18,18 @@ from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
 from estimator.calibration.result import SUMMARY_FILE, write_text
 from estimator.code_version import code_version
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
-from estimator.readings.metrics import HALF_WIDTH_90, errors
+from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
 
 RESULT_FILE, CALIBRATION_FOLDER, UNFINISHED = "result.json", "calibration", ".unfinished"
-MORE_STARTS = 3
 
 
 def describe(
@@ -82,7 +82,7 @@ def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
             rig,
             [observations.calibration for _, observations, _ in ready],
             [job.seed for job, _, _ in ready],
-            MORE_STARTS,
+            policy.MORE_STARTS,
         )
     except Exception as error:
         return [error] if len(ready) == 1 else [_fits([ready_job])[0] for ready_job in ready]
@@ -166,7 +166,7 @@ def _vector_rms_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
         model = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
         predicted_T = model.predict(fit.values).expand(len(observations), 3)
-    return errors(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
+    return error_metrics(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 
 
 def _write(folder: Path, result: dict[str, Any]) -> None:

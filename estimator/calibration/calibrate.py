@@ -20,7 +20,7 @@ from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibrat
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
 from estimator.field.node_sum import SumMode
-from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
+from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported_parameters, sample
 from estimator.inference.laplace import OpenDirection, open_directions
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.likelihood import LogPosterior
@@ -250,7 +250,7 @@ def versions() -> dict[str, str]:
 def _calibration(
     session: Session, rig: Rig, coordinates: Coordinates, mixture: CountMixture, samples: Samples
 ) -> Calibration:
-    chain = reported(coordinates, samples.chain)
+    chain = reported_parameters(coordinates, samples.chain)
     draws = {name: np.ascontiguousarray(chain[:, :, i].T) for i, name in enumerate(coordinates.names)}
     most_probable = int(mixture.weight.argmax())
     best_vector = torch.cat((mixture.mean[most_probable], mixture.counts[most_probable]))

@@ -11,7 +11,7 @@ from estimator.calibration.figures import pictures
 from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
 
@@ -112,7 +112,7 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
 def _tables(calibration: Calibration) -> list[Table]:
     summary = calibration.summary()
     names = list(summary["parameters"])
-    display = shown(names)
+    display = displays(names)
     truth = summary["truth"]
     header = [
         "parameter",

@@ -12,7 +12,7 @@ import torch
 from estimator.calibration.result import Calibration
 from estimator.inference.convergence import convergence
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -148,10 +148,10 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         model = MeasurementModel.build(calibration.rig, observations)
         measured = observations.field_sensor_T.numpy()
         predicted = model.predict(best).expand(len(observations), 3).numpy()
-        result["rmse"][role] = _error_sizes(errors(measured, predicted))
-        result["rmse_nominal"][role] = _error_sizes(errors(measured, model.predict(nominal).numpy()))
+        result["rmse"][role] = _error_sizes(error_metrics(measured, predicted))
+        result["rmse_nominal"][role] = _error_sizes(error_metrics(measured, model.predict(nominal).numpy()))
         result["rmse_by_sensor"][role] = {
-            sensor.name: _error_sizes(errors(measured[is_own], predicted[is_own]))
+            sensor.name: _error_sizes(error_metrics(measured[is_own], predicted[is_own]))
             for i, sensor in enumerate(calibration.rig.sensors)
             if (is_own := observations.sensor.numpy() == i).any()
         }
@@ -182,7 +182,7 @@ def _coverage(calibration: Calibration, model: MeasurementModel, observations: O
     return inside / int(observations.is_measured.sum())
 
 
-def _error_sizes(metrics: Errors) -> dict[str, float | None]:
+def _error_sizes(metrics: ErrorMetrics) -> dict[str, float | None]:
     return {name: finite(value) for name, value in asdict(metrics).items()}
 
 

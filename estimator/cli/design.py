@@ -10,7 +10,7 @@ from estimator.calibration.result import write_text
 from estimator.cli.options import json_option, other_rig_option, overwrite_option
 from estimator.cli.output import explain_errors, refuse_existing, show
 from estimator.diagnosis.next_readings.design import Design, design
-from estimator.reporting.plots.style import shown
+from estimator.reporting.plots.style import displays
 from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 
@@ -77,7 +77,7 @@ def design_command(
 
 def _text(found: Design, out: Path | None, shrink: str | None) -> str:
     lines = [f"goal: {found.goal}"]
-    unit = shown([shrink])[shrink] if shrink else None
+    unit = displays([shrink])[shrink] if shrink else None
     what = "standard deviation" if shrink else "expected log evidence (3 is 20 to 1)"
 
     def in_unit(value: float) -> str:

@@ -16,7 +16,7 @@ from estimator.cli.options import json_option, seed_option
 from estimator.cli.output import explain_errors, show
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Estimate, Stream
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import JOURNAL, Record
@@ -146,7 +146,7 @@ class _Live:
         """For people."""
         intervals = self._stream.intervals()
         lines = [self.state(None).progress]
-        for name, show_as in shown(list(intervals)).items():
+        for name, show_as in displays(list(intervals)).items():
             one, factor = intervals[name], show_as.factor
             lines.append(
                 f"  {name:38} {with_sd(one.value * factor, one.sd * factor)} {show_as.unit}".rstrip()

@@ -21,7 +21,7 @@ from estimator.cli.words import place
 from estimator.live.refresh import Refreshed
 from estimator.live.stream import Estimate
 from estimator.live.watch import Alarm
-from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.rig.rig import Mover
 
 LINE_EVERY_S = 5.0
@@ -146,7 +146,7 @@ def _parameters(state: LiveState) -> Table:
     for heading in ("parameter", "now", "90 % width", posterior):
         table.add_column(heading)
     intervals = state.estimate.intervals
-    for name, show in shown(list(intervals)).items():
+    for name, show in displays(list(intervals)).items():
         one, factor = intervals[name], show.factor
         ends = known.ci90.get(name) if known else None
         interval = (

@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.gain import gain
 from estimator.diagnosis.hypotheses.record_mistakes import Fault, without_faults
-from estimator.diagnosis.hypotheses.search import MOST_CAUSES, Search, search
+from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
@@ -24,7 +25,6 @@ from estimator.diagnosis.result import (
     Question,
     label_of,
 )
-from estimator.diagnosis.structure.signatures import CLEAR
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.verdict import (
     NamedCause,
@@ -44,11 +44,6 @@ from estimator.readings.split import block_split, thinned
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-MORE_STARTS = 3
-MOST_PROPOSALS = 8  # for each credible set
-VALIDATION_SHARE = 0.2
-MOST_SEARCHED, MOST_FITTED = 512, 3000  # readings in the search, and in the final fits
-
 
 def diagnose(
     session: Session,
@@ -58,7 +53,7 @@ def diagnose(
     out: Path | str | None = None,
     seed: int = 0,
     has_posterior: bool = False,
-    most_causes: int = MOST_CAUSES,
+    most_causes: int = policy.MOST_CAUSES,
     on_stage: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and measure the gain.
@@ -84,11 +79,11 @@ def diagnose(
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     check_readings(rig, session.observations, session.source, needs_current=False)
     seen, unseen = _split(session, validation, seed)
-    few = thinned(seen, MOST_SEARCHED, seed)
+    few = thinned(seen, policy.MOST_READINGS_SEARCHED, seed)
 
     tell("fit of the rig as it is described")
     model = MeasurementModel.build(rig, few)
-    plain = fit_rig(rig, few, {}, model.rules, MORE_STARTS)
+    plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
     tell("mistakes of the record")
     base, faults = without_faults(plain)
     tell("screening and naming of causes")
@@ -107,9 +102,9 @@ def diagnose(
     tell("gain on readings not used for fitting")
     before, after = plain, extended
     if len(seen) > len(few):
-        many = thinned(seen, MOST_FITTED, seed)
+        many = thinned(seen, policy.MOST_READINGS_FITTED, seed)
         before, after = (fit_rig(fit.rig, many, fit.values, model.rules) for fit in (plain, extended))
-    judged = gain(before, after, thinned(unseen, MOST_FITTED, seed)) if len(unseen) else None
+    judged = gain(before, after, thinned(unseen, policy.MOST_READINGS_FITTED, seed)) if len(unseen) else None
     if judged is not None and judged.is_loss:
         verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
     is_unexplained = verdict is Verdict.UNEXPLAINED
@@ -170,7 +165,7 @@ def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
     if not rig.effects:
         return False
     rules = final.posterior.model.rules
-    as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, MORE_STARTS)
+    as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence
 
 
@@ -179,7 +174,7 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
     if validation is not None:
         return observations.calibration, validation.observations
     if not bool(observations.is_validation.any()):
-        observations = observations.with_validation(block_split(observations, VALIDATION_SHARE, seed))
+        observations = observations.with_validation(block_split(observations, policy.VALIDATION_SHARE, seed))
     return observations.calibration, observations.validation
 
 
@@ -193,6 +188,8 @@ def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list
         }
         if len(rivals) > 1:
             possible = actions(next(iter(rivals.values())).observations, rig)
-            clear = [p for p in proposals(rivals, possible) if p.expected_log_evidence > CLEAR]
-            best += clear[:MOST_PROPOSALS]
+            clear = [
+                p for p in proposals(rivals, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE
+            ]
+            best += clear[: policy.MOST_PROPOSALS]
     return best

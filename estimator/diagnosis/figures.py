@@ -60,7 +60,7 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
     change_T = (predicted_T(after) - predicted_T(before)).numpy()
     labels = [diagnosis.label(cause) for cause in after.rig.effects]
     names = " + ".join(labels) if len(labels) <= MOST_IN_TITLE else f"{len(labels)} causes together"
-    figure = plots.explained(_residual_T(before), change_T, _sigma_T(after), title=names).figure
+    figure = plots.explained_residual(_residual_T(before), change_T, _sigma_T(after), title=names).figure
     assert isinstance(figure, Figure)
     yield Picture(
         "What the extension explains",
@@ -74,7 +74,7 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
     if len(stages) < LEAST_STEPS:
         return
     fits = [diagnosis.found.search.base, *(stage.fit for stage in stages)]
-    figure = plots.ladder(
+    figure = plots.stepwise_residual(
         [diagnosis.label_of_stage(stage) for stage in stages],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.func import jacfwd, jacrev
 
-from estimator.diagnosis.hypotheses.linear import MOST_SHRINK, FreeNoise, Projector
+from estimator.diagnosis import policy
+from estimator.diagnosis.hypotheses.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
@@ -26,8 +27,6 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import LogNormal, Parameter
 from estimator.rig.rig import Cause, Rig
 
-NEAR_BOUND = 1e-3  # of the prior's width
-ROUGH = 1e-2  # in log density: where a fit that is one of many stops; the last one goes on
 ROUNDING = 1e-12  # of the largest reading: two that differ by less are the same
 
 
@@ -108,7 +107,7 @@ class Fit:
         coordinates = self.posterior.coordinates
         lower, upper = coordinates.bounds()
         value = torch.stack([self.values[name] for name in coordinates.names])
-        near = NEAR_BOUND * torch.tensor([p.prior.sd for p in coordinates.parameters if p.prior])
+        near = policy.NEAR_BOUND * torch.tensor([p.prior.sd for p in coordinates.parameters if p.prior])
         return (value - lower < near) | (upper - value < near)
 
     @cached_property
@@ -210,7 +209,11 @@ class Fit:
             return None
         noise_T = min(float(self.values[f"{sensor.name}.noise_T"]) for sensor in self.rig.sensors)
         rounding_T = resolution_T(self.posterior.measured_T) / math.sqrt(12.0)
-        lowest = max(math.log(rounding_T / noise_T), MOST_SHRINK) if rounding_T > 0.0 else MOST_SHRINK
+        lowest = (
+            max(math.log(rounding_T / noise_T), policy.MOST_NOISE_SHRINK)
+            if rounding_T > 0.0
+            else policy.MOST_NOISE_SHRINK
+        )
         return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0))
 
 
@@ -233,7 +236,7 @@ def fit_rig(
     start: Mapping[str, Tensor | float],
     rules: Mapping[str, Rule],
     more_starts: int = 0,
-    tolerance: float = 1e-4,
+    tolerance: float | None = None,
 ) -> Fit:
     """Climb from given values of the rig's parameters, and from some draws of the prior, to the highest maximum.
 
@@ -241,7 +244,7 @@ def fit_rig(
         rig, observations, rules: What is fitted to what.
         start: Values by parameter; names that the rig has not got are left out.
         more_starts: Draws of the prior.
-        tolerance: In log density, of what a further step would gain.
+        tolerance: In log density, of what a further step would gain; `policy.FINE_TOLERANCE` by default.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)
@@ -252,7 +255,9 @@ def fit_rig(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
-    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance)
+    optimum = levenberg_marquardt(
+        posterior, vector, tolerance=policy.FINE_TOLERANCE if tolerance is None else tolerance
+    )
     top = int(optimum.log_posterior.argmax())
     return Fit(posterior, optimum.rows(slice(top, top + 1)))
 

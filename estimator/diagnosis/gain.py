@@ -10,10 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 
 
@@ -28,7 +29,7 @@ class Judged:
         log_density: Log predictive density reading by reading.
     """
 
-    errors: Errors
+    errors: ErrorMetrics
     elpd: float
     coverage50: float
     coverage90: float
@@ -62,13 +63,13 @@ class Gain:
 
     @property
     def is_there(self) -> bool:
-        """Whether the gain exceeds twice its standard error."""
-        return self.elpd_difference > 2.0 * self.elpd_se
+        """Whether the gain exceeds what chance leaves."""
+        return self.elpd_difference > policy.LEAST_GAIN_SE * self.elpd_se
 
     @property
     def is_loss(self) -> bool:
-        """Whether a loss exceeds three times its standard error."""
-        return self.elpd_difference < -3.0 * self.elpd_se
+        """Whether a loss exceeds what chance leaves."""
+        return self.elpd_difference < -policy.LEAST_LOSS_SE * self.elpd_se
 
 
 def gain(before: Fit, after: Fit, unseen: Observations) -> Gain:
@@ -99,7 +100,7 @@ def judged(fit: Fit, unseen: Observations) -> Judged:
     reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = torch.zeros(len(unseen), dtype=off_T.dtype).index_add(0, reading, log_density)
     inside = {p: float(((below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
-    found = errors(unseen.field_sensor_T.numpy(), predicted_T.numpy())
+    found = error_metrics(unseen.field_sensor_T.numpy(), predicted_T.numpy())
     return Judged(found, float(by_reading.sum()), inside[0.5], inside[0.9], by_reading)
 
 

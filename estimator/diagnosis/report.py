@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.gain import Judged
 from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
@@ -11,13 +12,12 @@ from estimator.diagnosis.result import Diagnosis, Interval
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.reporting.plots.style import shown, to_digit_of, with_sd
+from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
 MOST_RIVALS = 8
 MOST_STEPS = 6
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-MOVED_SD = 1.0
 
 
 def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
@@ -116,7 +116,7 @@ def _warnings(diagnosis: Diagnosis) -> list[str]:
     gain = diagnosis.gain
     if gain is None:
         found.append("No readings were kept out of the fits, so nothing judges the gain.")
-    elif not 0.8 < gain.after.coverage90 < 0.97:
+    elif not policy.LEAST_COVERAGE90 < gain.after.coverage90 < policy.MOST_COVERAGE90:
         found.append(
             f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
         )
@@ -169,7 +169,7 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
     found = []
     for cause in diagnosis.fits.final.rig.effects:
         for key, p in diagnosis.quantities(cause).items():
-            display = shown([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
+            display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
             elif p.unit.startswith("T/") and not p.unit.startswith("T/m"):
@@ -220,8 +220,8 @@ def _gain_table(diagnosis: Diagnosis) -> Table:
 def _moved_table(diagnosis: Diagnosis) -> Table:
     gain = diagnosis.gain
     assert gain is not None
-    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > MOVED_SD]
-    display = shown(names)
+    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > policy.MOVED_SD]
+    display = displays(names)
     rows = []
     for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
         show = display[name]

@@ -9,15 +9,13 @@ from enum import StrEnum
 import torch
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.linear import Projector
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import (
-    LEAST_LOG_ODDS,
-    LOG_PRIOR_NOTHING,
-    LOG_PRIOR_UNEXPLAINED,
     Rival,
     leaves_structure,
     shares_of,
@@ -25,8 +23,6 @@ from estimator.diagnosis.hypotheses.step import (
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
-
-MOST_REFITTED = 4  # with more causes than that, what each is worth is judged to first order
 
 
 class Verdict(StrEnum):
@@ -72,11 +68,11 @@ class NamedCause:
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
-    prior = LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING
+    prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
     left, whole = search.steps[-1].left, search.whole
     if leaves_structure(left):
         return Verdict.UNEXPLAINED
-    if len(named) > 1 and whole.log_bayes_factor + prior > max(LEAST_LOG_ODDS, search.log_odds):
+    if len(named) > 1 and whole.log_bayes_factor + prior > max(policy.LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
@@ -127,8 +123,12 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     final = search.final
     whole = search.whole.weighed(final.weight_over(search.base))
     columns = torch.cat((whole.columns, search.steps[-1].left.columns), dim=1)
-    if len(named) > MOST_REFITTED:
-        return [c for c in named if final.log_evidence_for(c.cause, columns) > 2.0 * LEAST_LOG_ODDS]
+    if len(named) > policy.MOST_CAUSES_REFITTED:
+        return [
+            c
+            for c in named
+            if final.log_evidence_for(c.cause, columns) > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES
+        ]
     kept = []
     for one in named:
         without = fit_rig(
@@ -138,7 +138,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
         evidence = max(
             (linear_evidence(smooth, c) for c in candidates(without, [one.cause])), default=-math.inf
         )
-        if evidence > 2.0 * LEAST_LOG_ODDS:
+        if evidence > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES:
             kept.append(one)
     return kept
 

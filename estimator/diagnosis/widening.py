@@ -15,7 +15,7 @@ from torch.func import jacfwd
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy
-from estimator.readings.split import blocks_of_places
+from estimator.readings.split import pose_blocks
 from estimator.rig.coordinates import Coordinates
 
 LEAST_SHARE = 1e-12  # of a variance, for what follows from others but for rounding
@@ -46,7 +46,7 @@ class Widening:
             fit: The same model, fitted to all readings.
             left: What the search left.
         """
-        block = blocks_of_places(searched.observations, np.random.default_rng(0))
+        block = pose_blocks(searched.observations, np.random.default_rng(0))
         others = (searched.covariance_beside(left.columns), jackknife_covariance(searched, block))
         return cls(fit, reduce(envelope, others, fit.covariance))
 

@@ -112,7 +112,7 @@ ENTRY_POINTS = "coilcal.effects"
 NAME = re.compile(r"[a-z][a-z0-9_]*")  # of causes, as rig files write them
 
 
-def register_effect(effect: Effect) -> None:
+def register_effect(effect: object) -> None:
     """Make a cause known to everything: simulation, diagnosis, rig files, prediction.
 
     It acts after those of the library that share its stage. Other processes do not know of it: what workers, the live view or the command

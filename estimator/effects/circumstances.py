@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, nominal_places_m
+from estimator.geometry.motion import base_from_motion, nominal_positions_m
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
@@ -74,12 +74,12 @@ class Circumstances:
     @cached_property
     def places_m(self) -> Float[Tensor, "place 3"]:
         """Where coils and sensors nominally stand in the world, a few hundred of their poses at most."""
-        return nominal_places_m(self.rig, self.observations.history)
+        return nominal_positions_m(self.rig, self.observations.history)
 
     @cached_property
     def sensor_places_m(self) -> Float[Tensor, "place 3"]:
         """Where sensors alone nominally stand."""
-        return nominal_places_m(self.rig, self.observations.history, has_coils=False)
+        return nominal_positions_m(self.rig, self.observations.history, has_coils=False)
 
     @cached_property
     def reach_m(self) -> float:

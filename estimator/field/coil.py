@@ -1,4 +1,4 @@
-"""Field of a coil by the sum that its rig file asks for: the right one, or the paper's as it is printed."""
+"""Field of a coil by the sum that its rig file selects: the correct one, or the paper's as printed."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def coil_field_per_ampere(
     """Field of one ampere in the coil frame, in T/A.
 
     Args:
-        coil: Its `field_sum` chooses.
+        coil: Its `field_sum` selects the sum.
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry.
-        rule: Nodes that stand for the loops.
-        mode: How loops are summed; the paper's as it is printed has but one way, with all derivatives.
+        rule: Quadrature rule that stands for the loops.
+        mode: How loops are summed. The paper's sum ignores it: it is always eager, with all derivatives.
     """
     if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
         return literal_field_per_ampere(points_coil_m, winding, rule)

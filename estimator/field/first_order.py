@@ -1,7 +1,7 @@
-"""A coil's field whose first derivatives cost a few directions, however many parameters move the points or the winding.
+"""First derivatives of a coil's field at a cost that does not grow with the number of parameters.
 
-A rig has tens of parameters, and all reach a coil's field through the three coordinates of each point, the five numbers of the winding
-and the few of an effect. The derivatives in those are taken first; the chain rule does the rest.
+A rig has tens of parameters. All of them reach a coil's field through the three coordinates of each point, the five numbers of the winding
+and the few of an effect. The derivatives in these are taken first; the chain rule does the rest.
 """
 
 from __future__ import annotations
@@ -14,35 +14,38 @@ from torch import Tensor
 from torch.func import jacfwd
 
 
-def with_cheap_slope(
+def first_order_field(
     field: Callable[[Tensor, Sequence[Tensor]], Tensor],
     points_coil_m: Float[Tensor, "*#batch point 3"],
     numbers: Sequence[Float[Tensor, "*#batch"]],
 ) -> Float[Tensor, "*batch point component"]:
-    """The field with the right value and first derivatives; second ones are missing.
+    """The field with exact value and first derivatives, but without second ones.
 
     Args:
-        field: Of points and numbers; differentiable. Some components at each point: those of one field, or of several.
+        field: Differentiable function of points and numbers. It returns the components of one field, or of several, at each point.
         points_coil_m: Points in the coil frame.
-        numbers: Of winding and effect; only in these and the points is a derivative wanted.
+        numbers: Parameters of winding and effect. Derivatives are taken in these and in the points only.
 
     Examples:
         >>> points = torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64)
         >>> radius_m = torch.tensor(0.05, dtype=torch.float64)
         >>> def dipole(points_m, numbers):
         ...     return numbers[0] ** 2 * points_m / points_m.norm(dim=-1, keepdim=True) ** 3
-        >>> slope = jacfwd(lambda radius_m: with_cheap_slope(dipole, points, [radius_m]))(radius_m)
-        >>> bool(torch.allclose(slope, jacfwd(lambda radius_m: dipole(points, [radius_m]))(radius_m)))
+        >>> jacobian = jacfwd(lambda radius_m: first_order_field(dipole, points, [radius_m]))(radius_m)
+        >>> bool(torch.allclose(jacobian, jacfwd(lambda radius_m: dipole(points, [radius_m]))(radius_m)))
         True
     """
-    here_m, here = points_coil_m.detach(), [number.detach() for number in numbers]
+    fixed_points_m, fixed_numbers = points_coil_m.detach(), [number.detach() for number in numbers]
 
-    def near(step: Tensor) -> tuple[Tensor, Tensor]:
-        moved = field(here_m + step[:3], [n + d for n, d in zip(here, step[3:], strict=True)])
-        return moved, moved
+    def field_at_step(step: Tensor) -> tuple[Tensor, Tensor]:
+        moved_numbers = [number + delta for number, delta in zip(fixed_numbers, step[3:], strict=True)]
+        moved_field = field(fixed_points_m + step[:3], moved_numbers)
+        return moved_field, moved_field
 
-    slope, value = jacfwd(near, has_aux=True)(torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype))
-    total: Tensor = value + (slope[..., :3] @ (points_coil_m - here_m)[..., None])[..., 0]
-    for i, (number, at) in enumerate(zip(numbers, here, strict=True)):
-        total = total + slope[..., 3 + i] * (number - at)[..., None, None]
+    no_step = torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype)
+    jacobian, value = jacfwd(field_at_step, has_aux=True)(no_step)
+    # Each difference below is zero and carries the derivative.
+    total: Tensor = value + (jacobian[..., :3] @ (points_coil_m - fixed_points_m)[..., None])[..., 0]
+    for i, (number, fixed_number) in enumerate(zip(numbers, fixed_numbers, strict=True)):
+        total = total + jacobian[..., 3 + i] * (number - fixed_number)[..., None, None]
     return total

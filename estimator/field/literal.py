@@ -1,7 +1,7 @@
-"""The paper's own sum, kept as it is printed: spherical components of loops added as if their centres were one (eq 13).
+"""The paper's sum as printed: spherical components of loops added as if all loops had one centre (eq 13).
 
-Each loop's B_r and B_theta are about its own centre, but the sum takes them along the axes that belong to the centre of the front face.
-In the paper's workspace this is off by 7 to 11 % (DESIGN, errata). It serves diagnosis: readings made or explained with it are recognised.
+Each loop's B_r and B_theta refer to its own centre; the sum takes them along the unit vectors about the centre of the front face.
+In the paper's workspace this is off by 7 to 11 % (DESIGN, errata). Diagnosis uses it to recognise readings made with it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def literal_field_per_ampere(
     Args:
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry.
-        rule: Nodes that stand for the loops.
+        rule: Quadrature rule that stands for the loops.
     References: Osinde et al., eq 13.
     """
     loops = torch.broadcast_tensors(*loops_of(winding, rule))
@@ -31,11 +31,11 @@ def literal_field_per_ampere(
     rho = torch.sqrt(x**2 + y**2).clamp(min=1e-12)
     above = z - height_m
     h, axial = loop_terms(x, y, above, radius_m, rule.steps)
-    across = rho * h
+    radial = rho * h
     r_loop = torch.sqrt(rho**2 + above**2)
     sin_loop, cos_loop = rho / r_loop, above / r_loop
-    b_r = (weight * (across * sin_loop + axial * cos_loop)).sum(-1)
-    b_theta = (weight * (across * cos_loop - axial * sin_loop)).sum(-1)
+    b_r = (weight * (radial * sin_loop + axial * cos_loop)).sum(-1)
+    b_theta = (weight * (radial * cos_loop - axial * sin_loop)).sum(-1)
     rho, z = rho[..., 0], z[..., 0]
     r = torch.sqrt(rho**2 + z**2)
     b_rho, b_z = (b_r * rho + b_theta * z) / r, (b_r * z - b_theta * rho) / r

@@ -11,7 +11,7 @@ pi / (2 AGM), and Legendre's sum over the AGM gives E. Every quantity is then ev
     (Bx, By) = (x, y) h,   h = mu0 I / (4 M p^2) z (4 a^2 - s t),   Bz = mu0 I / (4 M p^2) (2 a^2 u + rho^2 t (2 z^2 - u))
 
 with M the mean and t = sum 2^(n-1) c_n^2 / rho^2. No term cancels by more than the logarithm of the distance to the wire, and the
-derivatives on the axis are those of a smooth function. The derivation stands in `docs/physics.md`.
+derivatives on the axis are those of a smooth function. The derivation is in `docs/physics.md`.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ def loop_terms(
     radius_m: Float[Tensor, "..."],
     steps: int,
 ) -> LoopField:
-    """The two factors of a loop's field; they share x and y, so a winding sums them before the last product.
+    """The two factors of a loop's field. Coaxial loops share x and y, so a winding sums the factors before the last product.
 
     Args:
         x_m, y_m, z_m: Point in the frame of the loop (centre at 0, axis along z). Broadcast with `radius_m`.
         radius_m: Radius of the loop.
-        steps: AGM steps; `agm_steps` tells how many a distance needs.
-    Returns: Infinite or NaN on the wire itself; `winding` refuses such points before they get here.
+        steps: AGM steps; `agm_steps` gives the number that a distance needs.
+    Returns: Infinite or NaN on the wire itself; `winding` refuses such points earlier.
     References: Bulirsch, Numer. Math. 7, 78 (1965) for the AGM form; Osinde et al., eq 4, for the field.
     """
     q, u, s, z2, p2, mean, t = _means(x_m, y_m, z_m, radius_m, steps)
@@ -60,8 +60,8 @@ def loop_terms(
     return LoopField(h, axial)
 
 
-class LoopSlope(NamedTuple):
-    """The factors of a loop's field and their derivatives along z; all other derivatives follow from these (`docs/physics.md`)."""
+class LoopDerivatives(NamedTuple):
+    """The factors of a loop's field and their derivatives along z; all others follow from these (`docs/physics.md`)."""
 
     h_T_per_A_m: Float[Tensor, "..."]
     axial_T_per_A: Float[Tensor, "..."]
@@ -69,18 +69,18 @@ class LoopSlope(NamedTuple):
     axial_z_T_per_A_m: Float[Tensor, "..."]
 
 
-def loop_slope(
+def loop_derivatives(
     x_m: Float[Tensor, "..."],
     y_m: Float[Tensor, "..."],
     z_m: Float[Tensor, "..."],
     radius_m: Float[Tensor, "..."],
     steps: int,
-) -> LoopSlope:
-    """The two factors of a loop's field with their derivatives along z, in little more time than without.
+) -> LoopDerivatives:
+    """The two factors of a loop's field with their derivatives along z, in little more time than the factors alone.
 
     Args:
         x_m, y_m, z_m, radius_m, steps: As in `loop_terms`.
-    References: derivatives of the elliptic integrals, DLMF 19.4; put together in `docs/physics.md`.
+    References: derivatives of the elliptic integrals, DLMF 19.4; combined in `docs/physics.md`.
     """
     q, u, s, z2, p2, mean, t = _means(x_m, y_m, z_m, radius_m, steps)
     radius2 = radius_m * radius_m
@@ -96,7 +96,7 @@ def loop_slope(
     along_z2 = 0.5 * qt * whole - 0.5 * shared + 2.0 * radius2 + qt
     axial_q = common * along_q - 2.0 * axial * v * inverse
     axial_z2 = common * along_z2 - axial * (2.0 * u + 4.0 * q) * inverse
-    return LoopSlope(bracket * common * z_m, axial, 2.0 * axial_q, 2.0 * z_m * axial_z2)
+    return LoopDerivatives(bracket * common * z_m, axial, 2.0 * axial_q, 2.0 * z_m * axial_z2)
 
 
 def _means(
@@ -106,9 +106,9 @@ def _means(
     radius_m: Float[Tensor, "..."],
     steps: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """rho^2, u, s, z^2, p^2, the mean M and t of the first lines."""
-    # Grouped so that where height and radius vary along different axes, what depends on one of them stays small; `lerp` and `addcmul`
-    # spare passes over the data.
+    """rho^2, u, s, z^2, p^2, the mean M and t of the module docstring."""
+    # Height and radius may vary along different axes: the grouping keeps terms that depend on only one of them small. `lerp` and `addcmul`
+    # save passes over the data.
     radius2 = radius_m * radius_m
     z2 = z_m * z_m
     y2 = y_m * y_m
@@ -116,7 +116,7 @@ def _means(
     u = (radius_m - x_m) * (radius_m + x_m) - y2 + z2  # this order keeps all digits next to the wire
     s = radius2 + rho2 + z2
     p2 = torch.addcmul(4.0 * rho2 * z2, u, u)
-    product = _root(p2)  # of the two that are averaged
+    product = _root(p2)  # of the two numbers that are averaged
     mean2 = torch.lerp(s, product, 0.5)
     mean = _root(mean2)
     t = radius2 / mean2
@@ -145,9 +145,9 @@ def loop_field(
         points_m: Points in the frame of the loop (centre at 0, axis along +z).
         radius_m: Radius of the loop, > 0; broadcasts with the points.
         current_A: Current, positive counter-clockwise seen from +z.
-    Returns: Bx, By, Bz, as exact as the number format allows: in float64 1e-14 of |B|, and near the wire what the last digit of the
+    Returns: Bx, By, Bz, as exact as the number format allows: in float64 to 1e-14 of |B|, and near the wire to what the last digit of the
         coordinates changes, 1e-16 radius / distance.
-    References: Osinde et al., eq 4; see the module's first lines for the form used.
+    References: Osinde et al., eq 4; the module docstring gives the form used.
     Examples:
         >>> centre = torch.zeros(3, dtype=torch.float64)
         >>> field_T = loop_field(centre, torch.tensor(0.05, dtype=torch.float64), current_A=2.0)
@@ -166,7 +166,7 @@ def agm_steps(
     z_m: Float[Tensor, "..."],
     radius_m: Float[Tensor, "..."],
 ) -> int:
-    """AGM steps that the nearest of these points needs for full precision; one look at the data, no gradient.
+    """AGM steps that the nearest of these points needs for full precision; carries no gradient.
 
     Examples:
         >>> zero = torch.zeros(1)
@@ -180,7 +180,7 @@ def agm_steps(
 
 
 def steps_for_ratio(ratio: float) -> int:
-    """AGM steps after the first until kc = alpha / beta (nearest over farthest distance to the wire) has become 1.
+    """AGM steps after the first until kc = alpha / beta (nearest over farthest distance to the wire) has reached 1.
 
     Examples:
         >>> steps_for_ratio(0.5), steps_for_ratio(0.05), steps_for_ratio(1e-6)

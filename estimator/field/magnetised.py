@@ -14,20 +14,25 @@ from estimator.field.loop import loop_terms
 from estimator.field.winding import Winding
 from estimator.units import MU0_T_M_PER_A
 
-FEWEST_AXIAL, AXIAL_PER_RADIUS = 4, 3.0  # nodes along a winding, and for each inner radius of its length
+FEWEST_AXIAL, AXIAL_PER_RADIUS = (
+    4,
+    3.0,
+)  # nodes along a winding: at least, and more per inner radius of its length
 FEWEST_RADIAL, RADIAL_PER_RADIUS = 1, 4.0
-CORNER_NODES = 8  # each way, in the four parts into which a point inside a winding cuts it
-STEP = 1e-5  # of a ring's radius: differences of loops that stand for its dipoles
-STEPS = 7  # of the arithmetic-geometric mean: enough next to a ring
+CORNER_NODES = 8  # each way, in each of the four parts into which a point cuts a winding's cross-section
+DIFFERENCE_STEP = (
+    1e-5  # of a ring's radius: distance of the two loops whose difference stands for a ring of dipoles
+)
+AGM_STEPS = 7  # enough next to a ring
 
 
 @dataclass(frozen=True)
 class Rings:
-    """Places in the cross-section of a winding, each for a part of its area: a Gauss rule.
+    """Nodes and weights of a Gauss rule over the cross-section of a winding; each node is a ring of dipoles.
 
     Attributes:
-        radius_m, height_m: Of the rings in the coil frame.
-        area_m2: Of the cross-section that each stands for.
+        radius_m, height_m: Nodes in the coil frame.
+        area_m2: Weights: the part of the cross-section that each ring stands for.
     """
 
     radius_m: Float[Tensor, " ring"]
@@ -36,7 +41,7 @@ class Rings:
 
     @classmethod
     def of(cls, winding: Winding) -> Rings:
-        """Enough for points that keep clear of the winding by a third of its inner radius: 1e-3 of what it adds, and better farther off.
+        """Rings that suffice a third of the inner radius away from the winding: error 1e-3 of the added field, less farther away.
 
         Args:
             winding: One winding (no batch).
@@ -56,33 +61,32 @@ def field_of_rings(
     rings: Rings,
     magnetisation_T: Float[Tensor, "pattern ring 2"],
 ) -> Float[Tensor, "*batch point pattern 3"]:
-    """Field of a winding magnetised in some ways at once.
+    """Field of a magnetised winding, for several patterns of magnetisation at once.
 
-    A ring that is magnetised along the axis is a larger loop against a smaller one; one that is magnetised outwards is a lower loop
-    against a higher one.
+    A ring magnetised along the axis is the difference of a larger and a smaller loop; one magnetised outwards is the difference of a lower
+    and a higher loop.
 
     Args:
-        points_coil_m: Points in the coil frame, off the winding.
-        rings: Of the winding.
-        magnetisation_T: mu0 M, outwards and along the axis.
+        points_coil_m: Points in the coil frame, outside the winding.
+        rings: Rings of the winding.
+        magnetisation_T: mu0 M of each ring, outwards and along the axis.
     Returns: Flux density in the coil frame, in tesla.
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.8 (magnetisation and its currents).
 
     A ring far away is a dipole along the axis:
 
     >>> import torch
-    >>> one = torch.ones(1, dtype=torch.float64)
-    >>> ring = Rings(0.1 * one, 0.0 * one, 1e-4 * one)
-    >>> at = torch.tensor([[0.0, 0.0, 10.0]], dtype=torch.float64)
-    >>> field_T = field_of_rings(at, ring, torch.tensor([[[0.0, 1.0]]], dtype=torch.float64))[0, 0, 2].item()
+    >>> ring = Rings(*torch.tensor([[0.1], [0.0], [1e-4]], dtype=torch.float64))
+    >>> point_m = torch.tensor([[0.0, 0.0, 10.0]], dtype=torch.float64)
+    >>> field_T = field_of_rings(point_m, ring, torch.tensor([[[0.0, 1.0]]], dtype=torch.float64))[0, 0, 2].item()
     >>> bool(abs(field_T / (2.0 * 2.0 * math.pi * 0.1 * 1e-4 / (4.0 * math.pi * 10.0**3)) - 1.0) < 1e-3)
     True
     """
     x, y, z = points_coil_m[..., None].unbind(-2)
-    step_m = STEP * rings.radius_m
+    step_m = DIFFERENCE_STEP * rings.radius_m
     radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
-    here, wider, higher = (
-        loop_terms(x, y, z - height, radius, STEPS)
+    ring, wider, higher = (
+        loop_terms(x, y, z - height, radius, AGM_STEPS)
         for height, radius in (
             (rings.height_m, rings.radius_m),
             (rings.height_m, rings.radius_m + step_m),
@@ -90,16 +94,17 @@ def field_of_rings(
         )
     )
     h, axial = (
-        (out - in_) @ axial_A.T - (up - in_) @ radial_A.T
-        for in_, out, up in zip(here, wider, higher, strict=True)
+        (of_wider - of_ring) @ axial_A.T - (of_higher - of_ring) @ radial_A.T
+        for of_ring, of_wider, of_higher in zip(ring, wider, higher, strict=True)
     )
     return torch.stack((x * h, y * h, axial), dim=-1)
 
 
 def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ring 2"]:
-    """Field of one ampere in a winding at rings within its own cross-section, outwards and along the axis, of a smooth current.
+    """Field of one ampere in a winding at rings inside its cross-section, outwards and along the axis.
 
-    Each ring cuts the cross-section into four parts, so that what is steep next to it lies in their corners.
+    The current is spread evenly over the cross-section. Each ring cuts it into four parts with a Gauss rule each, so that the steep part of
+    the integrand lies in their corners.
     """
     inner_m = float(winding.radius_m - winding.thickness_m)
     density_per_m2 = float(
@@ -114,13 +119,13 @@ def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ri
                 a, da = _gauss(low_m, high_m, CORNER_NODES)
                 z, dz = _gauss(back_m, front_m, CORNER_NODES)
                 x = torch.tensor(radius_m, dtype=torch.float64)
-                h, axial = loop_terms(x, torch.zeros_like(x), height_m - z[:, None], a, STEPS)
+                h, axial = loop_terms(x, torch.zeros_like(x), height_m - z[:, None], a, AGM_STEPS)
                 weight = density_per_m2 * dz[:, None] * da
                 total[i] += torch.stack(((radius_m * h * weight).sum(), (axial * weight).sum()))
     return total
 
 
 def _gauss(low: float, high: float, n: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights between two ends."""
+    """Gauss-Legendre nodes and weights between two ends."""
     nodes, weights = (torch.from_numpy(values) for values in leggauss(n))
     return low + 0.5 * (high - low) * (nodes + 1.0), 0.5 * (high - low) * weights

@@ -1,4 +1,4 @@
-"""Gauss rules of the discrete uniform measure: N equal, evenly spaced loops replaced by a few weighted ones.
+"""Gauss rules of the discrete uniform measure: replace N equal, evenly spaced loops by a few weighted ones.
 
 The nodes are the zeros of the discrete Chebyshev (Gram) polynomials. The rule is exact for polynomials of degree 2 n - 1 and is the
 full sum for n = N. Its Jacobi matrix is analytic in N, so a loop count may be any real number and carries a derivative
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-MOST_MASSES = 1e9  # a step of an optimiser may go astray; squares of what lies beyond overflow
+LARGEST_COUNT = 1e9  # an optimiser may step far off; squares of larger counts overflow
 
 
 class DiscreteRule(NamedTuple):
@@ -28,7 +28,7 @@ def discrete_gauss(count: Float[Tensor, "*batch"], n_nodes: int) -> DiscreteRule
 
     Args:
         count: Number of masses N, real-valued, at least n_nodes (surplus nodes are decoupled, not refused).
-        n_nodes: Nodes of the rule; with n_nodes = N it is the full sum.
+        n_nodes: Number of nodes; with n_nodes = N the rule is the full sum.
     Returns: Nodes in ascending order and weights, differentiable in `count`.
     References: Gautschi, Orthogonal Polynomials (2004), table 1.2, discrete Chebyshev:
         b_k = k^2 (N^2 - k^2) / (4 (4 k^2 - 1)); Golub and Welsch, Math. Comp. 23, 221 (1969).
@@ -39,7 +39,7 @@ def discrete_gauss(count: Float[Tensor, "*batch"], n_nodes: int) -> DiscreteRule
     """
     if n_nodes == 1:
         return DiscreteRule(torch.zeros_like(count)[..., None], count[..., None])
-    count = count.clamp(max=MOST_MASSES)
+    count = count.clamp(max=LARGEST_COUNT)
     k = torch.arange(1, n_nodes, dtype=count.dtype, device=count.device)
     square = k**2 * (count[..., None] ** 2 - k**2) / (4.0 * (4.0 * k**2 - 1.0))
     off_diagonal = torch.sqrt(square.clamp(min=1e-12))  # a count below n_nodes decouples the surplus nodes

@@ -19,9 +19,8 @@ from estimator.field.loop import steps_for_ratio
 from estimator.field.node_sum import Nodes, NodeSum, SumMode, compiled_sum, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
 
-ELEMENTS_PER_CHUNK = (
-    32_768  # keeps the dozen temporaries of one chunk in the second-level cache: 34 instead of 106 ns a loop
-)
+# Keeps the dozen temporaries of one chunk in the second-level cache: 34 instead of 106 ns a loop.
+ELEMENTS_PER_CHUNK = 32_768
 ELEMENTS_PER_COMPILED_CHUNK = 131_072
 DEFAULT_TOLERANCE = 1e-6
 NODE_LADDER = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
@@ -57,12 +56,12 @@ class Winding:
 
     @property
     def moment_m2(self) -> Float[Tensor, "*batch"]:
-        """Magnetic moment per ampere: turns times the mean area of the loops."""
+        """Magnetic moment per ampere: number of turns times the mean area of a loop."""
         rms2 = self.mean_radius_m**2 + self.radial_pitch_m**2 * (self.radial_loops**2 - 1.0) / 12.0
         return math.pi * rms2 * self.axial_loops * self.radial_loops
 
     def with_pitches(self, axial: Tensor, radial: Tensor) -> Winding:
-        """The same loops wound wider: both pitches times a factor, which may carry a batch."""
+        """The same loops with both pitches multiplied by a factor, which may carry a batch."""
         radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m, _ = torch.broadcast_tensors(
             self.radius_m,
             self.axial_loops,
@@ -86,7 +85,7 @@ class Winding:
 
 @dataclass(frozen=True)
 class Rule:
-    """How many axial and radial nodes stand for the loops, and how many AGM steps each needs."""
+    """A quadrature rule: axial and radial nodes that stand for the loops, and AGM steps of each."""
 
     axial_nodes: int
     radial_nodes: int
@@ -106,11 +105,11 @@ def winding_field_per_ampere(
         winding: Geometry; its batch broadcasts with the points' batch.
         rule: Nodes and AGM steps, from `choose_rule` or `exact_rule`.
         mode: How loops are summed (`node_sum`).
-    Returns: Bx, By, Bz in the coil frame per ampere; differentiable in points and geometry as far as the mode says.
+    Returns: Bx, By, Bz in the coil frame per ampere; differentiable in points and geometry as `mode` allows.
     References: Osinde et al., eq 9-13, with the sum taken in Cartesian components (erratum to eq 13).
     Examples:
-        >>> one = torch.ones((), dtype=torch.float64)
-        >>> loop = Winding(0.051 * one, one, one, 2e-3 * one, 2e-3 * one)  # one loop of radius 50 mm, 1 mm behind the face
+        >>> radius_m, loops, pitch_m = torch.tensor([0.051, 1.0, 2e-3], dtype=torch.float64)
+        >>> loop = Winding(radius_m, loops, loops, pitch_m, pitch_m)  # one loop of radius 50 mm, 1 mm behind the face
         >>> centre = torch.tensor([[0.0, 0.0, -0.001]], dtype=torch.float64)
         >>> round(winding_field_per_ampere(centre, loop, exact_rule(loop, centre))[0, 2].item() * 1e6, 6)
         12.566371
@@ -124,13 +123,13 @@ def field_of_loops(
     steps: int,
     mode: SumMode = SumMode.EAGER,
 ) -> Float[Tensor, "*batch point 3"]:
-    """Field of weighted loops about the axis of a coil, in T per ampere and weight.
+    """Field of weighted loops about the axis of a coil, in T per ampere.
 
     Args:
-        points_coil_m: Points in the coil frame, off the loops.
+        points_coil_m: Points in the coil frame, not on a loop.
         loops: Heights, radii and weights on a grid of two node axes, after the batch.
         steps: AGM steps of each loop.
-        mode: How they are summed.
+        mode: How loops are summed.
     """
     batch = torch.broadcast_shapes(points_coil_m.shape[:-2], *(value.shape[:-2] for value in loops))
     n_points, n_nodes = points_coil_m.shape[-2], loops.weight.shape[-2:].numel()
@@ -144,18 +143,17 @@ def field_of_loops(
         node_sum = sum_to_first_order
     n_row_parts = math.ceil(len(points) / max(1, chunk // (n_points * n_nodes)))
     n_point_parts = math.ceil(n_points / max(1, chunk // n_nodes))
-    field = [
-        torch.cat(
-            [node_sum(part, Nodes(*some), steps) for part in few.tensor_split(n_point_parts, dim=1)],
-            dim=1,
-        )
-        for few, *some in zip(*(value.tensor_split(n_row_parts) for value in (points, *rows)), strict=True)
-    ]
+    field = []
+    for row_points, *row_nodes in zip(
+        *(value.tensor_split(n_row_parts) for value in (points, *rows)), strict=True
+    ):
+        point_parts = row_points.tensor_split(n_point_parts, dim=1)
+        field.append(torch.cat([node_sum(part, Nodes(*row_nodes), steps) for part in point_parts], dim=1))
     return torch.cat(field).reshape(*batch, n_points, 3)
 
 
 def loops_of(winding: Winding, rule: Rule) -> Nodes:
-    """The loops that stand for a winding, on a grid of axial and radial nodes; the leading axes are the winding's batch."""
+    """The weighted loops that stand for a winding, on a grid of axial and radial nodes after the winding's batch."""
     axial = discrete_gauss(winding.axial_loops, rule.axial_nodes)
     radial = discrete_gauss(winding.radial_loops, rule.radial_nodes)
     height_m = winding.axial_pitch_m[..., None] * axial.nodes - 0.5 * winding.length_m[..., None]
@@ -165,7 +163,7 @@ def loops_of(winding: Winding, rule: Rule) -> Nodes:
 
 
 def exact_rule(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:
-    """The full sum over a winding whose loop counts are whole numbers (the largest of its batch)."""
+    """The rule that sums all loops of a winding with whole loop counts (the largest of its batch)."""
     steps = _steps(winding, points_coil_m)
     return Rule(int(winding.axial_loops.max().item()), int(winding.radial_loops.max().item()), steps)
 
@@ -173,36 +171,36 @@ def exact_rule(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"])
 def choose_rule(
     winding: Winding, points_coil_m: Float[Tensor, "point 3"], tolerance: float = DEFAULT_TOLERANCE
 ) -> Rule:
-    """The smallest rule that meets the tolerance at these points, found by comparing with the exact sum.
+    """The smallest rule that meets the tolerance at these points, by comparison with the exact sum.
 
     Args:
         winding: One winding (no batch).
-        points_coil_m: Points outside the winding; the 48 nearest decide, since the error of a Gauss rule grows towards the winding.
-        tolerance: Wanted error relative to |B|.
-    Returns: A rule whose error at the deciding points is below a third of the tolerance, or the full sum.
+        points_coil_m: Points outside the winding. The 48 nearest decide: the error of a Gauss rule grows towards the winding.
+        tolerance: Largest error relative to |B|.
+    Returns: A rule whose error at the 48 points is below a third of the tolerance, or the full sum.
     """
     with torch.no_grad():
-        whole = winding.with_integer_loops()
-        distance_m = distance_to_winding(points_coil_m, whole)
+        rounded = winding.with_integer_loops()
+        distance_m = distance_to_winding(points_coil_m, rounded)
         nearest = points_coil_m[torch.topk(distance_m, min(48, len(distance_m)), largest=False).indices]
-        full = exact_rule(whole, nearest)
-        reference = winding_field_per_ampere(nearest, whole, full)
+        full = exact_rule(rounded, nearest)
+        reference = winding_field_per_ampere(nearest, rounded, full)
         norm = reference.norm(dim=-1)
 
-        def meets(rule: Rule) -> bool:
-            error = (winding_field_per_ampere(nearest, whole, rule) - reference).norm(dim=-1)
+        def is_accurate(rule: Rule) -> bool:
+            error = (winding_field_per_ampere(nearest, rounded, rule) - reference).norm(dim=-1)
             return bool((error <= tolerance / 3.0 * norm).all())
 
         axial = next(
             (
                 n
                 for n in NODE_LADDER
-                if n < full.axial_nodes and meets(Rule(n, full.radial_nodes, full.steps))
+                if n < full.axial_nodes and is_accurate(Rule(n, full.radial_nodes, full.steps))
             ),
             full.axial_nodes,
         )
         radial = next(
-            (n for n in NODE_LADDER if n < full.radial_nodes and meets(Rule(axial, n, full.steps))),
+            (n for n in NODE_LADDER if n < full.radial_nodes and is_accurate(Rule(axial, n, full.steps))),
             full.radial_nodes,
         )
     return Rule(axial, radial, full.steps)
@@ -225,15 +223,15 @@ def winding_field(
 ) -> Float[Tensor, "point 3"]:
     """Field per ampere of one winding to a requested accuracy at any points outside it, in T/A.
 
-    Points are grouped by octaves of their distance; every group gets the smallest rule that suffices, down to the full sum.
+    Points are grouped by octaves of their distance. Each group gets the smallest rule that suffices, which may be the full sum.
 
     Args:
         points_coil_m: Points in the coil frame.
         winding: One winding (no batch).
-        tolerance: Error relative to |B|; 0 asks for the full sum everywhere.
+        tolerance: Largest error relative to |B|; 0 sums all loops everywhere.
     Returns: Bx, By, Bz in the coil frame per ampere.
     Raises:
-        InvalidInput: A point lies inside the winding, where a sum of filaments means nothing.
+        InvalidInput: A point lies inside the winding, where a sum of filaments has no meaning.
     """
     distance_m = distance_to_winding(points_coil_m.detach(), winding)
     inside = (distance_m <= 0.0).nonzero().flatten()
@@ -248,14 +246,14 @@ def winding_field(
     for level in octave.unique():
         rows = (octave == level).nonzero().flatten()
         points = points_coil_m[rows]
-        whole = tolerance <= 0.0
-        rule = exact_rule(winding, points) if whole else choose_rule(winding, points, tolerance)
+        is_exact = tolerance <= 0.0
+        rule = exact_rule(winding, points) if is_exact else choose_rule(winding, points, tolerance)
         field = field.index_copy(0, rows, winding_field_per_ampere(points, winding, rule))
     return field
 
 
 def _steps(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"]) -> int:
-    """AGM steps for the nearest of these points: the corners of the cross-section are the extreme loops."""
+    """AGM steps for the nearest of these points; the extreme loops lie in the corners of the cross-section."""
     with torch.no_grad():
         nearest_m = float(distance_to_winding(points_coil_m, winding).min())
         half_cell_m = 0.5 * float(torch.minimum(winding.axial_pitch_m, winding.radial_pitch_m).min())

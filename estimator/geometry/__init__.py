@@ -1,1 +1,1 @@
-"""From what a mover reports to where it stands."""
+"""From the readings of a mover to its pose."""

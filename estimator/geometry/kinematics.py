@@ -1,8 +1,8 @@
 """Forward kinematics of the robots that carry coils and sensors: joint angles -> base_from_flange.
 
 Used where readings hold joint angles; where they hold poses, the controller has done this step already.
-The nominal tables place the flange of a real arm to about a millimetre only: every arm leaves the factory
-with corrections of its own, which its controller reports. They make a table like any other.
+The nominal tables give the flange of a real arm to about a millimetre only. Each arm has factory corrections,
+which its controller reports; corrected values form a table of the same kind.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from estimator.frames import Transform
 class DenavitHartenberg:
     """Standard (distal) Denavit-Hartenberg table, one entry per joint, in the columns of Universal Robots.
 
-    A joint at q leads to the next by: turn by q + theta about z, shift by d along z, shift by a along x, turn
+    A joint at angle q leads to the next one: turn by q + theta about z, shift by d along z, shift by a along x, turn
     by alpha about x.
     """
 

@@ -1,4 +1,4 @@
-"""Poses: what the columns of a mover say, what the pose blocks of a rig say, and where bodies nominally stand."""
+"""Poses from the columns of a mover and from the pose blocks of a rig, and nominal positions of bodies."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from estimator.geometry.kinematics import base_from_flange
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, DisplacementFrame, MotionKind, Mover, Rig
 
-MOST_PLACES = 200
+MOST_POSES = 200
 NEWTON_STEPS = 6
 
 
-def base_from_motion(mover: Mover, motion: Float[Tensor, "place 6"]) -> Transform:
-    """Flange pose of a mover's readings: base_from_flange, or the displacement in the end-effector frame.
+def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform:
+    """Flange pose from a mover's readings: base_from_flange, or the displacement in the end-effector frame.
 
     References: Osinde et al., eq 18-22; a controller that reports displacements in its base frame needs base_from_flange(q0)^T first
         (DESIGN section 2).
@@ -31,81 +31,88 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "place 6"]) -> Transfor
         base_from_flange0 = rotation_from_vector(
             torch.tensor(mover.reference_rotation_rad, dtype=motion.dtype)
         )
-        turned = base_from_flange0.mT @ pose.rotation @ base_from_flange0
-        return Transform(turned, pose.translation_m @ base_from_flange0)
+        rotation = base_from_flange0.mT @ pose.rotation @ base_from_flange0
+        return Transform(rotation, pose.translation_m @ base_from_flange0)
     return pose
 
 
-def flange_to_reach(mover: Mover, motion: Float[Tensor, "place 6"], reference: Transform) -> Transform:
-    """Pose in the frame of its base that a mover must bring its flange to, to report these readings.
+def flange_to_reach(mover: Mover, motion: Float[Tensor, "pose 6"], reference: Transform) -> Transform:
+    """Pose in its base frame to which a mover must bring its flange, so that it reports these readings.
 
     Args:
-        mover: Says what they mean.
+        mover: Defines the meaning of the readings.
         motion: Readings, as in a session or a plan.
-        reference: base_from_flange where displacements are zero; other movers do without.
+        reference: base_from_flange at zero displacement; used by movers that report displacements only.
     """
-    moved = base_from_motion(mover, motion)
-    return reference @ moved if mover.motion is MotionKind.DISPLACEMENT else moved
+    pose = base_from_motion(mover, motion)
+    return reference @ pose if mover.motion is MotionKind.DISPLACEMENT else pose
 
 
 def motion_reached(
-    mover: Mover, base_from_flange: Transform, reference: Transform, near: Float[Tensor, "place 6"]
-) -> Float[Tensor, "place 6"]:
-    """Readings of a mover whose flange is measured at a pose: the inverse of `flange_to_reach`.
+    mover: Mover, base_from_flange: Transform, reference: Transform, near: Float[Tensor, "pose 6"]
+) -> Float[Tensor, "pose 6"]:
+    """Readings of a mover from the measured pose of its flange: the inverse of `flange_to_reach`.
 
-    Joint angles are those whose nominal kinematics give the pose, which is what the model makes of them again; the controller's own,
-    by the calibrated kinematics of one arm, would not.
+    Joint angles are those whose nominal kinematics give the pose, as in the model. The controller's angles, which belong to the calibrated
+    kinematics of one arm, would give another pose there.
 
     Args:
-        mover: Says what readings mean.
+        mover: Defines the meaning of the readings.
         base_from_flange: Measured pose.
-        reference: base_from_flange where displacements are zero.
-        near: Readings that were asked for; joint angles are sought from there.
+        reference: base_from_flange at zero displacement.
+        near: Commanded readings, from which the search for joint angles starts.
     """
     if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
         return torch.stack(
-            [_joints(mover, base_from_flange.rows(torch.tensor([i])), q) for i, q in enumerate(near)]
+            [_joints_reaching(mover, base_from_flange.rows(torch.tensor([i])), q) for i, q in enumerate(near)]
         )
     is_relative = mover.motion is MotionKind.DISPLACEMENT
     pose = reference.inverse() @ base_from_flange if is_relative else base_from_flange
     if is_relative and mover.displacement_frame is DisplacementFrame.BASE:
         base_from_flange0 = rotation_from_vector(torch.tensor(mover.reference_rotation_rad, dtype=near.dtype))
-        turned = base_from_flange0 @ pose.rotation @ base_from_flange0.mT
-        pose = Transform(turned, pose.translation_m @ base_from_flange0.mT)
+        rotation = base_from_flange0 @ pose.rotation @ base_from_flange0.mT
+        pose = Transform(rotation, pose.translation_m @ base_from_flange0.mT)
     return torch.cat((pose.translation_m, vector_from_rotation(pose.rotation)), dim=-1)
 
 
-def _joints(mover: Mover, base_from_flange: Transform, near: Float[Tensor, " 6"]) -> Float[Tensor, " 6"]:
-    """Newton's method on the shift and the small turn that are left."""
+def _joints_reaching(
+    mover: Mover, base_from_flange: Transform, near: Float[Tensor, " 6"]
+) -> Float[Tensor, " 6"]:
+    """Joint angles of a pose, by Newton's method on the remaining shift and small rotation."""
     target_from_base = base_from_flange.inverse()
 
-    def left(joints_rad: Tensor) -> Tensor:
-        off = target_from_base @ base_from_motion(mover, joints_rad[None])
-        skew = 0.5 * (off.rotation - off.rotation.mT)[0]  # to first order the rotation vector
-        return torch.cat((off.translation_m[0], torch.stack((skew[2, 1], skew[0, 2], skew[1, 0]))))
+    def pose_error(joints_rad: Tensor) -> Tensor:
+        target_from_flange = target_from_base @ base_from_motion(mover, joints_rad[None])
+        rotation = target_from_flange.rotation
+        skew = 0.5 * (rotation - rotation.mT)[0]  # to first order the rotation vector
+        return torch.cat(
+            (target_from_flange.translation_m[0], torch.stack((skew[2, 1], skew[0, 2], skew[1, 0])))
+        )
 
     joints_rad = near
     for _ in range(NEWTON_STEPS):
-        joints_rad = joints_rad - torch.linalg.lstsq(jacfwd(left)(joints_rad), left(joints_rad)).solution
+        jacobian = jacfwd(pose_error)(joints_rad)
+        joints_rad = joints_rad - torch.linalg.lstsq(jacobian, pose_error(joints_rad)).solution
     return joints_rad
 
 
 def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
-    """Transform of a pose block, with a row axis of 1 to broadcast over poses.
+    """Transform of a pose block, with a pose axis of length 1 that broadcasts.
 
     The rotation is the rotation vector (rx, ry, rz) followed by the small rotation (tilt_x, tilt_y, spin) about the body's own axes, so
-    that a coil's spin about its axis stays one parameter whatever its nominal direction.
+    that a coil's spin about its axis is one parameter for any nominal direction.
     """
 
-    def three(*keys: str) -> Tensor:
+    def vector(*keys: str) -> Tensor:
         return torch.stack(torch.broadcast_tensors(*(values[f"{prefix}.{key}"] for key in keys)), dim=-1)
 
-    turn, own_turn = torch.broadcast_tensors(
-        three("rx_rad", "ry_rad", "rz_rad"), three("tilt_x_rad", "tilt_y_rad", "spin_rad")
+    nominal_rad, body_rad = torch.broadcast_tensors(
+        vector("rx_rad", "ry_rad", "rz_rad"), vector("tilt_x_rad", "tilt_y_rad", "spin_rad")
     )
-    rotation, own = rotation_from_vector(torch.stack((turn, own_turn))).unbind()  # one call costs half of two
-    translation_m = three("x_m", "y_m", "z_m")
-    return Transform((rotation @ own)[..., None, :, :], translation_m[..., None, :])
+    # One call costs half of two.
+    nominal, about_body_axes = rotation_from_vector(torch.stack((nominal_rad, body_rad))).unbind()
+    translation_m = vector("x_m", "y_m", "z_m")
+    return Transform((nominal @ about_body_axes)[..., None, :, :], translation_m[..., None, :])
 
 
 def world_from_body(
@@ -117,15 +124,15 @@ def world_from_body(
     mount_at_reference: Transform | None = None,
     mount_since: Transform | None = None,
 ) -> Transform:
-    """Pose of a coil or sensor, given where the movers stand.
+    """Pose of a coil or sensor in the world, from the poses of the movers.
 
     Args:
         rig: Names the mover that carries the body.
         body, kind: The body and its kind, `coil` or `sensor`.
-        flange: Per mover base_from_flange, or the displacement in the end-effector frame (`base_from_motion`).
-        values: Every number of the rig.
-        mount_at_reference: nominal_from_real of the body on what carries it, as it was when the reference pose was taken.
-        mount_since: nominal_from_real of what has changed since.
+        flange: For each mover base_from_flange, or the displacement in the end-effector frame (`base_from_motion`).
+        values: Every parameter of the rig.
+        mount_at_reference: nominal_from_real of the body on its carrier at the time of the reference pose.
+        mount_since: nominal_from_real of changes since then.
     References: Osinde et al., eq 14-22, with displacements in the end-effector frame.
     """
     at_reference = mount_at_reference or Transform.identity()
@@ -134,18 +141,20 @@ def world_from_body(
         return pose_of(f"{body.name}.world_from_{kind}", values) @ since
     mover = rig.mover(body.carried_by)
     flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
-    real = flange[mover.name] @ flange_from_body @ since
+    base_from_body = flange[mover.name] @ flange_from_body @ since
     if mover.motion is MotionKind.DISPLACEMENT:
-        return pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ real
-    return pose_of(f"{mover.name}.world_from_base", values) @ real
+        return (
+            pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ base_from_body
+        )
+    return pose_of(f"{mover.name}.world_from_base", values) @ base_from_body
 
 
-def nominal_places_m(
+def nominal_positions_m(
     rig: Rig, observations: Observations, has_coils: bool = True
-) -> Float[Tensor, "place 3"]:
-    """Where sensors, and coils, nominally stand in the world during a session, a few hundred poses of each at most."""
+) -> Float[Tensor, "position 3"]:
+    """Nominal world positions of sensors, and of coils, in a session; at most a few hundred poses of each."""
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
-    step = max(1, len(observations) // MOST_PLACES)
+    step = max(1, len(observations) // MOST_POSES)
     flange = {m.name: base_from_motion(m, observations.motion[m.name][::step]) for m in rig.movers}
     bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils] if has_coils else []
     bodies += [("sensor", sensor) for sensor in rig.sensors]

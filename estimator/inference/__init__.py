@@ -1,1 +1,1 @@
-"""From readings to parameters: likelihood, point estimate, Laplace approximation, posterior sampling, convergence."""
+"""From readings to parameters: likelihood, point estimate, Laplace approximation, posterior sampling and convergence."""

@@ -1,4 +1,4 @@
-"""Has the ensemble converged? Effective sample size and rank-normalised R-hat of every coordinate, from ArviZ."""
+"""Convergence of the ensemble: effective sample size and rank-normalised R-hat of every coordinate, from ArviZ."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ FEWEST_STEPS = 8
 
 @dataclass(frozen=True)
 class Convergence:
-    """Diagnostics per coordinate; NaN where a coordinate never moved (a count with probability 1).
+    """Diagnostics of each coordinate; NaN for one that never moved (a count with probability 1).
 
     Attributes:
-        ess_bulk, ess_tail: Effective sample sizes of the centre and of the 5 % tails, all walkers together.
+        ess_bulk, ess_tail: Effective sample sizes of the bulk and of the 5 % tails, over all walkers.
         rhat: Rank-normalised split R-hat over walkers.
         autocorrelation_steps: Integrated autocorrelation time, n_samples / ess_bulk.
     """
@@ -27,13 +27,13 @@ class Convergence:
 
     @property
     def smallest_ess(self) -> float:
-        """The smallest effective sample size over coordinates that moved; 0 where none did."""
-        both = np.concatenate((self.ess_bulk, self.ess_tail))
-        return float(np.nanmin(both)) if np.isfinite(both).any() else 0.0
+        """The smallest effective sample size over coordinates that moved; 0 if none did."""
+        ess = np.concatenate((self.ess_bulk, self.ess_tail))
+        return float(np.nanmin(ess)) if np.isfinite(ess).any() else 0.0
 
     @property
     def largest_rhat(self) -> float:
-        """The largest R-hat over coordinates that moved; infinite where none did."""
+        """The largest R-hat over coordinates that moved; infinite if none did."""
         return float(np.nanmax(self.rhat)) if np.isfinite(self.rhat).any() else np.inf
 
     @property
@@ -43,7 +43,7 @@ class Convergence:
 
 
 def convergence(chain: np.ndarray) -> Convergence:
-    """Diagnostics of a chain laid out step by walker by coordinate; every walker counts as a chain.
+    """Diagnostics of samples with axes step, walker and coordinate; every walker counts as a chain.
 
     References: Vehtari et al., Bayesian Analysis 16, 667 (2021), as implemented in ArviZ.
     Examples:
@@ -54,7 +54,7 @@ def convergence(chain: np.ndarray) -> Convergence:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its 1.x line at every import
-        import arviz  # half a second that commands which sample nothing do not pay
+        import arviz  # half a second, spent only by commands that sample
 
     steps, walkers, n = chain.shape
     values = np.full((3, n), np.nan)
@@ -64,8 +64,6 @@ def convergence(chain: np.ndarray) -> Convergence:
             if np.ptp(series) > 0.0:
                 values[0, i] = arviz.ess(series, method="bulk")
                 values[1, i] = arviz.ess(series, method="tail")
-                with np.errstate(
-                    divide="ignore"
-                ):  # walkers that stand still apart from each other: R-hat is infinite
+                with np.errstate(divide="ignore"):  # R-hat is infinite where walkers never move
                     values[2, i] = arviz.rhat(series, method="rank")
     return Convergence(values[0], values[1], values[2], steps * walkers)

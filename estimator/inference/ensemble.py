@@ -1,4 +1,4 @@
-"""Posterior sampling with emcee: all walkers in one batched call, checkpoints, and a stop that the samples decide."""
+"""Posterior sampling with emcee: all walkers in one batched call, with checkpoints, until the diagnostics say stop."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class SamplerSettings:
     """How long to sample.
 
     Attributes:
-        n_walkers: Walkers in the ensemble; 0 stands for 32, or two per free parameter where that is more. Many short chains need more
-            samples before R-hat believes them.
-        target_ess: Wanted effective sample size (bulk and tail) of every coordinate.
+        n_walkers: Walkers in the ensemble; 0 stands for 32, or for two per free parameter if that is more. Many short chains need more
+            samples until R-hat is small.
+        target_ess: Effective sample size (bulk and tail) that every coordinate must reach.
         largest_rhat: R-hat that every coordinate must fall below.
-        max_steps: Give up here and say so.
-        check_every: Steps between looks at the diagnostics, and between checkpoints.
-        seed: Of the random state; the same seed gives the same chain on the same machine.
+        max_steps: Sampling stops here, converged or not.
+        check_every: Fewest steps between two looks at the diagnostics, which are also the checkpoints.
+        seed: Seed of the random state; the same seed gives the same chain on the same machine.
     """
 
     n_walkers: int = 0
@@ -56,10 +56,10 @@ class SamplerSettings:
             raise InvalidInput(f"seed must be a whole number from 0 to {2**32 - 1}; received {self.seed}")
 
     def for_rig(self, n_free: int) -> SamplerSettings:
-        """The same settings with a number of walkers that suits the moves: two per dimension, and two more than dimensions.
+        """The same settings with enough walkers for the moves: at least two per dimension, and two more than dimensions.
 
         Raises:
-            InvalidInput: Too few were asked for.
+            InvalidInput: The settings ask for fewer.
         """
         fewest = max(2 * n_free, n_free + 2)
         if self.n_walkers == 0:
@@ -73,7 +73,7 @@ class SamplerSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """One look at a running chain."""
+    """Diagnostics of a running chain against their targets."""
 
     step: int
     max_steps: int
@@ -87,8 +87,8 @@ class Samples:
     """The chain after burn-in with its diagnostics.
 
     Attributes:
-        chain: Step by walker by coordinate.
-        log_prob: Step by walker.
+        chain: Coordinates, with axes step, walker and coordinate.
+        log_prob: Log posterior density, with axes step and walker.
         is_converged: The targets were met; otherwise the chain ended at `max_steps`.
         acceptance: Mean acceptance fraction.
         n_steps: Steps taken, burn-in included.
@@ -109,7 +109,7 @@ def sample(
     backend: Backend | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Samples:
-    """Sample the posterior until the effective sample size and R-hat say that it is enough.
+    """Sample the posterior until effective sample size and R-hat reach their targets.
 
     Walkers start from draws of the Laplace mixture; the first tenth of the steps is dropped. A backend that already holds steps is
     continued.
@@ -117,10 +117,10 @@ def sample(
     Args:
         posterior: Density over coordinates with whole-numbered counts in the last columns.
         mixture: Laplace mixture, the proposal of the independence move.
-        settings: When to stop.
+        settings: Targets and limits.
         backend: emcee backend; in memory by default.
         on_progress: Called after every look at the diagnostics.
-    Returns: The chain; `is_converged` is False where `max_steps` came first.
+    Returns: The chain; `is_converged` is False if `max_steps` came first.
     Raises:
         InvalidInput: Too few walkers for the number of coordinates.
     References: Foreman-Mackey et al., PASP 125, 306 (2013).
@@ -142,21 +142,15 @@ def sample(
     sampler = emcee.EnsembleSampler(
         settings.n_walkers, n, log_prob, moves=moves, vectorize=True, backend=backend
     )
-    if backend.iteration > 0:
-        state = backend.get_last_sample()
-    else:
-        random = np.random.RandomState(settings.seed)
-        state = emcee.State(
-            _start(log_prob, proposal, settings.n_walkers, random), random_state=random.get_state()
-        )
-    if backend.iteration > settings.max_steps:  # a longer run was asked for before
-        return _look(posterior.coordinates, backend, settings)
-    for step in _look_steps(settings):
+    state = _initial_state(log_prob, proposal, settings, backend)
+    if backend.iteration > settings.max_steps:  # an earlier call had a larger limit
+        return _samples(posterior.coordinates, backend, settings)
+    for step in _checkpoints(settings):
         if step < backend.iteration:
             continue
         if step > backend.iteration:
             state = sampler.run_mcmc(state, step - backend.iteration, skip_initial_state_check=True)
-        result = _look(posterior.coordinates, backend, settings)
+        result = _samples(posterior.coordinates, backend, settings)
         if on_progress is not None:
             on_progress(_progress(result, settings))
         if result.is_converged:
@@ -164,12 +158,12 @@ def sample(
     return result
 
 
-def _look_steps(settings: SamplerSettings) -> Iterator[int]:
-    """Steps at which to look, ever further apart; the same whether or not the run was interrupted."""
+def _checkpoints(settings: SamplerSettings) -> Iterator[int]:
+    """Steps at which to look at the diagnostics, ever further apart; the same whether or not the run was interrupted."""
     step = 0
     while step < settings.max_steps:
-        ahead = max(step + settings.check_every, int(1.15 * step))
-        step = min(ahead - ahead % settings.check_every, settings.max_steps)
+        next_step = max(step + settings.check_every, int(1.15 * step))
+        step = min(next_step - next_step % settings.check_every, settings.max_steps)
         yield step
 
 
@@ -178,42 +172,46 @@ def _progress(result: Samples, settings: SamplerSettings) -> Progress:
     return Progress(result.n_steps, settings.max_steps, ess, settings.target_ess, rhat)
 
 
-def _start(
+def _initial_state(
     log_prob: Callable[[np.ndarray], np.ndarray],
     proposal: MixtureProposal,
-    size: int,
-    random: np.random.RandomState,
-) -> np.ndarray:
-    """Draws of the mixture that lie inside the prior."""
-    found = np.empty((0, proposal.n + proposal.counts.shape[1]))
+    settings: SamplerSettings,
+    backend: Backend,
+) -> emcee.State:
+    """Last sample of a backend that holds steps; otherwise draws of the mixture that lie inside the prior."""
+    if backend.iteration > 0:
+        return backend.get_last_sample()
+    random = np.random.RandomState(settings.seed)
+    walkers = np.empty((0, proposal.n + proposal.counts.shape[1]))
     for _ in range(100):
-        draws = proposal.draw(size, random)
-        found = np.concatenate((found, draws[np.isfinite(log_prob(draws))]))
-        if len(found) >= size:
+        draws = proposal.draw(settings.n_walkers, random)
+        walkers = np.concatenate((walkers, draws[np.isfinite(log_prob(draws))]))
+        if len(walkers) >= settings.n_walkers:
             break
-    if not len(found):
+    if not len(walkers):
         raise RuntimeError("no draw of the Laplace mixture lies inside the prior")
-    return np.resize(found, (size, found.shape[1]))
+    walkers = np.resize(walkers, (settings.n_walkers, walkers.shape[1]))
+    return emcee.State(walkers, random_state=random.get_state())
 
 
-def _look(coordinates: Coordinates, backend: Backend, settings: SamplerSettings) -> Samples:
+def _samples(coordinates: Coordinates, backend: Backend, settings: SamplerSettings) -> Samples:
     burn_in = int(BURN_IN_SHARE * backend.iteration)
     chain = backend.get_chain(discard=burn_in)
-    diagnostics = convergence(reported(coordinates, chain))
-    enough = (
+    diagnostics = convergence(reported_parameters(coordinates, chain))
+    is_converged = (
         diagnostics.smallest_ess >= settings.target_ess and diagnostics.largest_rhat <= settings.largest_rhat
     )
     return Samples(
         chain,
         backend.get_log_prob(discard=burn_in),
         diagnostics,
-        enough,
+        is_converged,
         float(np.mean(backend.accepted / backend.iteration)),
         backend.iteration,
     )
 
 
-def reported(coordinates: Coordinates, chain: np.ndarray) -> np.ndarray:
-    """A chain of coordinates as the free parameters that are reported, in the order of `coordinates.names`."""
+def reported_parameters(coordinates: Coordinates, chain: np.ndarray) -> np.ndarray:
+    """Free parameters, as they are reported, of a chain of coordinates; in the order of `coordinates.names`."""
     values = coordinates.values(torch.from_numpy(chain))
     return np.stack([values[name].numpy() for name in coordinates.names], axis=-1)

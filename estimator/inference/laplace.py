@@ -1,4 +1,4 @@
-"""Laplace approximation at the maximum: covariance, evidence, and which directions the data leave open, in words."""
+"""Laplace approximation at the maximum: covariance, log evidence, and directions that the data do not determine."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from torch import Tensor
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.rig.coordinates import Coordinates
 
-UNDETERMINED_RATIO = 1.0
-SMALLEST_SHARE = 0.15
+UNDETERMINED_RATIO = 1.0  # of data to prior standard deviation
+SMALLEST_SHARE = 0.15  # of the largest component; smaller ones are not named
 
 
 @dataclass(frozen=True)
 class OpenDirection:
-    """A direction in which the data say less than the prior.
+    """A direction along which the prior constrains more than the data.
 
     Attributes:
         words: The coordinates that make it up, largest share first.
-        data_over_prior_sd: Standard deviation from the data alone over the prior's; above 1 the prior rules.
-        shares: Prior-scaled components of the direction by coordinate label.
+        data_over_prior_sd: Standard deviation from the data alone over that of the prior; above 1 the prior dominates.
+        shares: Components of the direction in prior standard deviations, by coordinate label.
     """
 
     words: str
@@ -32,7 +32,7 @@ class OpenDirection:
 
 
 def covariance(precision: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
-    """Inverse of a precision matrix, scaled first so that units do not cost digits.
+    """Inverse of a precision matrix, scaled to a unit diagonal first, so that units do not cost digits.
 
     Examples:
         >>> covariance(torch.diag(torch.tensor([4.0, 1e12], dtype=torch.float64))).diagonal().tolist()
@@ -46,25 +46,25 @@ def covariance(precision: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch 
 
 
 def log_evidence(fit: Optimum) -> Float[Tensor, " start"]:
-    """Laplace estimate of the log of the integral of the posterior density, up to a common constant."""
+    """Laplace approximation of the log evidence, up to the constant of the log posterior."""
     n = fit.precision.shape[-1]
     log_det: Tensor = torch.linalg.slogdet(fit.precision).logabsdet
     return fit.log_posterior + 0.5 * n * math.log(2.0 * math.pi) - 0.5 * log_det
 
 
 def open_directions(coordinates: Coordinates, fit: Optimum) -> list[OpenDirection]:
-    """Directions, in units of the prior, along which the data determine less than the prior does.
+    """Directions, in prior standard deviations, along which the data constrain less than the prior.
 
     Args:
-        coordinates: Meaning of the columns; continuous counts.
+        coordinates: Meaning of the columns; counts are continuous.
         fit: One maximum (the first start is used).
-    Returns: The least determined first; empty where the data determine everything.
+    Returns: Least determined direction first; empty if the data determine everything.
     References: Eigenvectors of the prior-preconditioned Fisher information; Spantini et al., SIAM J. Sci. Comput. 37, A2451 (2015).
     """
     scale = coordinates.scale[: coordinates.n_continuous]
     information = fit.information[0] * scale[:, None] * scale[None, :]
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (information + information.T))
-    found = []
+    directions = []
     for eigenvalue, vector in zip(eigenvalues.tolist(), vectors.T, strict=True):
         ratio = 1.0 / math.sqrt(max(eigenvalue, 1e-12))
         if ratio < UNDETERMINED_RATIO:
@@ -76,14 +76,14 @@ def open_directions(coordinates: Coordinates, fit: Optimum) -> list[OpenDirectio
             for i in order
             if abs(float(weight[i])) >= SMALLEST_SHARE
         }
-        found.append(OpenDirection(_in_words(shares), ratio, shares))
-    return found
+        directions.append(OpenDirection(_in_words(shares), ratio, shares))
+    return directions
 
 
 def _in_words(shares: dict[str, float]) -> str:
     names = list(shares)
     if len(names) == 1:
         return names[0]
-    first, *others = names
-    parts = [f"{name} {'up' if shares[name] > 0.0 else 'down'}" for name in others]
+    first, *rest = names
+    parts = [f"{name} {'up' if shares[name] > 0.0 else 'down'}" for name in rest]
     return f"{first} up together with {', '.join(parts)}"

@@ -1,7 +1,7 @@
-"""Loop counts are whole numbers: the posterior as a mixture over the lattice of counts.
+"""Loop counts are whole numbers: the posterior as a Laplace mixture over the lattice of counts.
 
-Around the continuous maximum every plausible tuple of counts gets its own maximum and Laplace covariance in the remaining coordinates; the
-table grows until its rim carries no weight. The mixture is the proposal of the sampler and, by itself, already a good approximation.
+Around the continuous maximum every plausible tuple of counts gets its own maximum and Laplace covariance in the remaining coordinates. The
+table grows until its rim carries no weight. The mixture is the proposal of the sampler, and a good approximation by itself.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class CountMixture:
     """One normal component per tuple of loop counts.
 
     Attributes:
-        counts: Whole numbers, tuple by count; a single empty tuple where no count is free.
-        weight: Laplace probability of each tuple; adds up to 1.
+        counts: Whole numbers; a single empty tuple if no count is free.
+        weight: Laplace probability of each tuple; they add up to 1.
         mean: Maximum in the continuous coordinates.
         covariance: Laplace covariance there.
     """
@@ -43,15 +43,15 @@ class CountMixture:
 def count_mixture(
     continuous: LogPosterior, integer: LogPosterior, fit: Optimum, rng: np.random.Generator
 ) -> CountMixture | None:
-    """Maxima and weights of all tuples of loop counts that matter; None where they are too many for a table.
+    """Maxima and weights of all plausible tuples of loop counts; None if they are too many for a table.
 
     Args:
         continuous: Posterior with real-valued counts.
         integer: The same posterior with whole-numbered counts in the last columns.
         fit: Maximum of `continuous` (the first start is used).
-        rng: Draws the tuples to begin with.
-    Returns: The mixture, or None where more than `MOST_TUPLES` tuples are plausible: such counts are hardly determined, and real
-        numbers describe them as well.
+        rng: Draws the first tuples.
+    Returns: The mixture, or None if more than `MOST_TUPLES` tuples are plausible: such counts are hardly determined, and real numbers
+        describe them as well.
     """
     n_counts = integer.coordinates.n_counts
     if n_counts == 0:
@@ -63,53 +63,54 @@ def count_mixture(
     if not start_of:
         return None
     fits: dict[tuple[int, ...], Optimum] = {}
-    wanted = list(start_of)
-    while wanted:
-        for begin in range(0, len(wanted), FITS_PER_BATCH):
-            batch = wanted[begin : begin + FITS_PER_BATCH]
+    pending = list(start_of)
+    while pending:
+        for begin in range(0, len(pending), FITS_PER_BATCH):
+            batch = pending[begin : begin + FITS_PER_BATCH]
             fitted = levenberg_marquardt(
                 integer, torch.stack([start_of[key] for key in batch]), tolerance=1e-4
             )
             fits.update({key: fitted.rows(slice(i, i + 1)) for i, key in enumerate(batch)})
         weight = _weights(fits)
-        matter = [key for key in fits if weight[key] > NEGLIGIBLE]
-        if len(matter) > MOST_TUPLES:
+        plausible = [key for key in fits if weight[key] > NEGLIGIBLE]
+        if len(plausible) > MOST_TUPLES:
             return None
-        wanted = []
-        for key in matter:
+        pending = []
+        for key in plausible:
             for neighbour in _neighbours(key):
-                if neighbour not in fits and neighbour not in wanted:
-                    start_of[neighbour] = _moved(fits[key], neighbour, n_counts)
-                    wanted.append(neighbour)
-    kept = sorted(key for key in fits if weight[key] > NEGLIGIBLE)
-    return _mixture(Optimum.together([fits[key] for key in kept]), n_counts)
+                if neighbour not in fits and neighbour not in pending:
+                    start_of[neighbour] = _with_counts(fits[key], neighbour, n_counts)
+                    pending.append(neighbour)
+    return _mixture(Optimum.concatenated([fits[key] for key in sorted(plausible)]), n_counts)
 
 
 def _starts(
     continuous: LogPosterior, integer: LogPosterior, sample: Tensor, n_counts: int
 ) -> dict[tuple[int, ...], Tensor]:
-    """A start for every tuple that the draws round to: the mean of those draws, with the counts rounded; none if too many.
+    """A start for every tuple that draws round to: the mean of these draws, with rounded counts; none if tuples are too many.
 
-    The number of tuples that matter is estimated as the exponential of the entropy of the draws.
+    The exponential of the entropy of the draws estimates the number of plausible tuples.
     """
     values = continuous.coordinates.values(sample)
-    moved = {
+    rounded = {
         name: value.round().clamp(min=1.0) if continuous.model.rig.parameters[name].is_count else value
         for name, value in values.items()
     }
-    vectors = integer.coordinates.vector(moved)
-    keys, which, number = torch.unique(vectors[:, -n_counts:], dim=0, return_inverse=True, return_counts=True)
-    share = number / number.sum()
+    vectors = integer.coordinates.vector(rounded)
+    keys, key_of_draw, n_draws = torch.unique(
+        vectors[:, -n_counts:], dim=0, return_inverse=True, return_counts=True
+    )
+    share = n_draws / n_draws.sum()
     if float(torch.exp(-(share * torch.log(share)).sum())) > MOST_EFFECTIVE:
         return {}
-    allowed = torch.isfinite(integer.coordinates.log_prior(vectors))
+    is_allowed = torch.isfinite(integer.coordinates.log_prior(vectors))
     starts: dict[tuple[int, ...], Tensor] = {}
-    for i in torch.argsort(number, descending=True)[:MOST_TUPLES].tolist():
-        if starts and number[i] < FEWEST_DRAWS:  # neighbours of what matters are visited anyway
+    for i in torch.argsort(n_draws, descending=True)[:MOST_TUPLES].tolist():
+        if starts and n_draws[i] < FEWEST_DRAWS:  # neighbours of plausible tuples are tried anyway
             break
-        mine = vectors[(which == i) & allowed]
-        if len(mine):
-            starts[tuple(int(c) for c in keys[i])] = mine.mean(0)
+        draws = vectors[(key_of_draw == i) & is_allowed]
+        if len(draws):
+            starts[tuple(int(count) for count in keys[i])] = draws.mean(0)
     return starts
 
 
@@ -120,15 +121,17 @@ def _neighbours(key: tuple[int, ...]) -> list[tuple[int, ...]]:
     ]
 
 
-def _moved(fit: Optimum, counts: tuple[int, ...], n_counts: int) -> Tensor:
+def _with_counts(fit: Optimum, counts: tuple[int, ...], n_counts: int) -> Tensor:
     start = fit.vector[0].clone()
     start[-n_counts:] = torch.tensor(counts, dtype=start.dtype)
     return start
 
 
 def _weights(fits: dict[tuple[int, ...], Optimum]) -> dict[tuple[int, ...], float]:
-    evidence = torch.cat([log_evidence(fit) for fit in fits.values()])
-    return dict(zip(fits, torch.softmax(evidence.nan_to_num(nan=-torch.inf), dim=0).tolist(), strict=True))
+    log_evidences = torch.cat([log_evidence(fit) for fit in fits.values()])
+    return dict(
+        zip(fits, torch.softmax(log_evidences.nan_to_num(nan=-torch.inf), dim=0).tolist(), strict=True)
+    )
 
 
 def _mixture(fit: Optimum, n_counts: int) -> CountMixture:

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt with exact Jacobians, many starts at once."""
+"""Levenberg-Marquardt maximisation of the posterior, with exact Jacobians, from many starts at once."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 NEARLY_UNDAMPED = 1e-2
 APPROACH = 0.9  # of the way to a bound in one step
 MOST_CORRECTIONS = 5
-LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and what the data leave open would have no width
+LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and undetermined directions would have no width
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where Levenberg-Marquardt stopped.
+    """Maxima that Levenberg-Marquardt reached, one for each start.
 
     Attributes:
         vector: Coordinates of the maxima.
         log_posterior: Log posterior density there.
-        precision: Negative Hessian of the log posterior, Gauss-Newton for the data, exact for a prior that is not flat.
-        information: The data's share of it (Fisher information).
-        is_converged: The predicted gain of a further step inside the prior is below the tolerance.
+        precision: Negative Hessian of the log posterior: Gauss-Newton for the data, exact for a prior that is not flat.
+        information: The data's part of it (Fisher information).
+        is_converged: The predicted increase by a further step inside the prior is below the tolerance.
     """
 
     vector: Float[Tensor, "start coordinate"]
@@ -39,7 +39,7 @@ class Optimum:
     n_iterations: int
 
     def rows(self, index: slice | Tensor) -> Optimum:
-        """The chosen starts only."""
+        """Select starts."""
         return Optimum(
             self.vector[index],
             self.log_posterior[index],
@@ -50,8 +50,8 @@ class Optimum:
         )
 
     @staticmethod
-    def together(fits: list[Optimum]) -> Optimum:
-        """Several fits as one."""
+    def concatenated(fits: list[Optimum]) -> Optimum:
+        """Join several fits along the axis of starts."""
         return Optimum(
             torch.cat([fit.vector for fit in fits]),
             torch.cat([fit.log_posterior for fit in fits]),
@@ -70,67 +70,80 @@ def levenberg_marquardt(
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
 
-    The noise is a coordinate like the others: its score and information follow from the whitened residuals, and its off-diagonal terms
-    with the other coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay where they are.
+    The noise is a coordinate like the others. Its score and information follow from the whitened residuals; the off-diagonal terms with
+    other coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay fixed.
 
     Args:
-        posterior: Density to climb.
+        posterior: Density to maximise.
         start: Coordinates to start from, inside the prior.
-        max_iterations: Bound on the number of steps.
-        tolerance: Stop where a Newton step would gain less log density than this.
+        max_iterations: Largest number of iterations.
+        tolerance: Stop where a Newton step would increase the log density by less than this.
     Returns: The maxima with their curvature, start by start.
     References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
     """
-    n = posterior.coordinates.n_continuous
     vector = start.clone()
     value = posterior(vector)
     damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
     growth = torch.full_like(damping, 2.0)
-    gradient, information, precision = _slope(posterior, vector)
-    done = torch.zeros(len(vector), dtype=torch.bool)
-    # There the density still rises, but no step that stays inside gains by it.
-    at_bound = torch.zeros_like(done)
+    gradient, information, precision = _gradient_and_precision(posterior, vector)
+    is_done = torch.zeros(len(vector), dtype=torch.bool)
+    at_bound = torch.zeros_like(is_done)  # the density rises beyond a bound, but no step inside increases it
     iteration = 0
     for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
         newton = solve(precision, gradient)
-        done = done | ((gradient * newton).sum(-1) < tolerance) | at_bound | (damping > LARGEST_DAMPING)
-        active = (~done).nonzero().flatten()
+        is_done = is_done | ((gradient * newton).sum(-1) < tolerance) | at_bound | (damping > LARGEST_DAMPING)
+        active = (~is_done).nonzero().flatten()
         if not len(active):
             break
         damped = precision[active] + damping[active, None, None] * _diagonal(precision[active])
-        step = solve(damped, gradient[active])
-        trial = vector[active].clone()
-        trial[:, :n] += step
-        trial_value = posterior.at(active)(trial)
-        is_bounded = torch.isinf(trial_value)
-        for i in is_bounded.nonzero().flatten().tolist():
-            step[i] = _along_bounds(posterior, vector[active[i]], damped[i], step[i])
-            trial[i, :n] = vector[active[i], :n] + step[i]
-            trial_value[i] = posterior.at(active[i])(trial[i])
+        step, trial, trial_value, is_bounded = _trial(
+            posterior.at(active), vector[active], damped, gradient[active]
+        )
         expected = 0.5 * (
             (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
         ).sum(-1)
         ratio = (trial_value - value[active]) / expected.clamp(min=1e-300)
-        better = trial_value > value[active]
+        is_better = trial_value > value[active]
         shrink = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(min=1.0 / 3.0, max=2.0)
-        damping[active] = torch.where(better, damping[active] * shrink, damping[active] * growth[active])
-        growth[active] = torch.where(better, torch.full_like(ratio, 2.0), growth[active] * 2.0)
+        damping[active] = torch.where(is_better, damping[active] * shrink, damping[active] * growth[active])
+        growth[active] = torch.where(is_better, torch.full_like(ratio, 2.0), growth[active] * 2.0)
         damping.clamp_(min=SMALLEST_DAMPING)
-        moved = active[better]
+        moved = active[is_better]
         if len(moved):
-            vector[moved] = trial[better]
-            value[moved] = trial_value[better]
-            gradient[moved], information[moved], precision[moved] = _slope(posterior.at(moved), vector[moved])
-        at_bound[active] = is_bounded & better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
+            vector[moved] = trial[is_better]
+            value[moved] = trial_value[is_better]
+            gradient[moved], information[moved], precision[moved] = _gradient_and_precision(
+                posterior.at(moved), vector[moved]
+            )
+        at_bound[active] = (
+            is_bounded & is_better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
+        )
     newton = solve(precision, gradient)
     is_converged = at_bound | ((gradient * newton).sum(-1) < max(tolerance, 1e-6))
     return Optimum(vector, value, precision, information, is_converged, iteration)
 
 
-def _slope(
+def _trial(
+    posterior: LogPosterior, vector: Tensor, damped: Tensor, gradient: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Damped step of every start, the point it leads to, the density there, and whether bounds changed the step."""
+    n = posterior.coordinates.n_continuous
+    step = solve(damped, gradient)
+    trial = vector.clone()
+    trial[:, :n] += step
+    trial_value = posterior(trial)
+    is_bounded = torch.isinf(trial_value)
+    for i in is_bounded.nonzero().flatten():
+        step[i] = _along_bounds(posterior, vector[i], damped[i], step[i])
+        trial[i, :n] = vector[i, :n] + step[i]
+        trial_value[i] = posterior.at(i)(trial[i])
+    return step, trial, trial_value, is_bounded
+
+
+def _gradient_and_precision(
     posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient of the log posterior, the data's share of its negative Hessian, and all of that."""
+    """Gradient of the log posterior, the data's part of its negative Hessian, and the whole of it."""
     sigma_T = posterior.component_sigma_T(vector)
     whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
     weight = posterior.weight(whitened, vector)
@@ -152,25 +165,25 @@ def _slope(
 def prior_slope(
     coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
-    """Gradient of the log prior, and its negative Hessian with some curvature where it has none."""
+    """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""
     n = coordinates.n_continuous
-    at = vector.detach().requires_grad_()
-    every = torch.eye(coordinates.n, dtype=vector.dtype)[:n, None, :].expand(-1, len(vector), -1)
+    point = vector.detach().requires_grad_()
+    directions = torch.eye(coordinates.n, dtype=vector.dtype)[:n, None, :].expand(-1, len(vector), -1)
     with torch.enable_grad():
-        # The density of a start depends on no other start: the gradient of their sum is that of each. Flat priors depend on nothing.
-        total = coordinates.log_prior(at).sum() + 0.0 * at.square().sum()
-        (gradient,) = torch.autograd.grad(total, at, create_graph=True)
-        (rows,) = torch.autograd.grad(gradient, at, every, is_grads_batched=True)
-    own = -rows[..., :n].transpose(0, 1)
+        # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
+        total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
+        (gradient,) = torch.autograd.grad(total, point, create_graph=True)
+        (hessian_rows,) = torch.autograd.grad(gradient, point, directions, is_grads_batched=True)
+    curvature = -hessian_rows[..., :n].transpose(0, 1)
     scale = coordinates.scale[:n]
     unit = scale[:, None] * scale[None, :]
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (own + own.mT) * unit)
+    eigenvalues, vectors = torch.linalg.eigh(0.5 * (curvature + curvature.mT) * unit)
     precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
     return gradient[:, :n].detach(), precision
 
 
 def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
-    """The best damped step that stays inside the prior: bounds it would overstep are approached, and it slides along them.
+    """The best damped step inside the prior: it approaches the bounds that it would overstep, and slides along them.
 
     References: Nocedal and Wright, Numerical Optimization, 2nd ed., section 16.1 (equality-constrained quadratic programs).
     """
@@ -182,30 +195,31 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
         return torch.stack([values[name] for name in coordinates.names])
 
     lower, upper = coordinates.bounds()
-    here, slope = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
-    is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), here.clone()
-    best = step
-    # Bounds are curved in these coordinates: what the first order leaves outside is corrected by the values themselves.
-    to_first_order = (lambda move: here + slope @ move, coordinates.n)
-    really = (lambda move: free_values(vector[:n] + move), MOST_CORRECTIONS)
-    for values_after, rounds in (to_first_order, really):
+    values, jacobian = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
+    is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), values.clone()
+    bounded_step = step
+    # Bounds are curved in these coordinates: solve to first order, then correct with the exact values.
+    first_order = (lambda move: values + jacobian @ move, coordinates.n)
+    exact = (lambda move: free_values(vector[:n] + move), MOST_CORRECTIONS)
+    for values_after, rounds in (first_order, exact):
         for _ in range(rounds):
-            there = values_after(best)
-            over = (there < lower) | (there > upper)
-            if not over.any():
+            new_values = values_after(bounded_step)
+            is_outside = (new_values < lower) | (new_values > upper)
+            if not is_outside.any():
                 break
-            ahead = here + APPROACH * (torch.where(there < lower, lower, upper) - here)
-            target = torch.where(over & ~is_held, ahead, target)
-            is_held |= over
-            normal = slope[is_held]
-            across = torch.stack([solve(damped, row) for row in normal], dim=-1)
-            miss = (there - target)[is_held]
-            best = best - across @ torch.linalg.lstsq(normal @ across, miss[:, None]).solution[:, 0]
-    return best
+            ahead = values + APPROACH * (torch.where(new_values < lower, lower, upper) - values)
+            target = torch.where(is_outside & ~is_held, ahead, target)
+            is_held |= is_outside
+            constraints = jacobian[is_held]
+            directions = torch.stack([solve(damped, row) for row in constraints], dim=-1)
+            violation = (new_values - target)[is_held]
+            multipliers = torch.linalg.lstsq(constraints @ directions, violation[:, None]).solution[:, 0]
+            bounded_step = bounded_step - directions @ multipliers
+    return bounded_step
 
 
 def solve(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solution of a positive definite system, scaled to a unit diagonal first: coordinates differ in size by many powers of ten."""
+    """Solve a positive definite system, scaled to a unit diagonal first: coordinates differ by many powers of ten."""
     scale = _diagonal_of(matrix).clamp(min=1e-300).rsqrt()
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
         matrix.shape[-1], dtype=matrix.dtype

@@ -1,9 +1,9 @@
-"""Proposals for emcee that know the Laplace mixture over loop counts.
+"""Moves for emcee that use the Laplace mixture over loop counts.
 
-`independence_move` draws a tuple of counts and, around its maximum, Student-t distributed coordinates; it forgets where the walker was,
-so a good approximation gives nearly independent draws. `autoregressive_move` goes part of the way and stays useful in many dimensions.
-`LatticeDifferenceMove` is emcee's differential evolution in coordinates whitened
-by each tuple's own mean and covariance; it needs no approximation to be right and covers what the mixture misses.
+`independence_move` draws a tuple of counts and, around its maximum, Student-t distributed coordinates. The draw does not depend on the
+walker, so a good approximation gives nearly independent samples. `autoregressive_move` goes part of the way and stays useful in many
+dimensions. `LatticeDifferenceMove` is emcee's differential evolution in coordinates whitened by the mean and covariance of each tuple. It
+does not rely on the approximation and reaches what the mixture misses.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.special import gammaln
 from estimator.inference.lattice import CountMixture
 
 DEGREES_OF_FREEDOM = 12.0
-FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that no plausible tuple starves
+FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that each is proposed now and then
 
 
 class MixtureProposal:
@@ -38,11 +38,11 @@ class MixtureProposal:
         self._log_norm = np.log(self.weight) + constant - log_det
 
     def rows(self, vectors: np.ndarray) -> np.ndarray:
-        """Row of the table for the counts of each vector."""
+        """Row in the table of tuples for the counts of each vector."""
         return np.array([self._row[tuple(counts)] for counts in vectors[:, self.n :]], dtype=int)
 
     def draw(self, size: int, random: np.random.RandomState) -> np.ndarray:
-        """Vectors drawn from the mixture."""
+        """Draw vectors from the mixture."""
         row = random.choice(len(self.weight), size=size, p=self.weight)
         normal = random.standard_normal((size, self.n))
         stretch = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size))
@@ -57,7 +57,7 @@ class MixtureProposal:
         return np.asarray(self._log_norm[row] + exponent * np.log1p(squared / DEGREES_OF_FREEDOM))
 
     def whiten(self, row: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Continuous coordinates in units of their tuple's Laplace covariance."""
+        """Continuous coordinates, whitened by the mean and Laplace covariance of their tuple."""
         return np.asarray(
             np.einsum("wij,wj->wi", self.inverse_factor[row], vectors[:, : self.n] - self.mean[row])
         )
@@ -83,8 +83,8 @@ def independence_move(proposal: MixtureProposal) -> MHMove:
 def autoregressive_move(proposal: MixtureProposal) -> MHMove:
     """Move every walker part of the way to a fresh normal draw of its own tuple: mean + sqrt(1 - b^2) (x - mean) + b noise.
 
-    The move leaves the Laplace normal unchanged, so it is accepted as often as the posterior is like that normal, whatever the dimension;
-    small b, drawn log-uniformly from 0.05 to 1, frees walkers that fresh draws cannot.
+    The move leaves the Laplace normal invariant. Its acceptance depends on how normal the posterior is, not on the dimension. b is drawn
+    log-uniformly from 0.05 to 1; small values free walkers that fresh draws cannot move.
 
     References: Cotter et al., Statist. Sci. 28, 424 (2013), preconditioned Crank-Nicolson.
     """

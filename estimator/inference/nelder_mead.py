@@ -1,4 +1,4 @@
-"""Nelder-Mead for many starts at once: one call of the objective evaluates all.
+"""Nelder-Mead for many starts at once: one call of the objective evaluates them all.
 
 This is the first step of inference. It needs no derivative and tolerates regions where the model is undefined
 (+inf), so it finds the basin that `levenberg_marquardt` refines. Each start follows SciPy's trajectory, step by step.
@@ -21,7 +21,7 @@ Objective = Callable[[Float[Tensor, "start parameter"]], Float[Tensor, " start"]
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Lengths of the moves in units of the reflection's; `shrink` is what remains of every edge."""
+    """Lengths of the moves relative to the reflection; `shrink` is the factor on every edge."""
 
     expansion: float
     contraction: float
@@ -70,16 +70,16 @@ class NelderMeadResult:
 def initial_simplex(
     start: Float[Tensor, "start parameter"], scale: Float[Tensor, " parameter"]
 ) -> Float[Tensor, "start vertex parameter"]:
-    """Each start, and its neighbours one step along every axis.
+    """Simplexes with each start and its neighbours one step along every axis.
 
-    MATLAB's fminsearch moves a parameter that starts at 0 by only 0.00025; that is why the rotations of the
+    MATLAB's fminsearch moves a parameter that starts at 0 by only 0.00025; this is why the rotations in the
     paper hardly moved. Here the step does not depend on the value.
 
     Args:
         start: Starting points.
         scale: Signed step of each parameter, such as its prior width.
     Returns: The vertices; the first one is the start itself.
-    Raises: InvalidInput: a step is lost in rounding, so that the simplex would have no volume.
+    Raises: InvalidInput: A step is lost in rounding, so that the simplex has no volume.
     References: Osinde et al., Table 8 (rotations started at exactly 0).
     Examples:
         >>> initial_simplex(torch.zeros(1, 2), torch.tensor([0.5, 2.0]))
@@ -94,9 +94,9 @@ def initial_simplex(
 
 
 def evaluated(objective: Objective, vertices: Float[Tensor, "start vertex parameter"]) -> SimplexState:
-    """The state to start from: every vertex evaluated, every start active.
+    """The initial state: every vertex evaluated, every start active.
 
-    Raises: InvalidInput: the vertices are no finite simplexes, or all those of one start have the value +inf.
+    Raises: InvalidInput: Vertices are not finite simplexes, or all vertices of a start have the value +inf.
     """
     n_starts, n_vertices, n_parameters = vertices.shape
     if n_vertices != n_parameters + 1 or not vertices.isfinite().all():
@@ -105,10 +105,10 @@ def evaluated(objective: Objective, vertices: Float[Tensor, "start vertex parame
     hopeless = values.isposinf().all(dim=1).nonzero().squeeze(-1).tolist()
     if hopeless:
         raise InvalidInput(f"vertices must have a value below +inf; received none in starts {hopeless}")
-    every = torch.arange(n_starts, device=vertices.device)
-    none = torch.zeros_like(every)
-    state = SimplexState(vertices, values, is_active=none == 0, n_evaluations=none, n_iterations=none)
-    return _replaced(state, every, vertices, values, n_evaluated=none + n_vertices)
+    starts = torch.arange(n_starts, device=vertices.device)
+    zeros = torch.zeros_like(starts)
+    state = SimplexState(vertices, values, is_active=zeros == 0, n_evaluations=zeros, n_iterations=zeros)
+    return _replaced(state, starts, vertices, values, n_evaluated=zeros + n_vertices)
 
 
 def step(state: SimplexState, objective: Objective, coefficients: Coefficients) -> SimplexState:
@@ -158,7 +158,7 @@ def step(state: SimplexState, objective: Objective, coefficients: Coefficients) 
     return _replaced(state, active, x, f, n_evaluated)
 
 
-@torch.no_grad()  # an objective that carries gradients would otherwise model every iteration into one graph
+@torch.no_grad()  # otherwise an objective with gradients would link all iterations in one graph
 def minimise(
     objective: Objective,
     vertices: Float[Tensor, "start vertex parameter"],
@@ -174,21 +174,21 @@ def minimise(
     """Minimise the objective from every starting simplex.
 
     A start has converged when no vertex is farther from the best one than `x_tolerance`, and none is worse by
-    more than `f_tolerance`. A simplex that collapsed far from a minimum satisfies this too, so a fresh one
-    around the best point tries again, as long as that improves the value by more than `f_tolerance`.
+    more than `f_tolerance`. A simplex that collapsed far from a minimum satisfies this too. A fresh simplex around
+    the best point therefore tries again, as long as that improves the value by more than `f_tolerance`.
 
     Args:
-        objective: Function to minimise, for any number of rows; +inf forbids a point, and NaN counts as +inf.
+        objective: Function to minimise, over rows; +inf forbids a point, and NaN counts as +inf.
         vertices: Starting simplexes, such as those of `initial_simplex`.
         x_tolerance: Absolute, in the unit of each parameter.
         f_tolerance: Absolute, in the unit of the objective.
-        max_iterations: Most iterations of one simplex; every restart has as many again.
+        max_iterations: Largest number of iterations of a simplex; every restart has as many again.
         adaptive: See `Coefficients.for_dimension`.
-        n_restarts: Most restarts of one start.
+        n_restarts: Largest number of restarts of a start.
         restart_scale: Steps of the fresh simplex; by default the extent of the starting simplexes.
         on_step: Called with the state after every iteration.
     Returns: The best point of every start.
-    Raises: InvalidInput: see `evaluated`.
+    Raises: InvalidInput: See `evaluated`.
     Examples:
         >>> result = minimise(
         ...     lambda x: (x - 3).square().sum(dim=-1),

@@ -16,7 +16,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 
-THIN_TO = 100  # readings that Nelder-Mead sees: it has to find the valley, not its floor
+THIN_TO = 100  # readings for Nelder-Mead, which has to find the basin, not the minimum
 N_STARTS = 12
 MOST_ITERATIONS = 200
 
@@ -27,8 +27,9 @@ class PointEstimate:
 
     Attributes:
         fit: The maximum and its curvature (one start).
-        n_evaluations: Of Nelder-Mead, all starts together.
-        n_agreeing: Starts that ended within one unit of log density of the best, of `n_starts`.
+        n_evaluations: Evaluations of the posterior by Nelder-Mead, over all starts.
+        n_agreeing: Number of starts that ended within one unit of log density of the best.
+        n_starts: Number of starts.
     """
 
     fit: Optimum
@@ -45,52 +46,52 @@ class PointEstimate:
 def point_estimate(posterior: LogPosterior, observations: Observations, seed: int) -> PointEstimate:
     """Find the maximum of the posterior.
 
-    Nelder-Mead starts from the nominal values and from draws of the prior, with simplexes as wide as a quarter of the prior, so that
+    Nelder-Mead starts from the nominal values and from draws of the prior. Its simplexes are a quarter of the prior wide, so that
     parameters that start at zero move (erratum to the paper's Table 8).
 
     Args:
         posterior: Density with continuous counts over all readings.
         observations: The same readings.
-        seed: Of starts and thinning.
+        seed: Seed of starts and thinning.
     References: Nelder and Mead, Comput. J. 7, 308 (1965); DESIGN decision 5.
     """
     rng = np.random.default_rng(seed)
     coordinates = posterior.coordinates
-    thin = _thinned(posterior, observations, rng)
+    thinned = _thinned(posterior, observations, rng)
     starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(rng, N_STARTS - 1)))
-    starts = starts[torch.isfinite(thin(starts))]
-    found = minimise(
-        lambda vector: -thin(vector),
+    starts = starts[torch.isfinite(thinned(starts))]
+    simplexes = minimise(
+        lambda vector: -thinned(vector),
         initial_simplex(starts, 0.25 * coordinates.scale),
         x_tolerance=0.02 * coordinates.scale,
         f_tolerance=0.1,
         max_iterations=MOST_ITERATIONS,
         n_restarts=1,
     )
-    ends = levenberg_marquardt(thin, found.points)
-    best = ends.log_posterior.max()
-    n_agreeing = int((ends.log_posterior > best - 1.0).sum())
-    candidates = _distinct(ends.vector[ends.log_posterior > best - 30.0], coordinates.scale)
+    thinned_fits = levenberg_marquardt(thinned, simplexes.points)
+    best = thinned_fits.log_posterior.max()
+    n_agreeing = int((thinned_fits.log_posterior > best - 1.0).sum())
+    is_candidate = thinned_fits.log_posterior > best - 30.0
+    candidates = _distinct(thinned_fits.vector[is_candidate], coordinates.scale)
     fits = levenberg_marquardt(posterior, candidates)
     top = int(fits.log_posterior.argmax())
     fit = fits.rows(slice(top, top + 1))
-    return PointEstimate(fit, int(found.n_evaluations.sum()), n_agreeing, len(starts))
+    return PointEstimate(fit, int(simplexes.n_evaluations.sum()), n_agreeing, len(starts))
 
 
 def _thinned(posterior: LogPosterior, observations: Observations, rng: np.random.Generator) -> LogPosterior:
     if len(observations) <= THIN_TO:
         return posterior
     rows = torch.from_numpy(np.sort(rng.choice(len(observations), THIN_TO, replace=False)))
-    few = observations.rows(rows)
-    return LogPosterior(
-        Coordinates(posterior.coordinates.rig), MeasurementModel.build(posterior.coordinates.rig, few), few
-    )
+    selected = observations.rows(rows)
+    rig = posterior.coordinates.rig
+    return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, selected), selected)
 
 
 def _distinct(vectors: Tensor, scale: Tensor, most: int = 3) -> Tensor:
-    """The first few that differ from each other by more than a thousandth of the prior's width."""
-    kept: list[Tensor] = []
+    """The first vectors that differ from each other by more than a thousandth of the prior's width."""
+    distinct: list[Tensor] = []
     for vector in vectors:
-        if all(((vector - other).abs() > 1e-3 * scale).any() for other in kept):
-            kept.append(vector)
-    return torch.stack(kept[:most])
+        if all(((vector - earlier).abs() > 1e-3 * scale).any() for earlier in distinct):
+            distinct.append(vector)
+    return torch.stack(distinct[:most])

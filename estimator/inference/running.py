@@ -1,8 +1,8 @@
-"""The maximum of a posterior that follows the readings: one Gauss-Newton step each, and Levenberg-Marquardt where that is not enough.
+"""Running maximum of a posterior: one Gauss-Newton step for each new reading, and Levenberg-Marquardt if that does not suffice.
 
-Gradient and information of the log likelihood are sums over readings. They are kept at one point; a reading adds its own share, and the
-maximum is a Newton step from that point. Where the step is no longer small beside the uncertainty, all readings are taken about the new
-maximum again.
+Gradient and information of the log likelihood are sums over readings. They are accumulated at one point of linearisation; the maximum is a
+Newton step from that point. Once the step is no longer small compared with the uncertainty, all readings are linearised again about the new
+maximum.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
-DIFFERENCE = 1e-4  # of the prior's width: one batched prediction gives the slope of a few readings in a quarter of the time of dual numbers
+# Of the prior's width: central differences in one batched prediction take a quarter of the time of dual numbers for a few readings.
+DIFFERENCE_STEP = 1e-4
 FARTHEST_STEP = 0.5  # root mean square over the coordinates, in standard deviations
-TOLERANCE = 1e-3  # of log density: a running estimate is a thousandth of a standard deviation off
+TOLERANCE = 1e-3  # of log density: leaves a running estimate within a twentieth of a standard deviation of the maximum
 
 
 @dataclass(frozen=True)
 class Innovation:
-    """What new readings say beyond what all before them had led to expect.
+    """Difference of new readings from the prediction by all earlier ones (innovation of a Kalman filter).
 
     Attributes:
-        difference_T: Measured less expected, component by component as `LogPosterior` orders them.
-        covariance_T2: Of the difference: noise, and what was not known of the rig.
-        expected_T: Field that was expected, by reading.
+        difference_T: Measured minus expected, in the order of components of `LogPosterior`.
+        covariance_T2: Covariance of the difference: noise plus uncertainty of the parameters.
+        expected_T: Expected field of each reading.
     """
 
     difference_T: Float[Tensor, " component"]
@@ -48,7 +49,7 @@ class RunningFit:
         coordinates: Meaning of the vectors.
         vector: The maximum.
         precision: Negative Hessian of the log posterior.
-        n_fits: How often all readings were taken again.
+        n_fits: Number of fits to all readings.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -59,35 +60,35 @@ class RunningFit:
         self._point = self.vector
         self._gradient = torch.zeros(n, dtype=torch.float64)
         self._information = torch.zeros(n, n, dtype=torch.float64)
-        self._take_prior()
+        self._evaluate_prior()
 
     @property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
-        """Of the coordinates, by Laplace."""
+        """Laplace covariance of the coordinates."""
         return covariance(self.precision)
 
     def update(self, observations: Observations, n_new: int) -> Innovation:
-        """Take new readings in.
+        """Update the maximum with new readings.
 
         Args:
             observations: All readings up to now.
-            n_new: How many of them, the last ones, are new.
-        Returns: What was new about them.
+            n_new: Number of new readings, the last ones.
+        Returns: Their innovation.
         Raises:
             InvalidInput: A sensor would stand inside a winding.
         """
         block = observations.rows(torch.arange(len(observations) - n_new, len(observations)))
         posterior = LogPosterior(self.coordinates, MeasurementModel.build(self.coordinates.rig, block), block)
-        linear = _Linear.of(posterior, self._point)
-        innovation = linear.innovation(posterior, self.vector - self._point, self.covariance)
-        gradient, information = linear.share(posterior, self._point)
+        linearisation = _Linearisation.at(posterior, self._point)
+        innovation = linearisation.innovation(posterior, self.vector - self._point, self.covariance)
+        gradient, information = linearisation.gradient_and_information(posterior, self._point)
         self._gradient = self._gradient + gradient
         self._information = self._information + information
         self._step(observations)
         return innovation
 
     def refit(self, observations: Observations, start: Float[Tensor, " coordinate"]) -> None:
-        """Take all readings again, from a start that may be better."""
+        """Fit all readings again, from the current maximum and from a start that may be better."""
         model = MeasurementModel.build(self.coordinates.rig, observations)
         posterior = LogPosterior(self.coordinates, model, observations)
         starts = torch.stack((self.vector, start))
@@ -98,8 +99,8 @@ class RunningFit:
         best = int(fits.log_posterior.argmax())
         self.vector = self._point = fits.vector[best]
         self._information = fits.information[best]
-        self._take_prior()
-        self._gradient = -self._prior_gradient  # which is what makes it the maximum
+        self._evaluate_prior()
+        self._gradient = -self._prior_gradient  # the gradients cancel at the maximum
         self.n_fits += 1
 
     def _step(self, observations: Observations) -> None:
@@ -107,55 +108,55 @@ class RunningFit:
         step = solve(self.precision, self._gradient + self._prior_gradient)
         n = self.coordinates.n
         is_near = float(step @ self.precision @ step) <= n * FARTHEST_STEP**2
-        inside = torch.isfinite(self.coordinates.log_prior(self._point + step))
-        if is_near and bool(inside):
+        is_inside = bool(torch.isfinite(self.coordinates.log_prior(self._point + step)))
+        if is_near and is_inside:
             self.vector = self._point + step
         else:
             self.refit(observations, self._point)
 
-    def _take_prior(self) -> None:
+    def _evaluate_prior(self) -> None:
         gradient, precision = prior_slope(self.coordinates, self._point[None])
         self._prior_gradient, self._prior_precision = gradient[0], precision[0]
         self.precision = self._information + self._prior_precision
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """Some readings about one point."""
+class _Linearisation:
+    """Predictions and noise of some readings at one point, with their Jacobians."""
 
     expected_T: Float[Tensor, "reading 3"]
     sigma_T: Float[Tensor, " component"]
-    slope_T: Float[Tensor, "component coordinate"]
-    log_sigma_slope: Float[Tensor, "component coordinate"]
+    jacobian_T: Float[Tensor, "component coordinate"]
+    log_sigma_jacobian: Float[Tensor, "component coordinate"]
 
     @classmethod
-    def of(cls, posterior: LogPosterior, point: Float[Tensor, " coordinate"]) -> _Linear:
+    def at(cls, posterior: LogPosterior, point: Float[Tensor, " coordinate"]) -> _Linearisation:
         coordinates = posterior.coordinates
-        step = DIFFERENCE * coordinates.scale
+        step = DIFFERENCE_STEP * coordinates.scale
         around = torch.cat((point[None], point + torch.diag(step), point - torch.diag(step)))
         with torch.no_grad():
             field_T = posterior.model.predict(coordinates.values(around)).expand(len(around), -1, 3)
             sigma_T = posterior.component_sigma_T(around)
 
-        def slope(values: Tensor) -> Tensor:
+        def jacobian(values: Tensor) -> Tensor:
             up, down = values[1:].split(coordinates.n)
-            difference: Tensor = ((up - down) / (2.0 * step[:, None])).mT
-            return difference
+            quotient: Tensor = ((up - down) / (2.0 * step[:, None])).mT
+            return quotient
 
-        slope_T = slope(posterior.measured_components(field_T))
-        return cls(field_T[0], sigma_T[0], slope_T, slope(torch.log(sigma_T)))
+        jacobian_T = jacobian(posterior.measured_components(field_T))
+        return cls(field_T[0], sigma_T[0], jacobian_T, jacobian(torch.log(sigma_T)))
 
     def innovation(self, posterior: LogPosterior, step: Tensor, covariance: Tensor) -> Innovation:
-        """Of the readings, at a small step from the point."""
-        expected_T = posterior.measured_components(self.expected_T) + self.slope_T @ step
-        spread_T2 = self.slope_T @ covariance @ self.slope_T.mT + torch.diag(self.sigma_T**2)
-        return Innovation(posterior.measured_T - expected_T, spread_T2, self.expected_T)
+        """Innovation of the readings at a small step from the point."""
+        expected_T = posterior.measured_components(self.expected_T) + self.jacobian_T @ step
+        covariance_T2 = self.jacobian_T @ covariance @ self.jacobian_T.mT + torch.diag(self.sigma_T**2)
+        return Innovation(posterior.measured_T - expected_T, covariance_T2, self.expected_T)
 
-    def share(self, posterior: LogPosterior, point: Tensor) -> tuple[Tensor, Tensor]:
-        """Of gradient and information of the log likelihood at the point; that of the noise as it is expected to be."""
+    def gradient_and_information(self, posterior: LogPosterior, point: Tensor) -> tuple[Tensor, Tensor]:
+        """Contribution of the readings to gradient and information of the log likelihood; information on the noise is the expected one."""
         whitened = (posterior.measured_T - posterior.measured_components(self.expected_T)) / self.sigma_T
         weight = posterior.weight(whitened, point)
-        jacobian, noise = self.slope_T / self.sigma_T[:, None], self.log_sigma_slope
-        gradient = jacobian.mT @ (weight * whitened) + noise.mT @ (weight * whitened**2 - 1.0)
-        information = jacobian.mT @ (weight[:, None] * jacobian) + 2.0 * noise.mT @ noise
+        jacobian, noise_jacobian = self.jacobian_T / self.sigma_T[:, None], self.log_sigma_jacobian
+        gradient = jacobian.mT @ (weight * whitened) + noise_jacobian.mT @ (weight * whitened**2 - 1.0)
+        information = jacobian.mT @ (weight[:, None] * jacobian) + 2.0 * noise_jacobian.mT @ noise_jacobian
         return gradient, information

@@ -27,7 +27,7 @@ from estimator.effects.base import (
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use, uses_of
 from estimator.field.coil import coil_field_per_ampere
-from estimator.field.first_order import with_cheap_slope
+from estimator.field.first_order import first_order_field
 from estimator.field.magnetised import field_of_rings
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
@@ -184,7 +184,7 @@ class Sources:
             return field_of_rings(points_m, rings, patterns[there]).flatten(-2)
 
         points_m = coil_from_point.translation_m
-        flat = with_cheap_slope(field, points_m, ()) if self._is_first_order else field(points_m)
+        flat = first_order_field(field, points_m, ()) if self._is_first_order else field(points_m)
         flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
         flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
@@ -237,7 +237,7 @@ class Sources:
             own = dict(zip(theta, numbers[len(geometry) :], strict=True))
             return field(points_m, there, rule, own)
 
-        return with_cheap_slope(of, points_coil_m, [*geometry, *theta.values()])
+        return first_order_field(of, points_coil_m, [*geometry, *theta.values()])
 
 
 @dataclass(frozen=True)

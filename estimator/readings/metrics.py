@@ -1,4 +1,4 @@
-"""How far predictions are from readings, in the field's customary numbers."""
+"""Error metrics of predictions, as the field reports them."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-HALF_WIDTH_90 = 1.644854  # of the interval that holds 90 % of a normal distribution, in standard deviations
+HALF_WIDTH_90 = (
+    1.644854  # half-width of the central 90 % interval of a normal distribution, in standard deviations
+)
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Error metrics over one set of readings; NaN where a set has no such readings.
+class ErrorMetrics:
+    """Error metrics over one set of readings; NaN if the set has no suitable readings.
 
     Attributes:
         paper_metric_T: Half the root mean square of the error vectors (eq 2, 3 with the 1/2 outside the root, as the paper computes).
         vector_T: Root mean square length of the error vectors.
-        component_T: Root mean square over single components.
+        component_T: Root mean square error of single components.
         max_T: Largest length of an error vector.
         relative: `vector_T` over the root mean square length of the measured vectors.
         angular_deviation_rad: Mean angle between measured and predicted vector, over readings with all three components.
@@ -30,23 +32,23 @@ class Errors:
     angular_deviation_rad: float
 
 
-def errors(measured_T: np.ndarray, predicted_T: np.ndarray) -> Errors:
-    """Metrics of readings by component; NaN components were not measured and do not count.
+def error_metrics(measured_T: np.ndarray, predicted_T: np.ndarray) -> ErrorMetrics:
+    """Error metrics of predicted readings; components that are NaN were not measured and do not count.
 
     Examples:
-        >>> result = errors(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.1, 1.0]]))
+        >>> result = error_metrics(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.1, 1.0]]))
         >>> round(result.vector_T, 3), round(result.paper_metric_T, 3), round(result.angular_deviation_rad, 4)
         (0.1, 0.05, 0.0997)
     """
     has_component = np.isfinite(measured_T).any(axis=1)
     measured_T, predicted_T = measured_T[has_component], predicted_T[has_component]
     if not len(measured_T):
-        return Errors(*[float("nan")] * 6)
+        return ErrorMetrics(*[float("nan")] * 6)
     difference = measured_T - predicted_T
     squared = np.nansum(difference**2, axis=1)
     vector_T = float(np.sqrt(squared.mean()))
     field_T = float(np.sqrt(np.nansum(measured_T**2, axis=1).mean()))
-    return Errors(
+    return ErrorMetrics(
         0.5 * vector_T,
         vector_T,
         float(np.sqrt(np.nanmean(difference**2))),
@@ -59,6 +61,6 @@ def errors(measured_T: np.ndarray, predicted_T: np.ndarray) -> Errors:
 
 
 def angular_deviation_rad(measured_T: np.ndarray, predicted_T: np.ndarray) -> np.ndarray:
-    """Angle between measured and predicted vectors, by atan2 so that small angles keep their digits; NaN for partial readings."""
+    """Angle between measured and predicted vectors; NaN for partial readings. By atan2, so that small angles keep their digits."""
     cross = np.linalg.norm(np.cross(measured_T, predicted_T), axis=1)
     return np.asarray(np.arctan2(cross, (measured_T * predicted_T).sum(axis=1)))

@@ -1,4 +1,4 @@
-"""Frozen data passed between the parts."""
+"""Readings of a session as tensors: what a plan, a simulation or an import yields, and what a fit consumes."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ class Observations:
     """Readings of a session as tensors; one row is one reading of one sensor.
 
     Attributes:
-        time_s: Time of the reading since any fixed instant.
+        time_s: Time of the reading since a fixed but arbitrary instant.
         sensor: Index into the rig's sensors.
         current_A: Commanded or measured current per coil, positive out of the red terminal.
         motion: Per mover the six columns of `Mover.columns`.
         field_sensor_T: Measured components in the sensor's frame; NaN where a component was not measured.
         is_validation: Rows kept out of the fit.
-        repeat: Number of the repeat of one and the same setting; 0 where there are none.
-        temperature_C: Per sensor or coil name, where it was recorded.
-        whole: The session that these readings were chosen from, in the order of time; None where they are all of it.
-        chosen: Their rows in it.
-        current_measured_A: What the supplies measured at each reading; NaN where there is none, None where nobody looked.
+        repeat: Number of the repeat of a setting; 0 if settings are not repeated.
+        temperature_C: Temperature by name of sensor or coil, if it was recorded.
+        whole: The session from which these readings were selected, in order of time; None if they are all of it.
+        chosen: Rows of these readings in `whole`.
+        current_measured_A: Current that the supplies measured at each reading; NaN for a missing value, None if it was not read.
     """
 
     time_s: Float[Tensor, " reading"]
@@ -45,15 +45,15 @@ class Observations:
         return self.time_s.shape[0]
 
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
-        """The chosen readings only."""
-        return self._taken(index, self.history, self.row[index])
+        """Select readings; they keep the history of their session."""
+        return self._select(index, self.history, self.row[index])
 
     @cached_property
     def history(self) -> Observations:
-        """The whole session in the order of time, also for a part of it: what went before a reading may matter."""
+        """The whole session in order of time, also for a selection: earlier currents may affect a reading."""
         if self.whole is not None:
             return self.whole
-        return self._taken(torch.argsort(self.time_s, stable=True), None, None)
+        return self._select(torch.argsort(self.time_s, stable=True), None, None)
 
     @cached_property
     def row(self) -> Int[Tensor, " reading"]:
@@ -62,7 +62,7 @@ class Observations:
             return self.chosen
         return torch.argsort(torch.argsort(self.time_s, stable=True))
 
-    def _taken(self, index: Tensor, whole: Observations | None, chosen: Tensor | None) -> Observations:
+    def _select(self, index: Tensor, whole: Observations | None, chosen: Tensor | None) -> Observations:
         return Observations(
             self.time_s[index],
             self.sensor[index],
@@ -79,43 +79,43 @@ class Observations:
 
     @property
     def alone(self) -> Observations:
-        """These readings as a session of their own, without what they were chosen from."""
-        return self._taken(torch.arange(len(self)), None, None)
+        """These readings as a separate session, without the history of the one they were selected from."""
+        return self._select(torch.arange(len(self)), None, None)
 
     def followed_by(self, later: Observations) -> Observations:
-        """One session of these readings and later ones; temperatures and measured currents that only one of them has are left out."""
+        """Append later readings; temperatures and measured currents that only one of the two has are left out."""
 
-        def both(one: Tensor, other: Tensor) -> Tensor:
-            return torch.cat((one, other))
+        def joined(earlier_values: Tensor, later_values: Tensor) -> Tensor:
+            return torch.cat((earlier_values, later_values))
 
         return Observations(
-            both(self.time_s, later.time_s),
-            both(self.sensor, later.sensor),
-            both(self.current_A, later.current_A),
-            {name: both(motion, later.motion[name]) for name, motion in self.motion.items()},
-            both(self.field_sensor_T, later.field_sensor_T),
-            both(self.is_validation, later.is_validation),
-            both(self.repeat, later.repeat),
+            joined(self.time_s, later.time_s),
+            joined(self.sensor, later.sensor),
+            joined(self.current_A, later.current_A),
+            {name: joined(motion, later.motion[name]) for name, motion in self.motion.items()},
+            joined(self.field_sensor_T, later.field_sensor_T),
+            joined(self.is_validation, later.is_validation),
+            joined(self.repeat, later.repeat),
             {
-                name: both(values, later.temperature_C[name])
+                name: joined(values, later.temperature_C[name])
                 for name, values in self.temperature_C.items()
                 if name in later.temperature_C
             },
             current_measured_A=(
                 None
                 if self.current_measured_A is None or later.current_measured_A is None
-                else both(self.current_measured_A, later.current_measured_A)
+                else joined(self.current_measured_A, later.current_measured_A)
             ),
         )
 
     @property
     def calibration(self) -> Observations:
-        """The readings that a fit may see."""
+        """The readings used by a fit."""
         return self.rows(~self.is_validation)
 
     @property
     def validation(self) -> Observations:
-        """The readings kept out of the fit; may be empty."""
+        """The readings kept out of a fit; may be empty."""
         return self.rows(self.is_validation)
 
     @property

@@ -19,9 +19,9 @@ from estimator.rig.rig import POSE_QUANTITIES, MotionKind, Mover, Rig
 from estimator.units import UNITS
 from estimator.yaml_section import Section
 
-CARTESIAN = POSE_QUANTITIES[:6]  # place and rotation vector; tilts and spin belong to mounts
-SHOWN = {"length": "mm", "angle": "deg"}  # in plans that are written
-REVISITED = 2.0  # places, by the recommended protocol
+CARTESIAN = POSE_QUANTITIES[:6]  # position and rotation vector; tilts and spin belong to mounts
+WRITTEN_IN = {"length": "mm", "angle": "deg"}  # units of a written plan
+REVISITED = 2.0  # poses, in the recommended protocol
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
@@ -30,13 +30,13 @@ class Plan:
     """Poses by role and the currents to set at each of them.
 
     Attributes:
-        calibration, validation: Per pose and mover the six numbers of the mover's columns, in SI.
+        calibration, validation: For each pose and mover the six numbers of the mover's columns, in SI.
         currents_A: Settings visited at every pose; coils that are not named are off.
-        stops: Pose and setting one by one, after all others, in the order of the file.
-        order: Of the poses, that of the file (`raster`) or by chance (`random`); with `mixed`, currents change by chance as well.
-        repeats: Visits of every pose and setting.
+        stops: Single pairs of pose and setting, visited after all others in the order of the file.
+        order: Poses in the order of the file (`raster`) or at random (`random`); with `mixed`, currents are in random order too.
+        repeats: Number of visits to every pose and setting.
         settle_s: Time from one reading to the next.
-        n_revisited: Calibration poses that are visited again half-way and at the end.
+        n_revisited: Number of calibration poses visited again half-way and at the end.
     """
 
     name: str
@@ -54,7 +54,7 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
     """Read a plan for a rig.
 
     Raises:
-        InvalidInput: Unknown key, mover or coil, missing unit: with file, line, key, rule and value.
+        InvalidInput: Unknown key, mover or coil, or missing unit; the message gives file, line, key, rule and value.
     """
     top = Section.from_file(Path(path))
     if top.required("schema_version") != 1:
@@ -88,17 +88,17 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
 
 
 def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observations:
-    """The plan as readings whose field is still NaN, one row per sensor and setting, in the order of the visit."""
+    """Readings that the plan asks for, their field still NaN: one row per sensor and setting, in order of the visits."""
     rows: list[tuple[Mapping[str, np.ndarray], Mapping[str, float], bool, int]] = []
     for is_validation, poses in ((False, plan.calibration), (True, plan.validation)):
         n_revisited = 0 if is_validation else plan.n_revisited
         for repeat in range(plan.repeats):
-            for place, number in visits(len(poses), n_revisited, plan.order, rng):
+            for pose, number in visits(len(poses), n_revisited, plan.order, rng):
                 settings = np.arange(len(plan.currents_A))
                 if plan.order == "mixed":
                     settings = rng.permutation(settings)
                 visit = number * plan.repeats + repeat
-                rows += [(poses[place], plan.currents_A[i], is_validation, visit) for i in settings]
+                rows += [(poses[pose], plan.currents_A[i], is_validation, visit) for i in settings]
     rows += [(*stop, False, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
     n_sensors = len(rig.sensors)
     times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
@@ -120,7 +120,7 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
 
 
 def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
-    """Poses of all movers: a grid over every span, or `scattered` places that fill the spans evenly (Halton's sequence)."""
+    """Poses of all movers: a grid over every span, or `scattered` poses that fill the spans evenly (Halton sequence)."""
     names = [mover.name for mover in rig.movers]
     for key in section:
         if key not in (*names, "scattered"):
@@ -161,7 +161,7 @@ def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping
 
 
 def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
-    """What the six numbers of a mover's pose are called in a plan, and their dimensions."""
+    """Names in a plan of the six numbers of a mover's pose, with their dimensions."""
     return JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
 
 
@@ -172,7 +172,7 @@ def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
 
 
 def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
-    """The values an axis takes: 0 where it is absent, a number, the steps of a grid, or the two ends of a span."""
+    """Values of an axis: 0 if it is absent, a number, the steps of a grid, or the two ends of a span."""
     entry = section.key_with_unit(quantity, dimension)
     if entry is None:
         return np.zeros(1)
@@ -194,7 +194,7 @@ def _count(section: Section, key: str, default: float | None = None, least: int 
 
 
 def _currents(top: Section, rig: Rig, is_recommended: bool) -> tuple[Mapping[str, float], ...]:
-    """The settings that are listed, or those that the recommended protocol makes of the largest current."""
+    """The listed settings, or those that the recommended protocol derives from the largest currents."""
     if is_recommended and "largest_A" in top:
         largest_A = top.required("largest_A")
         _check_setting(top, "largest_A", largest_A, rig)
@@ -218,10 +218,10 @@ def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> Non
 
 
 def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> str:
-    """A plan, as a file holds it, that visits the poses and currents of some readings one by one.
+    """Text of a plan file that visits the poses and currents of some readings one by one.
 
     Args:
-        name: Of the plan.
+        name: Name of the plan.
         rig: Names movers and coils.
         readings: One row per stop.
         settle_s: Time from one reading to the next.
@@ -232,7 +232,9 @@ def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> s
         for mover in rig.movers:
             numbers = zip(quantities_of(mover), readings.motion[mover.name][row].tolist(), strict=True)
             stop[mover.name] = {
-                f"{q}_{SHOWN[d]}": round(v / UNITS[SHOWN[d]].to_si, 4) for (q, d), v in numbers if v != 0.0
+                f"{q}_{WRITTEN_IN[d]}": round(v / UNITS[WRITTEN_IN[d]].to_si, 4)
+                for (q, d), v in numbers
+                if v != 0.0
             }
         currents = zip(rig.coils, readings.current_A[row].tolist(), strict=True)
         stop["current_A"] = {coil.name: round(current, 6) for coil, current in currents}

@@ -1,7 +1,7 @@
-"""The recommended way to measure: which currents to set, and the order in which places are visited.
+"""The recommended protocol: which currents to set, and in which order to visit poses.
 
-Zero current shows what is not the coil's, the sign what the sensor adds, a second magnitude what saturates or heats, a random order what
-drifts, and places visited again when it did (DESIGN section 4).
+Zero current shows fields that are not the coil's, the sign shows what the sensor adds, a second magnitude shows saturation and heating. A
+random order shows drift, and poses visited again show when it happened (DESIGN section 4).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-LEVELS = (0.5, -0.5, 1.0, -1.0)  # of the largest current
+LEVELS = (0.5, -0.5, 1.0, -1.0)  # fractions of the largest current
 
 ORDERS = ("raster", "random", "mixed")
 
@@ -25,21 +25,21 @@ def recommended_currents_A(largest_A: Mapping[str, float]) -> tuple[Mapping[str,
     return ({}, *({name: level * largest_A[name]} for name in largest_A for level in LEVELS))
 
 
-def visits(n_places: int, n_revisited: int, order: str, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Places in the order of the visit, each with the number of the visit.
+def visits(n_poses: int, n_revisited: int, order: str, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Indices of poses in the order of their visits, each with the number of the visit.
 
     Args:
-        n_places: How many there are.
-        n_revisited: How many of them, the first ones, are visited again half-way and at the end.
-        order: In the order of the file with `raster`, else by chance.
-        rng: Decides.
+        n_poses: Number of poses.
+        n_revisited: Number of poses, the first ones in the order, that are visited again half-way and at the end.
+        order: `raster` keeps the order of the file; any other is random.
+        rng: Source of the random order.
 
     Examples:
         >>> visits(4, 1, "raster", np.random.default_rng(0))
         [(0, 0), (1, 0), (0, 1), (2, 0), (3, 0), (0, 2)]
     """
-    places = list(range(n_places)) if order == "raster" else rng.permutation(n_places).tolist()
-    half = (n_places + 1) // 2
-    again = places[: min(n_revisited, n_places)]
-    parts = ((places[:half], 0), (again, 1), (places[half:], 0), (again, 2))
-    return [(place, number) for part, number in parts for place in part]
+    poses = list(range(n_poses)) if order == "raster" else rng.permutation(n_poses).tolist()
+    half = (n_poses + 1) // 2
+    again = poses[: min(n_revisited, n_poses)]
+    parts = ((poses[:half], 0), (again, 1), (poses[half:], 0), (again, 2))
+    return [(pose, number) for part, number in parts for pose in part]

@@ -1,4 +1,4 @@
-"""Which readings are kept out of the fit, to judge it."""
+"""Select the readings that are kept out of a fit to validate it."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 200
-PLACES_OF_BLOCK = 50  # where there are enough of them for more than the fewest blocks
+POSES_PER_BLOCK = 50  # if that gives more than the fewest blocks
 
 
 def block_split(observations: Observations, share: float, seed: int) -> Bool[Tensor, " reading"]:
-    """Mark whole blocks of neighbouring places as validation, drawn with a seed.
+    """Mark whole blocks of neighbouring poses as validation, drawn at random.
 
-    Readings next to each other share whatever the model gets wrong, so single readings taken out at random would flatter it. Blocks are
-    drawn until they hold the share.
+    Neighbouring readings share the errors of the model, so single readings kept out at random would make it look too good. Blocks are drawn
+    until they hold the share.
 
     Args:
         observations: The readings.
-        share: Wanted share of the readings, 0 <= share < 1.
-        seed: Decides blocks and draw.
-    Returns: True where a reading is kept out.
+        share: Share of the readings to keep out, 0 <= share < 1.
+        seed: Seed of blocks and draw.
+    Returns: True for readings that are kept out.
     """
     if not 0.0 <= share < 1.0:
         raise InvalidInput(f"validation share must be at least 0 and below 1; received {share:g}")
@@ -35,33 +35,33 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
     if share == 0.0 or n < 2:
         return torch.zeros(n, dtype=torch.bool)
     rng = np.random.default_rng(seed)
-    block = blocks_of_places(observations, rng)
+    block = pose_blocks(observations, rng)
     is_validation = np.zeros(n, dtype=bool)
-    for chosen in rng.permutation(np.unique(block)):
+    for number in rng.permutation(np.unique(block)):
         if is_validation.sum() >= share * n:
             break
-        is_validation |= block == chosen
+        is_validation |= block == number
     return torch.from_numpy(is_validation)
 
 
-def blocks_of_places(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
-    """Number of the block of every reading: places (sensor and pose together) in 20 groups by k-means, up to 200 where there are many."""
+def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
+    """Block number of every reading: k-means of the distinct poses of each sensor, with 20 blocks, or up to 200 for many poses."""
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
-    places = torch.cat(features, dim=1).numpy()
-    spread = places.std(axis=0)
-    distinct, place = np.unique(
-        (places - places.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
+    poses = torch.cat(features, dim=1).numpy()
+    spread = poses.std(axis=0)
+    distinct, pose_row = np.unique(
+        (poses - poses.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
     )
-    n_blocks = min(max(len(distinct) // PLACES_OF_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
+    n_blocks = min(max(len(distinct) // POSES_PER_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block less
-        _, block_of_place = kmeans2(distinct, n_blocks, minit="++", rng=rng)
-    found: Int[np.ndarray, " reading"] = block_of_place[place]
-    return found
+        warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block fewer
+        _, block_of_pose = kmeans2(distinct, n_blocks, minit="++", rng=rng)
+    block: Int[np.ndarray, " reading"] = block_of_pose[pose_row]
+    return block
 
 
 def thinned(observations: Observations, most: int, seed: int) -> Observations:
-    """At most so many of the readings, drawn at random."""
+    """At most `most` of the readings, drawn at random, in their order."""
     if len(observations) <= most:
         return observations
     generator = torch.Generator().manual_seed(seed)

@@ -26,11 +26,10 @@ from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.recalibration import policy
 from estimator.rig.coordinates import Coordinates
 
-FALSE_ALARMS = 1e-3  # per session: one in twenty years of weekly sessions
-N_DRAWS = 400
-N_SIMULATED, AT_ONCE = 20_000, 2_000
+AT_ONCE = 2_000  # simulated sessions in one batch, for the memory that they take
 SMALLEST_SHARE = 1e-6  # of a column outside the span of the parameters: less is rounding
 TESTS = ("parameters", "remainder", "causes")
 
@@ -56,12 +55,12 @@ class Agreement:
     @property
     def holds(self) -> bool:
         """Whether there is no reason to doubt the calibration."""
-        return self.p_value > FALSE_ALARMS
+        return self.p_value > policy.FALSE_ALARMS
 
     @property
     def is_refit_enough(self) -> bool:
         """Whether other values of the same parameters leave nothing that looks like a known cause."""
-        return self.left_p_value > FALSE_ALARMS
+        return self.left_p_value > policy.FALSE_ALARMS
 
 
 def agreement(calibration: Calibration, observations: Observations, refit: Fit, seed: int) -> Agreement:
@@ -119,7 +118,7 @@ class _Predictive:
         """The predictive distribution from posterior draws."""
         rig = calibration.rig
         coordinates = Coordinates(rig, integer_counts=True)
-        values = calibration.draw_values(N_DRAWS)
+        values = calibration.draw_values(policy.N_DRAWS)
         vectors = coordinates.vector({name: values[name] for name in coordinates.names})
         best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
         posterior = LogPosterior(
@@ -161,7 +160,7 @@ class _Predictive:
         def normal(*shape: int) -> Tensor:
             return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
-        for _ in range(N_SIMULATED // AT_ONCE):
+        for _ in range(policy.N_SIMULATED // AT_ONCE):
             moved = (normal(AT_ONCE, len(self.spread)) * self.spread) @ self.directions.T
             noise = torch.exp(normal(AT_ONCE, len(self.noise_sd)) * self.noise_sd)[:, self.sensor]
             share, ratio = self.outliers

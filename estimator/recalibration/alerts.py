@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from estimator.errors import InvalidInput
-
-TIMEOUT_S = 30.0
+from estimator.recalibration import policy
 
 
 def run_command(command: str, message: Mapping[str, Any]) -> str | None:
@@ -24,7 +23,7 @@ def run_command(command: str, message: Mapping[str, Any]) -> str | None:
             shlex.split(command),
             input=json.dumps(message).encode(),
             capture_output=True,
-            timeout=TIMEOUT_S,
+            timeout=policy.ALERT_TIMEOUT_S,
             check=False,
         )
     except (OSError, ValueError, IndexError, subprocess.TimeoutExpired) as error:
@@ -44,7 +43,7 @@ def post(url: str, message: Mapping[str, Any]) -> str | None:
         url, json.dumps(message).encode(), {"Content-Type": "application/json"}, method="POST"
     )
     try:
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S):
+        with urllib.request.urlopen(request, timeout=policy.ALERT_TIMEOUT_S):
             return None
     except (OSError, ValueError) as error:
         return f"alert to {url} failed: {error}"

@@ -10,11 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from estimator.errors import CoilcalError, reason
+from estimator.recalibration import policy
 from estimator.store.session import Session, is_growing, load_session
 
-SETTLED_S = (
-    60.0  # since the last change of a session that cannot be read: then it is damaged, and not being copied
-)
 GROWING = "it is still being measured, or its measurement was abandoned"
 BEING_COPIED = "it cannot be read and changed less than a minute ago: it may still be being copied"
 CHANGED = "it changed while other sessions were judged"
@@ -50,7 +48,7 @@ def arrivals(inbox: Path) -> tuple[list[Arrival], dict[Path, str]]:
             arrived.append(Arrival(path, _utc(datetime.fromisoformat(session.created)), session.hash))
         except (CoilcalError, ValueError, OSError) as error:
             try:
-                if time.time() - _changed_s(path) < SETTLED_S:
+                if time.time() - _changed_s(path) < policy.SETTLED_S:
                     waiting[path] = BEING_COPIED
                 else:
                     written = datetime.fromtimestamp(path.stat().st_mtime, UTC)

@@ -9,7 +9,7 @@ from pathlib import Path
 from estimator.recalibration.judgement import IS_CONVERGED
 from estimator.recalibration.registry import ROLLED_BACK, Entry, Registry
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.reporting.plots.history import InUse, Visit, history
+from estimator.reporting.plots.history import SessionSummary, VersionInUse, history
 
 MARGIN_SHARE = 0.05  # of the whole time, by which the last version extends beyond the last readings
 MOST_ROWS = 200
@@ -71,24 +71,24 @@ def _still_holds(drift: Entry, current: int | None, entries: Sequence[Entry]) ->
 
 def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture:
     sessions = [entry for entry in entries if entry.hash]
-    visits = [_visit(entry) for entry in sessions]
+    summaries = [_summary(entry) for entry in sessions]
     title = f"{name}, {_date(sessions[0].taken)} to {_date(sessions[-1].taken)}"
     caption = (
         "Points are the estimates of each session by itself, coloured by its conclusion; the blue band is the version in use. A point off "
         "the band is a change; the band steps where a new version took over."
     )
-    figure = history(visits, _in_use(registry, entries), title)
+    figure = history(summaries, _in_use(registry, entries), title)
     return Picture("Parameters over time", caption, figure)
 
 
-def _visit(entry: Entry) -> Visit:
-    """The point of one session; a rejected one has no estimate."""
+def _summary(entry: Entry) -> SessionSummary:
+    """A session in the plot of the history; a rejected one has no estimate."""
     estimate = {} if entry.conclusion == "rejected" else entry.estimate
     label = " and ".join(cause["name"].replace("_", " ") for cause in entry.causes)
-    return Visit(_time(entry.taken), entry.conclusion, label, estimate)
+    return SessionSummary(_time(entry.taken), entry.conclusion, label, estimate)
 
 
-def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[InUse]:
+def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[VersionInUse]:
     """The periods of the versions in use, by the time of the readings after which they became current."""
     table = registry.history()
     table = table.sel(parameter=~table.is_derived)
@@ -101,7 +101,7 @@ def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[InUse]:
     margin = max((latest - begins[0][0]) * MARGIN_SHARE, timedelta(hours=1))
     ends = [begin for begin, _ in begins[1:]] + [latest + margin]
     return [
-        InUse(
+        VersionInUse(
             begin,
             end,
             version,

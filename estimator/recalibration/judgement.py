@@ -12,6 +12,7 @@ import torch
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import finite
+from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.gain import Gain, gain
@@ -23,18 +24,17 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings, check_units
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
-from estimator.recalibration.agreement import FALSE_ALARMS, Agreement, agreement
+from estimator.recalibration import policy
+from estimator.recalibration.agreement import Agreement, agreement
 from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of, sizes_of, words_of
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from estimator.units import split_unit
 
-MOST_TESTED, MOST_FITTED = 512, 3000  # readings in the test of agreement, and in fits that are compared
-HELD_OUT_SHARE = 0.2
 EVIDENCE = "log_bayes_factors"  # among the checks of a session that was diagnosed
 IS_CONVERGED = "is_successor_converged"  # among the checks of a session that was sampled
 SMALLEST_SHOWN = 1e-4  # p-value: fewer simulated sessions than that tell no difference
@@ -112,7 +112,7 @@ def _with_held_out(session: Session, seed: int) -> Session:
     observations = session.observations
     if bool(observations.is_validation.any()):
         return session
-    split = block_split(observations, HELD_OUT_SHARE, seed)
+    split = block_split(observations, diagnosis_policy.VALIDATION_SHARE, seed)
     return replace(session, observations=observations.with_validation(split))
 
 
@@ -151,7 +151,7 @@ class _Comparison:
 
     @classmethod
     def of(cls, session: Session, widened: Rig, current: Calibration, seed: int) -> _Comparison:
-        tested = thinned(session.observations, MOST_TESTED, seed)
+        tested = thinned(session.observations, diagnosis_policy.MOST_READINGS_SEARCHED, seed)
         model = MeasurementModel.build(widened, tested)
         refit = fit_rig(widened, tested, widened.nominal_values(), model.rules)
         return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
@@ -257,7 +257,9 @@ class _Comparison:
 
     def _improvement(self, diagnosis: Diagnosis) -> Gain:
         """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
-        fitted = thinned(self.current.observations.calibration, MOST_FITTED, self.seed)
+        fitted = thinned(
+            self.current.observations.calibration, diagnosis_policy.MOST_READINGS_FITTED, self.seed
+        )
         rules = MeasurementModel.build(self.current.rig, fitted).rules
         before = fit_rig(self.current.rig, fitted, self.current.best, rules)
         return gain(before, diagnosis.fits.final, self._unseen())
@@ -270,7 +272,7 @@ class _Comparison:
         return float((after - before).sum())
 
     def _unseen(self) -> Observations:
-        return thinned(self.session.observations.validation, MOST_FITTED, self.seed)
+        return thinned(self.session.observations.validation, diagnosis_policy.MOST_READINGS_FITTED, self.seed)
 
     def _p_value(self) -> str:
         p = self.agreement.p_value
@@ -287,7 +289,7 @@ class _Comparison:
         """The parameter that moved most, in words."""
         name, distance = max(improvement.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
-            shown([name])[name],
+            displays([name])[name],
             self.current.summary()["parameters"][name],
             diagnosis.fits.final.value_sd(name),
         )
@@ -324,7 +326,7 @@ def _is_unexplained(diagnosis: Diagnosis) -> bool:
     """Whether the residual exceeds noise, in structure or in size."""
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         return True
-    return diagnosis.fits.after.lack_of_fit.p_value < FALSE_ALARMS
+    return diagnosis.fits.after.lack_of_fit.p_value < policy.FALSE_ALARMS
 
 
 def _causes(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:

@@ -12,9 +12,8 @@ from estimator.calibration.result import Calibration
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.recalibration import policy
 from estimator.rig.coordinates import Coordinates
-
-N_DRAWS = 400
 
 
 def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[Tensor, " reading"]:
@@ -26,7 +25,7 @@ def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[
     References: Vehtari, Gelman and Gabry, Statistics and Computing 27, 1413 (2017), eq 3.
     """
     coordinates = Coordinates(calibration.rig, integer_counts=True)
-    values = calibration.draw_values(N_DRAWS)
+    values = calibration.draw_values(policy.N_DRAWS)
     vectors = coordinates.vector({name: values[name] for name in coordinates.names})
     model = MeasurementModel.unruled(calibration.rig, unseen).choose_rules(calibration.best_values())
     posterior = LogPosterior(coordinates, model, unseen)

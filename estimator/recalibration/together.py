@@ -11,13 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
-from estimator.diagnosis.hypotheses.step import (
-    CREDIBLE,
-    LEAST_LOG_ODDS,
-    LOG_PRIOR_CAUSE,
-    LOG_PRIOR_NOTHING,
-    LOG_PRIOR_UNEXPLAINED,
-)
+from estimator.diagnosis import policy
 
 NOTHING, UNEXPLAINED = "nothing", "unexplained"  # hypotheses beside the causes
 
@@ -38,13 +32,13 @@ def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
         return {}
     common = set.intersection(*(set(session) for session in sessions)) - {NOTHING}
     total = {name: sum(session[name] for session in sessions) for name in common}
-    unexplained = total.pop(UNEXPLAINED, 0.0) + LOG_PRIOR_UNEXPLAINED
+    unexplained = total.pop(UNEXPLAINED, 0.0) + policy.LOG_PRIOR_UNEXPLAINED
     if not total:
         return {}
-    least = max(LOG_PRIOR_NOTHING + LEAST_LOG_ODDS, unexplained)
+    least = max(policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS, unexplained)
     ranked = sorted(total, key=lambda name: (-total[name], name))
-    if total[ranked[0]] + LOG_PRIOR_CAUSE - math.log(len(ranked)) <= least:
+    if total[ranked[0]] + policy.LOG_PRIOR_CAUSE - math.log(len(ranked)) <= least:
         return {}
     shares = torch.softmax(torch.tensor([total[name] for name in ranked], dtype=torch.float64), 0)
-    n = int((torch.cumsum(shares, 0) < CREDIBLE).sum()) + 1
+    n = int((torch.cumsum(shares, 0) < policy.CREDIBLE_SHARE).sum()) + 1
     return dict(zip(ranked[:n], shares[:n].tolist(), strict=True))

@@ -23,14 +23,10 @@ import numpy as np
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
+from estimator.recalibration import policy
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior
 from estimator.rig.rig import POSE_KEYS, Rig
 
-EXPANSION = 3e-4  # of a winding's lengths: copper by 20 K
-LOOPS = 0.01  # a winding keeps its loops; its leads are part of one
-SHARE = 0.1  # of the first prior's width: what ageing may do to a sensor or a supply between two sessions
-SHARE_OF_POSE = 1.0  # a body that is mounted anew stands where it could have stood before the first session
-SHARE_OF_CAUSE = 1.0  # a cause that has begun may go on
 LENGTHS = ("radius_m", "wire_radius_m", "axial_pitch_m", "radial_pitch_m")
 LEAST_SHARE_LEFT = 1e-9  # of a variance: numbers that follow from others by rounding
 
@@ -83,10 +79,16 @@ def _change(parameter: Parameter, first: Prior, best: float) -> float:
     """Standard deviation of possible changes between two sessions; for log-normal priors that of the logarithm times the value."""
     body, _, key = parameter.name.rpartition(".")
     if parameter.is_count:
-        return LOOPS
+        return policy.LOOPS
     if key in LENGTHS:
-        return EXPANSION * best
-    share = SHARE_OF_POSE if _is_pose(parameter) else SHARE_OF_CAUSE if _is_of_cause(body) else SHARE
+        return policy.EXPANSION * best
+    share = (
+        policy.SHARE_OF_POSE
+        if _is_pose(parameter)
+        else policy.SHARE_OF_CAUSE
+        if _is_of_cause(body)
+        else policy.SHARE_OF_AGEING
+    )
     return share * (first.relative_sd * best if isinstance(first, LogNormal) else first.sd)
 
 

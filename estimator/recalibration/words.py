@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 
 
 def names_of(diagnosis: Diagnosis) -> str:
@@ -30,7 +30,7 @@ def _size(cause: SizedCause) -> str:
 
 def _quantity(name: str, interval: Interval) -> str:
     """A quantity in its display unit, or in its own unit if that has none, such as T/h."""
-    show, value, sd, unit = shown([name])[name], interval.median, interval.sd, interval.unit
+    show, value, sd, unit = displays([name])[name], interval.median, interval.sd, interval.unit
     if show.unit or unit == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
         return f"{show.words} {size} {show.unit}".rstrip()

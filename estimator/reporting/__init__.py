@@ -1,1 +1,1 @@
-"""Pages and plots, whatever they tell of."""
+"""Report pages and plots; what they report comes from other packages."""

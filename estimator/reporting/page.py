@@ -1,6 +1,6 @@
-"""One self-contained page from sentences, tables and pictures; it knows nothing of calibrations.
+"""A self-contained HTML page of sentences, tables and pictures, for any report.
 
-Pictures are embedded as PNG at twice the screen's resolution, styles are inline: the file can be mailed, printed and kept.
+Pictures are embedded as PNG at twice the screen's resolution and styles are inline, so that the file can be mailed, printed and archived.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NUMBER = re.compile(r"[<>≈+−-]?\s*[\d.]|—?$")
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as they are printed, units included; `caption` is a sentence on what to look at.
+    """A table with its cells as printed, units included; `caption` says what to look at.
 
     Raises:
         InvalidInput: A row has more or fewer cells than the header.
@@ -44,7 +44,7 @@ class Table:
 
     @property
     def is_number(self) -> list[bool]:
-        """Which columns hold nothing but numbers (with units, or — for none); they are aligned to the right.
+        """Columns that hold only numbers (with units, or — for a missing one); they are aligned to the right.
 
         Examples:
             >>> Table("", ["name", "median"], [["radius", "50.98 mm"], ["loops", "—"]]).is_number
@@ -55,7 +55,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure and one sentence that says what to look for."""
+    """A figure with a sentence that says what to look for."""
 
     title: str
     caption: str
@@ -63,12 +63,12 @@ class Picture:
 
     @property
     def width_px(self) -> int:
-        """Width on the screen."""
+        """Width on the screen, in pixels."""
         return round(self.figure.get_figwidth() * PIXELS_PER_INCH)
 
     @property
     def png_base64(self) -> str:
-        """The figure's pixels."""
+        """The figure as a PNG file, base64-encoded."""
         buffer = io.BytesIO()
         dpi = OVERSAMPLING * PIXELS_PER_INCH
         self.figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
@@ -77,16 +77,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class ReportPage:
-    """What a report says, in the order in which it says it.
+    """Content of a report, from top to bottom.
 
     Attributes:
-        title: Rig.
-        subtitle: Date, source of the readings.
-        verdict: Sentences with the numbers that matter; the first is printed large.
-        warnings: Sentences on what the reader must not overlook; no box where there are none.
-        tables: Below the verdict.
-        figures: Below the tables.
-        appendix: Tables below the figures, for those who want to know more.
+        title: Name of the rig.
+        subtitle: Date and source of the readings.
+        verdict: Sentences with the main results; the first is printed large.
+        warnings: Sentences that the reader must not overlook; without any, their box is left out.
+        tables: Tables below the verdict.
+        figures: Figures below the tables.
+        appendix: Tables below the figures, with details.
         provenance: Command, versions, hashes, seed.
     """
 
@@ -101,7 +101,7 @@ class ReportPage:
 
 
 def render_report(page: ReportPage) -> str:
-    """The page as HTML that needs no other file; all text is escaped.
+    """The page as HTML without references to other files; all text is escaped.
 
     Examples:
         >>> page = ReportPage("rig <a>", "2026-01-01", ["The coil is calibrated."])

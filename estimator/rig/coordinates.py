@@ -1,9 +1,9 @@
-"""Between the vector a sampler moves and the numbers of a rig.
+"""The transform between the vector that a fit or a sampler moves and the parameters of a rig.
 
-A sampler sees coordinates in which a coil's posterior is close to normal (DESIGN decision 3, docs/decisions/0007): positive numbers as
-logarithms, the external radius through the rms radius of the loops, the position of the front face through that of the winding's
-middle, and wire radius and loop counts through turns, length and thickness, which the data determine separately. With
-`integer_counts` the free loop counts stand unchanged in the last columns and are whole numbers.
+In these coordinates a coil's posterior is close to normal (DESIGN decision 3, docs/decisions/0007). Positive numbers are logarithms. The
+rms radius of the loops replaces the external radius, and the position of the winding's middle that of its front face. Turns, length and
+thickness, which the data determine separately, replace wire radius and loop counts. With `integer_counts` the free loop counts are whole
+numbers, unchanged in the last columns.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ class Coordinates:
 
     @property
     def n_continuous(self) -> int:
-        """Columns before the whole-numbered counts."""
+        """Number of columns before the whole-numbered counts."""
         return self.n - self.n_counts
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What each column holds, in words."""
+        """Meaning of each column, in words."""
         words = []
         for i, parameter in enumerate(self.parameters):
             coil, _, quantity = parameter.name.partition(".")
@@ -96,45 +96,45 @@ class Coordinates:
         return tuple(words)
 
     def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
-        """Every number of the rig; fixed ones without a batch."""
+        """Every parameter of the rig; fixed ones have no batch."""
         unmix = torch.as_tensor(self._unmix, dtype=vector.dtype, device=vector.device)
         elementary = vector @ unmix.T if self.n else vector
-        resolved: dict[str, Tensor] = {}
+        values: dict[str, Tensor] = {}
 
         def resolve(name: str) -> Tensor:
-            if name not in resolved:
-                resolved[name] = self._value(name, elementary, resolve)
-            return resolved[name]
+            if name not in values:
+                values[name] = self._value(name, elementary, resolve)
+            return values[name]
 
         for name in self.rig.parameters:
             resolve(name)
-        return resolved
+        return values
 
     def vector(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
-        """The coordinates of given values of the free parameters (and of what they need of the others)."""
+        """Coordinates of given values of the parameters; those not given have their nominal values."""
         nominal = self.rig.nominal_values()
-        get = {
+        complete = {
             name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64)
             for name in self.rig.parameters
         }
         for name in self.rig.parameters:
-            get[name] = self._follow_tie(name, get)
+            complete[name] = self._follow_tie(name, complete)
         columns = []
         for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
-            value = get[parameter.name]
+            value = complete[parameter.name]
             if self._is_radius(parameter):
                 coil = parameter.name.partition(".")[0]
-                half, spread = _layers(coil, get.__getitem__)
-                value = torch.sqrt((value - half) ** 2 + spread)
+                half_m, variance_m2 = _layers(coil, complete.__getitem__)
+                value = torch.sqrt((value - half_m) ** 2 + variance_m2)
             elif parameter.name in self._axis:
-                value = value - self._to_front(parameter.name, get.__getitem__)
+                value = value - self._to_front(parameter.name, complete.__getitem__)
             columns.append(torch.log(value) if is_log else value)
         if not columns:
             return torch.zeros(0, dtype=torch.float64)
         return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ torch.as_tensor(self._mix).T
 
     def bounds(self) -> tuple[Float[Tensor, " coordinate"], Float[Tensor, " coordinate"]]:
-        """Smallest and largest value that the prior allows each free parameter, in the parameter's own unit."""
+        """Smallest and largest value that the prior of each free parameter allows, in the parameter's unit."""
         priors = [parameter.prior for parameter in self.parameters if parameter.prior]
         lower, upper = ([getattr(prior, end) for prior in priors] for end in ("lower", "upper"))
         return torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64)
@@ -147,15 +147,15 @@ class Coordinates:
     def scale(self) -> Float[Tensor, " coordinate"]:
         """Prior standard deviation of every coordinate, to first order about the nominal values."""
         nominal = self.rig.nominal_values()
-        at = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
+        free_values = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
         if not self.n:
-            return at
-        slope = jacfwd(lambda values: self.vector(dict(zip(self.names, values, strict=True))))(at)
+            return free_values
+        jacobian = jacfwd(lambda values: self.vector(dict(zip(self.names, values, strict=True))))(free_values)
         sd = torch.tensor([p.prior.sd for p in self.parameters if p.prior], dtype=torch.float64)
-        return torch.sqrt(slope**2 @ sd**2)
+        return torch.sqrt(jacobian**2 @ sd**2)
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log prior density of the coordinates (change of variables included), up to a constant."""
+        """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""
         values = self.values(vector)
         total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
         for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
@@ -165,12 +165,12 @@ class Coordinates:
             if is_log:
                 total = total + torch.log(value)
             elif self._is_radius(parameter):
-                half, spread = _layers(parameter.name.partition(".")[0], values.__getitem__)
-                total = total + 0.5 * torch.log1p(spread / (value - half) ** 2)
+                half_m, variance_m2 = _layers(parameter.name.partition(".")[0], values.__getitem__)
+                total = total + 0.5 * torch.log1p(variance_m2 / (value - half_m) ** 2)
         return total
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
-        """Draws from the prior, as coordinates; whole numbers for counts where they are integer."""
+        """Draws from the prior, as coordinates; loop counts are rounded to whole numbers."""
         draws: dict[str, Tensor] = {}
         for parameter in self.parameters:
             assert parameter.prior is not None
@@ -189,8 +189,8 @@ class Coordinates:
             return torch.tensor(parameter.value, dtype=elementary.dtype, device=elementary.device)
         value = elementary[..., column]
         if self._is_radius(parameter):
-            half, spread = _layers(name.partition(".")[0], resolve)
-            return half + torch.sqrt(value**2 - spread)
+            half_m, variance_m2 = _layers(name.partition(".")[0], resolve)
+            return half_m + torch.sqrt(value**2 - variance_m2)
         if name in self._axis:
             return value + self._to_front(name, resolve)
         return torch.exp(value) if self._is_log[column] else value
@@ -204,12 +204,12 @@ class Coordinates:
         return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
 
     def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
-        """From the middle of the winding to its front face, along the nominal axis: what tilts add is linear enough."""
+        """Shift from the winding's middle to its front face, along the nominal axis; tilts add a nearly linear term."""
         coil = name.partition(".")[0]
         return 0.5 * self._axis[name] * resolve(f"{coil}.axial_pitch_m") * resolve(f"{coil}.axial_loops")
 
     def _nominal_axes(self) -> dict[str, float]:
-        """Component of the coil's nominal axis along each free position of a coil whose length may change."""
+        """Component of the nominal axis along each free position coordinate, for coils whose length may change."""
         nominal = self.rig.nominal_values()
         axes: dict[str, float] = {}
         for coil in self.rig.coils:
@@ -221,21 +221,21 @@ class Coordinates:
                 prefix = f"{coil.name}.{block}"
                 if f"{prefix}.rx_rad" not in nominal:
                     continue
-                turn, own = (
+                nominal_rotation, about_body_axes = (
                     rotation_from_vector(torch.tensor([nominal[f"{prefix}.{key}"] for key in keys]).double())
                     for keys in (("rx_rad", "ry_rad", "rz_rad"), ("tilt_x_rad", "tilt_y_rad", "spin_rad"))
                 )
-                axis = (turn @ own)[:, 2].tolist()
+                axis = (nominal_rotation @ about_body_axes)[:, 2].tolist()
                 names = [f"{prefix}.{key}" for key in ("x_m", "y_m", "z_m")]
                 axes |= {
-                    name: a
-                    for name, a in zip(names, axis, strict=True)
-                    if name in self._column and abs(a) > 1e-9
+                    name: component
+                    for name, component in zip(names, axis, strict=True)
+                    if name in self._column and abs(component) > 1e-9
                 }
         return axes
 
     def _natural_mix(self) -> np.ndarray:
-        """Rows that turn (log R_w, log N_a, log N_r) into (log thickness, log turns, log length) where all three are free."""
+        """Matrix that maps (log R_w, log N_a, log N_r) to (log thickness, log turns, log length) where all three are free."""
         mix = np.eye(self.n)
         if self.integer_counts:
             return mix

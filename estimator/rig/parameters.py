@@ -1,7 +1,7 @@
 """Parameters of a rig and the priors they may carry.
 
-A parameter is fixed (a value), free (a value and a prior) or tied to another parameter by a factor. Its name is the dotted place in
-the rig with the SI unit as suffix, `coil1.wire_radius_m`; loop counts and gains are pure numbers.
+A parameter is fixed (a value), free (a value and a prior) or tied to another parameter by a factor. Its name is its dotted path in
+the rig file with the SI unit as suffix, `coil1.wire_radius_m`; loop counts and gains are pure numbers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from estimator.errors import InvalidInput
 
 
 class Prior(ABC):
-    """What is known of a parameter before the data, as a probability density in its own unit."""
+    """Prior probability density of a parameter, in the parameter's unit."""
 
     lower: float
     upper: float
@@ -28,7 +28,7 @@ class Prior(ABC):
     @property
     @abstractmethod
     def centre(self) -> float:
-        """A typical value, where a fit may start."""
+        """A typical value, from which a fit may start."""
 
     @property
     @abstractmethod
@@ -38,7 +38,7 @@ class Prior(ABC):
     @property
     @abstractmethod
     def log_normaliser(self) -> float:
-        """What `log_density` leaves out so that the density integrates to 1 (truncation aside)."""
+        """Constant that `log_density` leaves out; with it the density integrates to 1 (truncation aside)."""
 
     @abstractmethod
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -49,7 +49,7 @@ class Prior(ABC):
         """Draws from the prior."""
 
     def distance(self, value: float) -> float:
-        """How far a value lies from the prior's centre, in its standard deviations."""
+        """Distance of a value from the centre, in prior standard deviations."""
         return (value - self.centre) / self.sd
 
     def _inside(self, value: Tensor, log_density: Tensor) -> Tensor:
@@ -86,8 +86,8 @@ class Normal(Prior):
     @property
     def log_normaliser(self) -> float:
         ends = [(bound - self.mean) / self.standard_deviation for bound in (self.lower, self.upper)]
-        share = float(stats.norm.cdf(ends[1]) - stats.norm.cdf(ends[0]))
-        return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(share)
+        probability = float(stats.norm.cdf(ends[1]) - stats.norm.cdf(ends[0]))
+        return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(probability)
 
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)
@@ -134,7 +134,7 @@ class LogNormal(Prior):
         return math.log(value / self.median) / self.relative_sd
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
-        bounds = [math.log(b) if b > 0.0 else -math.inf for b in (self.lower, self.upper)]
+        bounds = [math.log(bound) if bound > 0.0 else -math.inf for bound in (self.lower, self.upper)]
         normal = Normal(math.log(self.median), self.relative_sd, *bounds)
         return np.asarray(np.exp(normal.sample(rng, size)))
 
@@ -181,13 +181,13 @@ class Parameter:
     """One number of the rig.
 
     Attributes:
-        name: Dotted place with SI unit, unique in the rig.
+        name: Dotted path with SI unit, unique in the rig.
         unit: SI unit; "1" for pure numbers.
-        value: Nominal value; a fit starts here. Ignored where the parameter is tied.
-        prior: Present where the parameter is free.
-        tie: Present where the parameter follows another.
-        is_positive: Fitted as a logarithm.
-        is_count: A whole number in truth (loop counts).
+        value: Nominal value, from which a fit starts. Ignored if the parameter is tied.
+        prior: Prior of a free parameter; None otherwise.
+        tie: Tie of a parameter that follows another; None otherwise.
+        is_positive: The parameter is positive and fitted as a logarithm.
+        is_count: The true value is a whole number (loop counts).
     """
 
     name: str
@@ -200,7 +200,7 @@ class Parameter:
 
     @property
     def is_free(self) -> bool:
-        """Whether the data may move this parameter."""
+        """Whether a fit may move this parameter."""
         return self.prior is not None
 
 

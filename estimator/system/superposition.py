@@ -22,7 +22,7 @@ from estimator.effects import COUPLING
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
@@ -62,7 +62,7 @@ class Superposition:
         shares: Share of each coil, estimated together with the causes that the diagnosis named.
     """
 
-    errors: Errors
+    errors: ErrorMetrics
     diagnosis: Diagnosis
     shares: Mapping[str, Share]
 
@@ -116,7 +116,7 @@ def superposition(
     checked = session.observations.rows(several)
     measured_T, predicted_T = checked.field_sensor_T, predicted_readings_T(system, session, checked)
     return Superposition(
-        errors(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fits.final)
+        error_metrics(measured_T.numpy(), predicted_T.numpy()), diagnosis, _shares(diagnosis.fits.final)
     )
 
 

@@ -19,7 +19,8 @@ from estimator import Observations, Rig, Session, calibrate, draw_truth, load_pl
 from estimator.batching.engine import Cluster, cluster
 from estimator.batching.jobs import Job, jobs_of
 from estimator.batching.stacked import stacked_fits
-from estimator.batching.work import MORE_STARTS, fit
+from estimator.batching.work import fit
+from estimator.diagnosis import policy
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -35,7 +36,7 @@ def main() -> None:
     plan = load_plan(CONFIGS / "plans/paper_grid.yaml", rig)
     sessions = [simulate(rig, plan, draw_truth(rig, seed), seed=seed) for seed in range(options.fits)]
     print(
-        f"{options.fits} sessions, {len(rig.free)} free parameters, {1 + MORE_STARTS} starts each; {os.cpu_count()} processors"
+        f"{options.fits} sessions, {len(rig.free)} free parameters, {1 + policy.MORE_STARTS} starts each; {os.cpu_count()} processors"
     )
     for every in (10, 4, 1):
         show_stacking(rig, [session.calibration.rows(torch.arange(0, 125, every)) for session in sessions])
@@ -45,9 +46,11 @@ def main() -> None:
 
 def show_stacking(rig: Rig, sessions: list[Observations]) -> None:
     alone = processor_seconds(
-        lambda: [stacked_fits(rig, [session], [i], MORE_STARTS) for i, session in enumerate(sessions)]
+        lambda: [stacked_fits(rig, [session], [i], policy.MORE_STARTS) for i, session in enumerate(sessions)]
     )
-    together = processor_seconds(lambda: stacked_fits(rig, sessions, list(range(len(sessions))), MORE_STARTS))
+    together = processor_seconds(
+        lambda: stacked_fits(rig, sessions, list(range(len(sessions))), policy.MORE_STARTS)
+    )
     n = len(sessions)
     print(
         f"{len(sessions[0]):4} readings: one by one {n / alone:.2f}, stacked {n / together:.2f} fits per processor second "

@@ -20,7 +20,7 @@ import torch
 from estimator import SamplerSettings, load_plan, load_rig, simulate
 from estimator.field.node_sum import SumMode
 from estimator.inference.convergence import Convergence, convergence
-from estimator.inference.ensemble import BURN_IN_SHARE, reported, sample
+from estimator.inference.ensemble import BURN_IN_SHARE, reported_parameters, sample
 from estimator.inference.laplace import covariance
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
@@ -120,7 +120,7 @@ def stretch(posterior: LogPosterior, fit: Optimum, steps: int, seed: int) -> tup
     state = emcee.State(start, random_state=random.get_state())
     sampler.run_mcmc(state, steps, skip_initial_state_check=True)
     chain = sampler.get_chain(discard=int(BURN_IN_SHARE * steps))
-    return steps * N_WALKERS, convergence(reported(posterior.coordinates, chain))
+    return steps * N_WALKERS, convergence(reported_parameters(posterior.coordinates, chain))
 
 
 def repeated(run: Callable[[int], tuple[int, Convergence]], options: argparse.Namespace) -> dict[str, Any]:

@@ -19,11 +19,11 @@ from estimator import Diagnosis, Session, diagnose, load_plan
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import errors
+from estimator.readings.metrics import error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
 from estimator.reporting.plots import predicted_against_measured
-from estimator.reporting.plots.style import shown, with_sd
+from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig_files.read import rig_from_text
 from scripts.paper.tables import CURRENT_A, NOT_AT_HAND, table
 from tests.independent.readings import perfect_readings_T
@@ -55,7 +55,7 @@ def experiment(rig_text: str) -> Session:
 def parameters(session: Session, fits: dict[str, Fit]) -> str:
     """Table 8."""
     rows = []
-    for name, show in shown(list(session.truth)).items():
+    for name, show in displays(list(session.truth)).items():
         values = (float(session.rig.parameters[name].value), session.truth[name])
         estimates = (
             with_sd(show.factor * float(fit.values[name]), show.factor * fit.value_sd(name))
@@ -75,7 +75,7 @@ def residuals(session: Session, fits: dict[str, Fit]) -> str:
     }
     for grid, part in parts.items():
         for words, fit in fits.items():
-            metrics = errors(part.field_sensor_T.numpy(), predicted_T(fit, part))
+            metrics = error_metrics(part.field_sensor_T.numpy(), predicted_T(fit, part))
             sizes = (
                 f"{1e3 * size_T:.3f}" for size_T in (metrics.paper_metric_T, metrics.vector_T, metrics.max_T)
             )

@@ -23,7 +23,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import Errors, errors
+from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
 from estimator.reporting.plots import angular_deviation_map, relative_error_map
@@ -92,9 +92,9 @@ class Study:
         rig = self.rig.with_values({**TRUTH, NAMES[3]: radial_loops}).with_fixed([NAMES[3]])
         return fit_rig(rig, self.calibration, {}, MeasurementModel.build(rig, self.calibration).rules).values
 
-    def errors(self, values: dict[str, torch.Tensor], part: Observations) -> Errors:
+    def errors(self, values: dict[str, torch.Tensor], part: Observations) -> ErrorMetrics:
         """Errors of the predictions against the true field."""
-        return errors(part.field_sensor_T.numpy(), predicted_T(self.rig, part, values))
+        return error_metrics(part.field_sensor_T.numpy(), predicted_T(self.rig, part, values))
 
     def maps(self, values: dict[str, torch.Tensor], title: str) -> dict[str, Figure]:
         """Relative error and angle at the 20 x 20 x 20 points, in the frame of the coil."""

@@ -16,9 +16,9 @@ import torch
 
 from estimator import diagnose, load_rig
 from estimator.calibration.result import write_text
+from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.search import MOST_CAUSES
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import REPORT
 from estimator.effects.attach import with_effect
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="data sets; all by default")
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--most-causes", type=int, default=MOST_CAUSES, help="where each search ends")
+    parser.add_argument("--most-causes", type=int, default=policy.MOST_CAUSES, help="where each search ends")
     parser.add_argument(
         "--carry",
         help="FOLDER/CAUSE: take a cause as known, with the values that an earlier run in FOLDER gave it; only the step of the "

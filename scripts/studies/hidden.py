@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator import diagnose, load_rig
-from estimator.diagnosis.diagnose import MORE_STARTS
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -124,7 +124,7 @@ def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
         hidden.without_flaws().write(Path(folder))
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
     rules = plain.posterior.model.rules
-    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, MORE_STARTS)
+    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, policy.MORE_STARTS)
 
 
 def read(path: Path) -> dict[tuple[str, int], Row]:
@@ -194,9 +194,10 @@ def show_single(kind: str, rows: list[Row]) -> None:
 def is_explained(cause: dict[str, Any]) -> bool:
     """Whether every other member had at least a chance of one in a thousand to stay in the credible set: in 300 sessions some do.
 
-    The log evidence of one hypothesis against another scatters by the root of twice its expected value.
+    The log evidence of one hypothesis against another scatters by the root of twice its expected value. The answer is no
+    where nothing was computed for a member: it was not fitted in full, or is a mistake of the record.
     """
-    expected = [alternative["expected_log_evidence"] for alternative in cause["alternatives"]]
+    expected = [alternative.get("expected_log_evidence") for alternative in cause["alternatives"]]
     return all(e is not None and e - LUCKY_SD * math.sqrt(2.0 * e) < math.log(20.0) for e in expected)
 
 

@@ -23,7 +23,7 @@ from estimator.calibration.result import write_text
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
 from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.metrics import errors
+from estimator.readings.metrics import error_metrics
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.importers import IMPORTERS
@@ -143,13 +143,13 @@ def show(
     text = []
     for role, is_part in parts.items():
         if is_part.any():
-            metrics = errors(measured[is_part], predicted[is_part])
+            metrics = error_metrics(measured[is_part], predicted[is_part])
             text.append(f"{role} {metrics.vector_T * 1e3:.4f} mT ({metrics.relative:.2%})")
     print(f"  {label:24} vector rms: {', '.join(text)}")
     if by_sensor and len(rig.sensors) > 1:
         for i, sensor in enumerate(rig.sensors):
             is_own = observations.sensor.numpy() == i
-            metrics = errors(measured[is_own], predicted[is_own])
+            metrics = error_metrics(measured[is_own], predicted[is_own])
             print(
                 f"    {sensor.name}: {metrics.vector_T * 1e3:.4f} mT ({metrics.relative:.2%}), largest {metrics.max_T * 1e3:.2f} mT"
             )

@@ -233,7 +233,7 @@ def test_a_device_that_is_badly_described_is_refused_by_name(case):
 
 def test_a_key_that_nobody_knows_is_refused_and_the_device_closed(section):
     section["hall"]["colour"] = "red"
-    with pytest.raises(Refused, match=r"devices.hall.colour is not a key that is known here"):
+    with pytest.raises(Refused, match=r"devices.hall.colour is not a known key"):
         open_devices(section)
 
 

@@ -19,9 +19,9 @@ def test_a_checkout_says_its_commit_and_whether_files_differ_from_it(
     assert code_version() is None
 
     def git(*words: str) -> str:
-        me = ["-c", "user.name=me", "-c", "user.email=me@example.org"]
+        identity = ["-c", "user.name=me", "-c", "user.email=me@example.org"]
         return subprocess.run(
-            ["git", "-C", tmp_path, *me, *words], check=True, capture_output=True, text=True
+            ["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True
         ).stdout
 
     git("init")

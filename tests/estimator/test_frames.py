@@ -139,10 +139,10 @@ def test_chaining_inverting_and_applying_agree_with_homogeneous_matrices_over_br
 
 def test_from_pose_places_the_origin_and_broadcasts_one_orientation_over_many_positions() -> None:
     positions_m, vector = random_vectors(5, seed=1), random_vectors(seed=2)
-    many = Transform.from_pose(positions_m, vector)
-    assert many.rotation.shape == (5, 3, 3)
-    torch.testing.assert_close(many.apply(torch.zeros(3).double()), positions_m)
-    torch.testing.assert_close(many.rotation[3], rotation_from_vector(vector))
+    transforms = Transform.from_pose(positions_m, vector)
+    assert transforms.rotation.shape == (5, 3, 3)
+    torch.testing.assert_close(transforms.apply(torch.zeros(3).double()), positions_m)
+    torch.testing.assert_close(transforms.rotation[3], rotation_from_vector(vector))
     one_position = Transform.from_pose(positions_m[0], random_vectors(5, seed=3))
     assert one_position.translation_m.shape == (5, 3)
 

@@ -1,4 +1,4 @@
-"""Sections of a YAML file: numbers are read as a laboratory writes them, and every fault has file, line and place."""
+"""Sections of a YAML file: numbers are read as a laboratory writes them, and every fault names file, line and key."""
 
 from __future__ import annotations
 
@@ -115,9 +115,9 @@ def test_a_quantity_without_its_unit_is_refused(text: str, message: str) -> None
     assert refusal(text, lambda s: s.quantity("radius", "length")) == message
 
 
-def test_places_are_dotted() -> None:
+def test_paths_of_keys_are_dotted() -> None:
     message = refusal("a:\n  b:\n    c: 1", lambda s: s.section("a").section("b").finish())
-    assert message == "a.b.c is not a key that is known here (rig.yaml, line 3)"
+    assert message == "a.b.c is not a known key (rig.yaml, line 3)"
 
 
 def test_a_key_that_was_taken_is_known() -> None:

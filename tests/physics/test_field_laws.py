@@ -207,8 +207,8 @@ sensors: {hall: {noise_uT: 20}}
     values = {name: tensor(value) for name, value in rig.nominal_values().items()}
     points_m = tensor([[0.0, 0.0, 0.05], [0.09, 0.02, 0.01], [0.01, 0.0, -0.02]])
     field = RoomField(rig, values, points_m, tolerance=1e-12)
-    one, other = (field.field_T(values, current) for current in torch.eye(2).double())
-    torch.testing.assert_close(other, -one, rtol=1e-10, atol=1e-16)
+    upright_T, turned_T = (field.field_T(values, current) for current in torch.eye(2).double())
+    torch.testing.assert_close(turned_T, -upright_T, rtol=1e-10, atol=1e-16)
 
 
 def test_middle_of_a_long_solenoid_holds_mu0_n_i_and_none_of_it_gets_out():

@@ -12,7 +12,8 @@ from operator import itemgetter
 
 import torch
 
-from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.linear import Projector, log_bayes_factor
 from estimator.diagnosis.hypotheses.screening import screening
@@ -28,8 +29,6 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
-FEWEST_PLACES = 2
-
 
 def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """A fit with a cause at two places or more, where that explains more than any cause at one; None where none does.
@@ -43,7 +42,7 @@ def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """
     absent = [c for c in pool if c.cause not in fit.rig.effects]
     count = Counter(cause.name for cause in {c.cause for c in absent})
-    if max(count.values(), default=0) < FEWEST_PLACES:
+    if max(count.values(), default=0) < policy.FEWEST_PLACES:
         return None
     screened = screening(fit, absent)
     alone = max(highest for _, highest, _ in screened.values())
@@ -51,7 +50,7 @@ def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     kinds = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
         for name, n in count.items()
-        if n >= FEWEST_PLACES
+        if n >= policy.FEWEST_PLACES
     ]
     value, kind = max((together(fit, starts) for starts in kinds), key=itemgetter(0))
     if value <= least:
@@ -59,7 +58,7 @@ def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     wider = _kept(fit, kind, least_log_evidence(len(screened)))
     n_more = len(wider.rig.effects) - len(fit.rig.effects)
     is_more = wider.log_evidence - fit.log_evidence > least
-    return wider if n_more >= FEWEST_PLACES and is_more else None
+    return wider if n_more >= policy.FEWEST_PLACES and is_more else None
 
 
 def together(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
@@ -94,7 +93,7 @@ def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
     for start in starts:
         rig = with_effect(rig, start.cause, fit.observations, start.shapes)
     asked = [start.cause for start in starts]
-    wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=ROUGH)
+    wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
     while idle := [cause for cause in asked if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
         for cause in idle:
@@ -102,7 +101,7 @@ def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
         asked = [cause for cause in asked if cause not in idle]
         if not asked:
             return fit
-        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=ROUGH)
+        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE)
     return wider
 
 

@@ -13,7 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-MOST_SHRINK, N_SHRINKS = -5.0, 101  # logarithms of the noise that are looked at, over the fitted one
+from estimator.diagnosis import policy
+
+N_SHRINKS = 101  # logarithms of the noise that are looked at
 TINY = 1e-12  # square of a column, in units of the noise and its prior, below which nothing is said of it
 
 
@@ -68,7 +70,7 @@ class FreeNoise:
 
     n: float
     width: float
-    most_shrink: float = MOST_SHRINK
+    most_shrink: float = policy.MOST_NOISE_SHRINK
 
 
 def log_bayes_factor(

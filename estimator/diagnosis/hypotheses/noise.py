@@ -9,15 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Kind, NoiseEffect, NoiseEstimate
 from estimator.effects.use import Use
 from estimator.model.measurement_model import NominalPrediction
 from estimator.rig.rig import Cause
-
-LEAST_GAIN = 4.0  # in log likelihood at the residuals as they are, for a full fit
 
 
 def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | None]]:
@@ -33,7 +32,7 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
         uses = [Use(effect, place) for place in effect.places(fit.rig)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
-        if use is None or hint <= LEAST_GAIN:
+        if use is None or hint <= policy.LEAST_SCATTER_GAIN:
             continue
         if hint < beside:
             yield use.cause, hint, None
@@ -87,7 +86,7 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
     if use.effect.kind is Kind.SENSOR:
         noise = f"{use.place}.noise_T"
         start[noise] = fit.values[noise] * estimate.noise_factor
-    full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=ROUGH)
+    full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
     # What was set and not fitted costs half a logarithm each.
     occam = 0.5 * len(estimate.quantities) * math.log(max(len(whitened), 1))
     return full.log_evidence - fit.log_evidence - occam, full

@@ -6,7 +6,6 @@ parameters let go to first order; the best few are fitted. A session whose noise
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.inference.likelihood import LogPosterior
@@ -23,19 +23,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 
-MOST_FITS = 6
-MOST_FAULTS = 3
-MOST_READINGS = 100  # for the comparison of all starts
 MOST_TOGETHER = 16  # starts in one batch: more of them leave the processor's cache
-MOST_LOST_ON_FEW = 3.0  # log evidence on these, against no mistake, of one that is worth a fit to all
-LOG_PRIOR_FAULT = math.log(1e-3)
-EXPECTED_NOISE, EXPECTED_VALUE = (
-    2.5,
-    3.5,
-)  # standard deviations of the prior within which what is fitted must lie
-LARGEST_MEAN_SQUARE = 1.5  # of whitened residuals
-TWINS_WITHIN = 3.0  # of the best in log evidence: they explain the readings as well
-LEAST_LOG_GAIN = math.log(1e3)
 
 
 @dataclass(frozen=True)
@@ -59,16 +47,16 @@ def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
     Returns: The fit with the mistakes as effects of its rig, and what was found.
     """
     found: list[Fault] = []
-    while len(found) < MOST_FAULTS and not _is_as_expected(base):
+    while len(found) < policy.MOST_MISTAKES and not _is_as_expected(base):
         fits = sorted(_faults(base), key=lambda fit: -fit.log_evidence)
-        if not fits or fits[0].log_evidence - base.log_evidence < LEAST_LOG_GAIN - LOG_PRIOR_FAULT:
+        if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
             break
         best = fits[0]
         others = [(fit.rig.effects[-1], fit.log_evidence - best.log_evidence) for fit in fits[1:]]
         twins = {
             cause: value
             for cause, value in reversed(others)
-            if value > -TWINS_WITHIN and cause != best.rig.effects[-1]
+            if value > -policy.TWINS_WITHIN and cause != best.rig.effects[-1]
         }
         gain = best.log_evidence - base.log_evidence
         found.append(Fault(best.rig.effects[-1], gain, tuple(twins.items())))
@@ -78,13 +66,13 @@ def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
 
 def _is_as_expected(fit: Fit) -> bool:
     """Whether the readings are followed down to a noise that was expected, by parameters that were expected."""
-    if float(fit.residual.square().mean()) > LARGEST_MEAN_SQUARE:
+    if float(fit.residual.square().mean()) > policy.LARGEST_MEAN_SQUARE:
         return False
     noises = {f"{sensor.name}.noise_T" for sensor in fit.rig.sensors}
     for parameter in fit.rig.free:
         assert parameter.prior is not None
         distance = abs(parameter.prior.distance(float(fit.values[parameter.name])))
-        if distance > (EXPECTED_NOISE if parameter.name in noises else EXPECTED_VALUE):
+        if distance > (policy.EXPECTED_NOISE_SD if parameter.name in noises else policy.EXPECTED_VALUE_SD):
             return False
     return True
 
@@ -93,7 +81,11 @@ def _faults(base: Fit) -> list[Fit]:
     """Full fits of the mistakes that look best on a few readings, and follow those no worse than the rig as it is."""
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
-    some = torch.linspace(0, len(observations) - 1, min(MOST_READINGS, len(observations))).round().long()
+    some = (
+        torch.linspace(0, len(observations) - 1, min(policy.MOST_READINGS_COMPARED, len(observations)))
+        .round()
+        .long()
+    )
     few = observations.rows(some.unique())
     present = {cause.name for cause in base.rig.effects}
     ranked = []
@@ -106,9 +98,17 @@ def _faults(base: Fit) -> list[Fit]:
             ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
     ranked.sort(key=lambda one: -one[0])
     rules = base.posterior.model.rules
-    least = fit_rig(base.rig, few, base.values, rules, tolerance=ROUGH).log_evidence - MOST_LOST_ON_FEW
-    rigs = [with_effect(base.rig, cause, observations, start) for _, cause, start in ranked[:MOST_FITS]]
-    trials = [fit_rig(rig, few, rig.nominal_values(), rules, tolerance=ROUGH) for rig in rigs]
+    least = (
+        fit_rig(base.rig, few, base.values, rules, tolerance=policy.ROUGH_TOLERANCE).log_evidence
+        - policy.MOST_LOST_ON_FEW
+    )
+    rigs = [
+        with_effect(base.rig, cause, observations, start)
+        for _, cause, start in ranked[: policy.MOST_MISTAKES_FITTED]
+    ]
+    trials = [
+        fit_rig(rig, few, rig.nominal_values(), rules, tolerance=policy.ROUGH_TOLERANCE) for rig in rigs
+    ]
     better = [
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]

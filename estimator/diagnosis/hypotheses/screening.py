@@ -9,14 +9,13 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.linear import log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
-
-SHAPES_WIDTH = 5.0  # what a maximum may miss of the evidence of a cause that has shapes, in its logarithm
 
 
 def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, float, Candidate]]:
@@ -71,7 +70,9 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     """
     observations = fit.observations
     rig = with_effect(fit.rig, start.cause, observations, start.shapes)
-    full = fit_rig(rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=ROUGH)
+    full = fit_rig(
+        rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE
+    )
     gain = full.log_evidence - fit.log_evidence
     if not math.isfinite(gain):
         return screened, full
@@ -80,6 +81,6 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     quantities = EFFECTS[start.cause.name].quantities(fit.posterior.model.circumstances.extent)
     if any(q.is_shape and not q.is_fixed for q in quantities):
         # Laplace misses the width of shapes, and a linear model does not know their bounds.
-        return min(max(gain, screened), gain + SHAPES_WIDTH), full
+        return min(max(gain, screened), gain + policy.SHAPES_WIDTH), full
     (linear,) = _by_subset(fit, start, start.subsets[-1:])
     return screened + gain - linear, full

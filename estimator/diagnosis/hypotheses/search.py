@@ -12,15 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.diagnosis.fitting import ROUGH, Fit, fit_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.hypotheses.kinds import of_one_kind, steps_of
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.step import (
-    LEAST_LOG_ODDS,
-    LOG_PRIOR_CAUSE,
-    LOG_PRIOR_NOTHING,
-    LOG_PRIOR_UNEXPLAINED,
     Step,
     leaves_structure,
     take_step,
@@ -28,12 +25,8 @@ from estimator.diagnosis.hypotheses.step import (
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, Family, discrepancy, families
 from estimator.effects.attach import with_effect
-from estimator.readings.split import blocks_of_places
+from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause
-
-MOST_CAUSES = 60
-SURELY_NEEDED = 15.0  # log evidence for a cause by its distance from the null
-MOST_REVISITED = 4  # with more causes than that, none is exchanged
 
 
 @dataclass(frozen=True)
@@ -73,11 +66,11 @@ class Search:
     def log_odds(self) -> float:
         """Of all that was taken, against nothing."""
         n = len(self.final.rig.effects) - len(self.base.rig.effects)
-        each = LOG_PRIOR_CAUSE - math.log(len({c.cause for c in self.pool})) - LOG_PRIOR_NOTHING
+        each = policy.LOG_PRIOR_CAUSE - math.log(len({c.cause for c in self.pool})) - policy.LOG_PRIOR_NOTHING
         return self.final.log_evidence - self.base.log_evidence + n * each
 
 
-def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSES) -> Search:
+def search(base: Fit, tell: Callable[[str], None], most_causes: int = policy.MOST_CAUSES) -> Search:
     """Add causes to a fit while they earn it, then ask of each again whether another would do better beside the others.
 
     Args:
@@ -89,7 +82,7 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = MOST_CAUSE
     trail = _Trail(base, pool, families(base), tell, most_causes)
     whole = discrepancy(base, trail.smooth)
     fit = trail.forward(base)
-    if 1 < len(trail.own(fit)) <= MOST_REVISITED:
+    if 1 < len(trail.own(fit)) <= policy.MOST_CAUSES_REFITTED:
         fit = trail.forward(trail.revisited(fit))
     else:
         trail.compare_again(fit)
@@ -113,7 +106,7 @@ class _Trail:
         most_causes: int,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
-        self.block = blocks_of_places(base.observations, np.random.default_rng(0))
+        self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.most_causes = tell, most_causes
         self.steps: list[Step] = []
         self.stages: list[Stage] = []
@@ -224,9 +217,9 @@ class _Trail:
         ranked = pairs(fit, pool)
         if not ranked or len(self.own(fit)) + 2 > self.most_causes:
             return None
-        nothing = LOG_PRIOR_NOTHING + LEAST_LOG_ODDS
-        unexplained = LOG_PRIOR_UNEXPLAINED + stop.left.log_bayes_factor
-        least = max(nothing, unexplained) - 2.0 * LOG_PRIOR_CAUSE + math.log(0.5 * n * (n - 1))
+        nothing = policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS
+        unexplained = policy.LOG_PRIOR_UNEXPLAINED + stop.left.log_bayes_factor
+        least = max(nothing, unexplained) - 2.0 * policy.LOG_PRIOR_CAUSE + math.log(0.5 * n * (n - 1))
         value, one, other = ranked[0]
         if value <= least:
             return None
@@ -282,10 +275,10 @@ def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         own = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
         needs = {cause: fit.log_evidence_for(cause) for cause in own[:-1]}
         cause = min(needs, key=needs.__getitem__, default=None)
-        if cause is None or needs[cause] > SURELY_NEEDED:
+        if cause is None or needs[cause] > policy.SURELY_NEEDED:
             return fit, gone
         rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
-        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=ROUGH)
+        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE)
         if best.log_evidence <= fit.log_evidence:
             return fit, gone
         gone.append(cause)

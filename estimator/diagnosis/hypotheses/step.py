@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Int
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.noise import noise_causes
@@ -24,14 +25,6 @@ from estimator.effects import EFFECTS
 from estimator.effects.base import NoiseEffect
 from estimator.rig.rig import Cause
 
-LOG_PRIOR_NOTHING = math.log(0.4)
-LOG_PRIOR_CAUSE = math.log(0.3)  # shared by all causes
-LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-LEAST_LOG_ODDS = math.log(20.0)  # against nothing, for a cause to be taken
-LEAST_LOG_ODDS_LEFT = math.log(10.0)  # for something to be left that no cause explains
-CREDIBLE = 0.95
-MOST_LEADERS = 4
-LEADERS_WITHIN = 10.0  # in log evidence, of the best that was fitted, to be fitted too
 Blocks = Int[np.ndarray, " reading"]
 
 
@@ -95,13 +88,13 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted = None
-        if i < MOST_LEADERS and highest > max(best - LEADERS_WITHIN, 0.0):
+        if i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0):
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
         rivals.append(Rival(cause, cause.label, value, fit=fitted))
     least = least_log_evidence(len(ranked))
     beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
-    noisy = noise_causes(fit, beside - LEADERS_WITHIN if beside > least else 0.0)
+    noisy = noise_causes(fit, beside - policy.LEADERS_WITHIN if beside > least else 0.0)
     rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noisy]
     rivals = with_probabilities([_judged(fit, rival, block) for rival in rivals], len(ranked))
     causes = [rival for rival in rivals if rival.cause is not None]
@@ -117,12 +110,17 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
 
 def least_log_evidence(n_causes: int) -> float:
     """What a cause needs against nothing to be taken, where so many are asked."""
-    return LEAST_LOG_ODDS + LOG_PRIOR_NOTHING - LOG_PRIOR_CAUSE + math.log(max(n_causes, 1))
+    return (
+        policy.LEAST_LOG_ODDS + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE + math.log(max(n_causes, 1))
+    )
 
 
 def leaves_structure(left: Discrepancy) -> bool:
     """Whether the odds are that something is left which no cause explains."""
-    return left.log_bayes_factor + LOG_PRIOR_UNEXPLAINED - LOG_PRIOR_NOTHING > LEAST_LOG_ODDS_LEFT
+    return (
+        left.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
+        > policy.LEAST_LOG_ODDS_LEFT
+    )
 
 
 def _judged(fit: Fit, rival: Rival, block: Blocks) -> Rival:
@@ -158,8 +156,8 @@ def _is_noise(rival: Rival) -> bool:
 
 def with_probabilities(rivals: Sequence[Rival], n_causes: int) -> list[Rival]:
     """Rivals with their probabilities among each other, most probable first."""
-    log_prior = {"nothing": LOG_PRIOR_NOTHING, "unexplained": LOG_PRIOR_UNEXPLAINED}
-    each = LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
+    log_prior = {"nothing": policy.LOG_PRIOR_NOTHING, "unexplained": policy.LOG_PRIOR_UNEXPLAINED}
+    each = policy.LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
     logs = torch.tensor(
         [r.log_bayes_factor + log_prior.get(r.name, each) for r in rivals], dtype=torch.float64
     )
@@ -180,7 +178,7 @@ def credible_set(causes: Sequence[Rival], taken: Cause | None) -> tuple[Rival, .
     What explains no more than nothing does is left out: many such together may hold some per cent.
     """
     reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
-    n = int((reached < CREDIBLE).sum()) + 1
+    n = int((reached < policy.CREDIBLE_SHARE).sum()) + 1
     return tuple(
         rival
         for i, rival in enumerate(causes)

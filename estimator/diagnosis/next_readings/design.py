@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.next_readings.expected_evidence import (
@@ -15,7 +16,6 @@ from estimator.diagnosis.next_readings.expected_evidence import (
     separation,
 )
 from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
-from estimator.diagnosis.structure.signatures import CLEAR
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
@@ -26,10 +26,6 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-
-TYPICAL_SIGMA = 8.0  # visible size at which causes that the session does not show are compared
-NEARLY_NOTHING = 0.1  # standard deviations that the prior width of a cause would change the readings by
-MORE_STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,7 @@ def design(
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
-    base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, MORE_STARTS)
+    base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, policy.MORE_STARTS)
     stops = candidate_stops(observations)
     if shrink is not None:
         if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
@@ -114,15 +110,17 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
     best = max(pool, key=lambda one: float(base.projector.rest(one.columns).norm()))
     rig = with_effect(base.rig, cause, base.observations, best.shapes)
     fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.model.rules)
-    if fit.log_evidence - base.log_evidence > CLEAR:
+    if fit.log_evidence - base.log_evidence > policy.CLEAR_LOG_EVIDENCE:
         return fit
     visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
     strongest = int(visible.argmax())
-    if float(visible[strongest]) < NEARLY_NOTHING:
+    if float(visible[strongest]) < policy.NEARLY_NOTHING:
         raise InvalidInput(
             f"{cause.label} must be visible in the session to be told from another; the fit follows it wholly"
         )
-    size = min(TYPICAL_SIGMA / float(visible[strongest]), 3.0) * float(best.prior_sd[strongest])
+    size = min(policy.TYPICAL_SIGMA / float(visible[strongest]), policy.PLAUSIBLE_SD) * float(
+        best.prior_sd[strongest]
+    )
     key = best.keys[strongest]
     null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.model.circumstances.extent)}[
         key

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.linear import Projector
 from estimator.inference.likelihood import LogPosterior
@@ -23,9 +24,6 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
-
-N_STOPS = 30  # readings that an action adds
-SAME_A = 1e-6
 
 
 @dataclass(frozen=True)
@@ -178,7 +176,7 @@ def _some_stops(session: Observations) -> Tensor:
         0, place, torch.arange(len(place)), "amin"
     )
     order = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))
-    return first[order[:N_STOPS]]
+    return first[order[: policy.N_STOPS]]
 
 
 def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observations:

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.rig.rig import Cause
-
-VISIBLE_SIGMA = 5.0
-TYPICAL_SIGMA = 8.0  # of the causes that are compared with each other
-CONFUSED_WITHIN = math.log(20.0)  # in expected log evidence
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Visible:
     @property
     def is_visible(self) -> bool:
         """Whether a plausible size would show."""
-        return self.size < 3.0 * self.prior_sd
+        return self.size < policy.PLAUSIBLE_SD * self.prior_sd
 
 
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
@@ -49,7 +46,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
         norm = torch.diagonal(fit.projector.gram(candidate.columns, candidate.columns)).clamp(min=0.0).sqrt()
         for i, key in enumerate(candidate.keys):
             n_sigma = float(norm[i])
-            size = VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
+            size = policy.VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
             own = Visible(candidate.cause, key, candidate.units[i], size, float(candidate.prior_sd[i]))
             known = best.get((candidate.cause, key))
             if known is None or own.size < known.size:
@@ -83,7 +80,7 @@ def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     found: dict[Cause, list[Tensor]] = {}
     for candidate in pool:
         own = fit.projector.rest(candidate.columns)
-        visible = own.norm(dim=0) * candidate.prior_sd * 3.0 > VISIBLE_SIGMA
+        visible = own.norm(dim=0) * candidate.prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
         found.setdefault(candidate.cause, []).append(own[:, visible])
     return {cause: torch.cat(parts, dim=1) for cause, parts in found.items()}
 
@@ -94,11 +91,11 @@ def _span(columns: Tensor) -> Tensor:
         return columns
     scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
     left, size, _ = torch.linalg.svd(scaled, full_matrices=False)
-    kept: Tensor = left[:, size > 1e-3 * size[0]]
+    kept: Tensor = left[:, size > policy.LEAST_DIRECTION * size[0]]
     return kept
 
 
 def _follows(basis: Tensor, other: Tensor) -> bool:
     """Whether a basis follows the typical direction of another so closely that the evidence hardly differs."""
     kept = (basis.T @ other).square().sum() / other.shape[1]
-    return float(0.5 * TYPICAL_SIGMA**2 * (1.0 - kept)) < CONFUSED_WITHIN
+    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - kept)) < policy.CONFUSED_WITHIN

@@ -9,12 +9,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jacfwd
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.next_readings.expected_evidence import Rows, continued
 from estimator.readings.observations import Observations
-
-CURRENT_SHARES = (1.0, -1.0, 0.5, 0.0)  # of the largest current of the session
-MOST_POSES = 150
 
 
 def candidate_stops(session: Observations) -> Observations:
@@ -24,11 +22,11 @@ def candidate_stops(session: Observations) -> Observations:
     first = torch.full((int(place.max()) + 1,), len(place))
     first = first.scatter_reduce(0, place, torch.arange(len(place)), "amin")
     generator = torch.Generator().manual_seed(0)
-    poses = first[torch.randperm(len(first), generator=generator)[:MOST_POSES]]
+    poses = first[torch.randperm(len(first), generator=generator)[: policy.MOST_POSES]]
     largest_A = session.current_A.abs().max()
     settings = []
     for coil in range(session.current_A.shape[1]):
-        for share in CURRENT_SHARES:
+        for share in policy.CURRENT_SHARES:
             setting = torch.zeros(session.current_A.shape[1], dtype=torch.float64)
             setting[coil] = share * largest_A
             settings.append(setting)

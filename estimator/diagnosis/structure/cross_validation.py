@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 
 LEAST_SHARE = 1e-12  # of a block's own scatter that its parameters leave over: none where it alone determines one of them
-LEAST_JUDGED = 1e-3  # such a share, for the other blocks to say where the parameters would go without it
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class HeldOut:
 
     @property
     def is_loss(self) -> bool:
-        """Whether a loss exceeds twice its standard error."""
-        return self.gain < -2.0 * self.se
+        """Whether a loss exceeds what chance leaves."""
+        return self.gain < -policy.LEAST_HELD_OUT_LOSS_SE * self.se
 
 
 def held_out(before: Fit, after: Fit, block: Int[np.ndarray, " reading"]) -> HeldOut:
@@ -78,7 +78,7 @@ def jackknife_covariance(
     """
     moves = []
     for mine, share, vectors in _blocks(fit, block):
-        unsaid = torch.where(share > LEAST_JUDGED, vectors.T @ fit.residual[mine] / share, 0.0)
+        unsaid = torch.where(share > policy.LEAST_SHARE_JUDGED, vectors.T @ fit.residual[mine] / share, 0.0)
         moves.append(fit.covariance @ (fit.jacobian[mine].T @ (vectors @ unsaid)))
     moved = torch.stack(moves)
     return (1.0 - 1.0 / len(moved)) * moved.T @ moved

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.linear import log_bayes_factor, log_mean_exp
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
@@ -21,11 +22,6 @@ from estimator.diagnosis.structure.winding_shapes import shape_fields
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Coil
-
-AMPLITUDES = (0.5, 2.0, 8.0, 30.0)  # rms of a family in units of the noise
-DEGREE, HARMONIC_DEGREE, TIME_DEGREE = 4, 5, 6
-DECAY_STEPS = (0.7, 2.0, 6.0)  # of what lingers, in readings
-N_INSTANTS = 11  # at which something may have changed
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
         evidence.setdefault(family.name, []).append(log_bf)
         top = int(log_bf.argmax())
         if float(log_bf[top]) > best[0]:
-            best = (float(log_bf[top]), family, AMPLITUDES[top])
+            best = (float(log_bf[top]), family, policy.AMPLITUDES[top])
     by_family = {name: log_mean_exp(torch.cat(parts)) for name, parts in evidence.items()}
     total = log_mean_exp(torch.tensor(list(by_family.values()), dtype=torch.float64))
     _, strongest, amplitude = best
@@ -96,10 +92,10 @@ def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
 
 
 def evidence_by_amplitude(fit: Fit, family: Family) -> Float[Tensor, " amplitude"]:
-    """Log Bayes factor of a family against no structure, for each of `AMPLITUDES`."""
+    """Log Bayes factor of a family against no structure, for each of `policy.AMPLITUDES`."""
     gram = fit.projector.gram(family.columns, family.columns)
     score = family.columns.T @ fit.residual
-    sd = torch.tensor(AMPLITUDES, dtype=torch.float64)[:, None].expand(-1, len(score))
+    sd = torch.tensor(policy.AMPLITUDES, dtype=torch.float64)[:, None].expand(-1, len(score))
     return log_bayes_factor(gram.expand(len(sd), -1, -1), score.expand(len(sd), -1), sd, fit.free_noise)
 
 
@@ -122,20 +118,20 @@ def families(fit: Fit) -> list[Family]:
     mixed = torch.cat([torch.diag_embed(torch.roll(field, shift, dims=1)) for shift in range(3)], dim=-1)
     one = torch.ones(len(circumstances), 1, dtype=torch.float64)
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
-    clock = legendre(time, TIME_DEGREE)[:, 1:]
+    clock = legendre(time, policy.TIME_DEGREE)[:, 1:]
     found = Collection(fit)
     for coil in model.rig.coils:
         _add_places(found, model, coil, fit)
     found.add("time", clock[:, 1:], each)
     found.add("field and time", clock, torch.diag_embed(field))
-    for edge in torch.linspace(-1.0, 1.0, N_INSTANTS + 2).tolist()[1:-1]:
+    for edge in torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]:
         later = (time > edge).to(torch.float64)
         for i in range(len(model.rig.sensors)):
             mine = (later * (circumstances.sensor == i))[:, None]
             if bool(mine.any()):
                 found.add("a change in mid session", mine, each)
                 found.add("a change in mid session", mine, torch.cat((each, mixed), dim=-1))
-    found.add("the reading itself", polynomials(unit_interval(field), 2, DEGREE), each)
+    found.add("the reading itself", polynomials(unit_interval(field), 2, policy.SMOOTH_DEGREE), each)
     for changes_T in _changes(fit, predicted_T):
         change = changes_T / changes_T.abs().max().clamp(min=1e-12)
         rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
@@ -147,7 +143,7 @@ def families(fit: Fit) -> list[Family]:
 def _changes(fit: Fit, predicted_T: Float[Tensor, "reading 3"]) -> list[Float[Tensor, "reading 3"]]:
     """The last change of the field, and what lingers of all changes for some time."""
     last_T = before(predicted_T, fit.observations.row) - predicted_T
-    lingering = [lingering_T(fit, steps) for steps in DECAY_STEPS]
+    lingering = [lingering_T(fit, steps) for steps in policy.DECAY_STEPS]
     return [last_T, *(one for one in lingering if one is not None)]
 
 
@@ -193,7 +189,7 @@ def _add_places(found: Collection, model: MeasurementModel, coil: Coil, fit: Fit
     inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
     fields = [
         torch.einsum("rij,rtj->rti", turn, harmonic_gradients(inner, degree)) / degree**2
-        for degree in range(2, HARMONIC_DEGREE + 1)
+        for degree in range(2, policy.HARMONIC_DEGREE + 1)
     ]
     source = torch.cat(fields, dim=1)
     winding = winding_of(model.rig, coil, fit.values)
@@ -204,8 +200,8 @@ def _add_places(found: Collection, model: MeasurementModel, coil: Coil, fit: Fit
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
         drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
-        found.add(name, polynomials(place, 1, DEGREE) * drive[:, None], turn)
-        found.add(name, polynomials(place, 1, 2) * drive[:, None], turn)
+        found.add(name, polynomials(place, 1, policy.SMOOTH_DEGREE) * drive[:, None], turn)
+        found.add(name, polynomials(place, 1, policy.COARSE_DEGREE) * drive[:, None], turn)
         found.add_fields(name, source * drive[:, None, None])
         found.add_fields(name, nearby * drive[:, None, None])
 

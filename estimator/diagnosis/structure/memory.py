@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.model.measurement_model import MeasurementModel
-
-MOST_PREDICTED = 4000  # readings of the history for which every sensor's field is predicted
 
 
 def lingering_T(fit: Fit, decay_steps: float) -> Float[Tensor, "reading 3"] | None:
@@ -26,7 +25,7 @@ def lingering_T(fit: Fit, decay_steps: float) -> Float[Tensor, "reading 3"] | No
     """
     history = fit.observations.history
     n_sensors = len(fit.rig.sensors)
-    if len(history) * n_sensors > MOST_PREDICTED:
+    if len(history) * n_sensors > policy.MOST_HISTORY_PREDICTED:
         return None
     step_s = torch.diff(history.time_s, prepend=history.time_s[:1])
     typical_s = step_s[1:].median().clamp(min=1e-9) if len(history) > 1 else torch.tensor(1.0)

@@ -13,15 +13,13 @@ from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.covariates import Covariate, covariates
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
 from estimator.readings.observations import Observations
 from estimator.rig.parameters import LogNormal
 
-DEGREE = 4
-N_DRAWS = 2000  # of pure noise
-FEWEST_REPEATS = 10  # components read again, for them to tell the noise
 RANK_TOLERANCE = 1e-6
 
 
@@ -97,11 +95,11 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
         [_without(basis, same) for basis, same in zip(of_one, bases[0], strict=True)] for of_one in bases[1:]
     ]
     generator = torch.Generator().manual_seed(seed)
-    noise = torch.randn(len(fit.residual), N_DRAWS, generator=generator, dtype=torch.float64)
+    noise = torch.randn(len(fit.residual), policy.N_NOISE_DRAWS, generator=generator, dtype=torch.float64)
     noise = fit.projector.rest(noise)
     noise = noise / noise.norm(dim=0)
     own = fit.residual / fit.residual.norm()
-    least = torch.ones(N_DRAWS, dtype=torch.float64)
+    least = torch.ones(policy.N_NOISE_DRAWS, dtype=torch.float64)
     single: list[list[float]] = []
     for basis in bases:
         single.append([])
@@ -114,7 +112,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
             single[-1].append(float(_p_values((columns.T @ own).square().sum()[None], columns)[0]))
     found = []
     for covariate, basis, p_values in zip(tested, bases, single, strict=True):
-        together = float(((least <= min(p_values)).sum() + 1) / (N_DRAWS + 1))
+        together = float(((least <= min(p_values)).sum() + 1) / (policy.N_NOISE_DRAWS + 1))
         share = sum(float((columns.T @ own).square().sum()) for columns in basis)
         expected = sum(columns.shape[1] for columns in basis) / len(own)
         found.append(Structure(covariate, together, share, expected, (p_values[0], p_values[1], p_values[2])))
@@ -124,7 +122,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
 def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "component column"]:
     """Orthonormal smooth functions of a covariate on one component of the reading, less what the fit follows."""
     values = covariate.by_reading
-    degree = min(DEGREE, len(torch.unique(values)) - 1)
+    degree = min(policy.COVARIATE_DEGREE, len(torch.unique(values)) - 1)
     smooth = legendre(unit_interval(values[:, None])[:, 0], max(degree, 1))
     smooth = smooth[:, 1 : degree + 1] if degree else smooth[:, :1]
     on_axis = torch.zeros(smooth.shape[1], len(values), 3, dtype=torch.float64)
@@ -172,7 +170,7 @@ def _repeats(observations: Observations) -> tuple[float, int] | None:
         mean = torch.zeros_like(number).index_add(0, own, value) / number.clamp(min=1.0)
         total += float((value - mean[own]).square().sum())
         free += float((number - 1.0).clamp(min=0.0).sum())
-    if free < FEWEST_REPEATS or total == 0.0:
+    if free < policy.FEWEST_REPEATS or total == 0.0:
         return None
     return math.sqrt(total / free), int(free)
 

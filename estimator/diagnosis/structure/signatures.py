@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.linear import log_mean_exp
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
@@ -28,8 +29,6 @@ from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_int
 from estimator.model.bodies import winding_of
 from estimator.rig.rig import Coil
 
-DEGREES, TIME_DEGREE, HARMONIC_DEGREE = (1, 2, 3), 6, 5
-CLEAR = 3.0  # log evidence by which one answer must lead to be given alone
 SAME = 1e-6
 
 Evidence = dict[str, float]
@@ -60,9 +59,9 @@ def leading(evidence: Evidence | None) -> list[str]:
     if not evidence:
         return []
     best = max(evidence.values())
-    if best < CLEAR:
+    if best < policy.CLEAR_LOG_EVIDENCE:
         return []
-    return [name for name, value in evidence.items() if value > best - CLEAR]
+    return [name for name, value in evidence.items() if value > best - policy.CLEAR_LOG_EVIDENCE]
 
 
 def _stays_with(fit: Fit) -> Evidence:
@@ -75,17 +74,17 @@ def _stays_with(fit: Fit) -> Evidence:
     found = Collection(fit)
     for i, (coil, place_m) in enumerate(sensor_in_coils(fit).items()):
         turn = _sensor_from_coil(fit, fit.rig.coils[i])
-        for degree in DEGREES:
+        for degree in policy.SIGNATURE_DEGREES:
             place = polynomials(unit_interval(place_m), 0, degree)
             found.add(coil, place * _drive(fit, i)[:, None], turn)
             found.add(coil, place, turn)
     found.add("constant", one, each)
     place_m, sensor_from_world = sensor_in_room(fit)
-    for degree in DEGREES:
+    for degree in policy.SIGNATURE_DEGREES:
         found.add("room", polynomials(unit_interval(place_m), 0, degree - 1), sensor_from_world)
         found.add("sensor", polynomials(unit_interval(field_T), 0, degree), each)
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
-    for degree in (1, TIME_DEGREE):
+    for degree in (1, policy.TIME_DEGREE):
         found.add("clock", legendre(time, degree), each)
         found.add("clock", legendre(time, degree), torch.cat((each, own), dim=-1))
     change = (before(field_T, circumstances.observations.row) - field_T) / largest_T
@@ -103,7 +102,7 @@ def _current(fit: Fit) -> Evidence | None:
         if float(drive.max() - drive.min()) < SAME:
             continue
         sizes = torch.unique((drive.abs() / SAME).round())
-        for degree in DEGREES:
+        for degree in policy.SIGNATURE_DEGREES:
             place = polynomials(unit_interval(place_m), 0, degree)
             found.add("independent", place, turn)
             found.add("odd", place * drive[:, None], turn)
@@ -123,13 +122,15 @@ def _field_equations(fit: Fit) -> Evidence | None:
         drive = _drive(fit, i)
         middle_m = place_m.mean(0)
         inner = (place_m - middle_m) / (place_m - middle_m).norm(dim=-1).max()
-        sources = [harmonic_gradients(inner, degree) / degree**2 for degree in range(1, HARMONIC_DEGREE + 1)]
+        sources = [
+            harmonic_gradients(inner, degree) / degree**2 for degree in range(1, policy.HARMONIC_DEGREE + 1)
+        ]
         near = dipoles(place_m / winding_of(fit.rig, fit.rig.coils[i], fit.values).radius_m)
         for now in (drive, torch.ones_like(drive)):
             for fields in (torch.cat(sources, dim=1), near):
                 turned = torch.einsum("rij,rtj->rti", turn, fields)
                 found.add_fields("a magnetic field", turned * now[:, None, None])
-            for degree in DEGREES:
+            for degree in policy.SIGNATURE_DEGREES:
                 place = polynomials(unit_interval(place_m), 0, degree)
                 found.add("no magnetic field", place * now[:, None], turn)
     return _evidence(fit, found.families) if found.families else None

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.residual_tests import LackOfFit, Structure, lack_of_fit, structure
 from estimator.diagnosis.structure.signatures import Signatures, leading, signatures, words
 
-SIGNIFICANT = 0.05
 MOST_LISTED = 12
-CLEARLY_MORE = 1.2  # than noise would leave, for a reader
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Symptoms:
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would leave {size.noise_T * 1e6:.3g} µT ({source})"
         found = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
-        striking = [one for one in self.structure if one.p_value < SIGNIFICANT]
+        striking = [one for one in self.structure if one.p_value < policy.SIGNIFICANT]
         if striking:
             names = "; ".join(f"{one.covariate.name} (p = {_p(one.p_value)})" for one in striking[:4])
             found.append(
@@ -87,9 +86,9 @@ def _against_noise(size: LackOfFit) -> str:
         >>> _against_noise(LackOfFit(357e-6, 100e-6, "specification", 0.1))
         'more, but what is known of the noise does not rule that out'
     """
-    if size.p_value < SIGNIFICANT:
+    if size.p_value < policy.SIGNIFICANT:
         return "more than noise may leave"
-    if size.rms_T > CLEARLY_MORE * size.noise_T:
+    if size.rms_T > policy.CLEARLY_MORE * size.noise_T:
         return "more, but what is known of the noise does not rule that out"
     return "no more than noise may leave"
 

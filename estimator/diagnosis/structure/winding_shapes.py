@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.field.winding import Winding
 
-N_AROUND, N_ALONG = 32, 4
-MOST_WAVES, AXIAL_DEGREE = 4, 2
+N_AROUND, N_ALONG = 32, 4  # elements that stand for the winding
 
 
 def shape_fields(
@@ -39,11 +39,11 @@ def shape_fields(
     height_m = -0.5 * winding.length_m * (1.0 - along)
     places_m = radius_m * outward + height_m[:, None] * upward
     waves = [one / 1.0]
-    for m in range(1, MOST_WAVES + 1):
+    for m in range(1, policy.WINDING_WAVES + 1):
         waves += [torch.cos(m * phi) / (1 + m), torch.sin(m * phi) / (1 + m)]
-    patterns = torch.einsum("sw,sp->wps", torch.stack(waves, dim=-1), legendre(along, AXIAL_DEGREE)).flatten(
-        0, 1
-    )
+    patterns = torch.einsum(
+        "sw,sp->wps", torch.stack(waves, dim=-1), legendre(along, policy.WINDING_DEGREE)
+    ).flatten(0, 1)
     moments = torch.cat(
         [patterns[:, :, None] * torch.linalg.cross(shift, forward) for shift in (outward, upward)]
     )

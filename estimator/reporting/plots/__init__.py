@@ -1,17 +1,22 @@
-"""Pictures of a calibration.
+"""Plots of calibrations, diagnoses and registries.
 
-Every function draws into the Axes it is given or into a figure of its own, returns it, and never shows or saves.
+Every function draws into the given Axes, or into a new figure, and returns it. It never shows or saves.
 """
 
 from estimator.reporting.plots.corner import corner
-from estimator.reporting.plots.field_map import field_plane
-from estimator.reporting.plots.history import history
-from estimator.reporting.plots.hypotheses import evidence_bars, explained, ladder, structure_bars
-from estimator.reporting.plots.place_map import (
+from estimator.reporting.plots.error_maps import (
     angular_deviation_map,
     before_and_after_map,
     relative_error_map,
     residual_map,
+)
+from estimator.reporting.plots.field_map import field_plane
+from estimator.reporting.plots.history import history
+from estimator.reporting.plots.hypotheses import (
+    evidence_bars,
+    explained_residual,
+    stepwise_residual,
+    structure_bars,
 )
 from estimator.reporting.plots.posterior import interval_summary, trace, traces
 from estimator.reporting.plots.residuals import (
@@ -29,13 +34,12 @@ __all__ = [
     "before_and_after_map",
     "corner",
     "evidence_bars",
-    "explained",
+    "explained_residual",
     "field_plane",
     "history",
     "interaction",
     "interactions",
     "interval_summary",
-    "ladder",
     "main_effect",
     "main_effects",
     "predicted_against_measured",
@@ -44,6 +48,7 @@ __all__ = [
     "residual_by_sensor",
     "residual_histogram",
     "residual_map",
+    "stepwise_residual",
     "structure_bars",
     "trace",
     "traces",

@@ -1,4 +1,4 @@
-"""The calibrated field of one coil in the plane of its axis, and how well it is known."""
+"""Calibrated field of one coil in a plane through its axis, and its relative uncertainty."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def field_plane(
     readings_m: Float[np.ndarray, "reading 3"] | None = None,
     title: str = "",
 ) -> Figure:
-    """Calibrated field in the plane y = 0 of the coil frame, and how well it is known.
+    """Calibrated field in the plane y = 0 of the coil frame, and its relative uncertainty.
 
     Args:
-        x_m: Across the axis, evenly spaced, increasing.
-        z_m: Along the axis, likewise.
-        field_T: Field in the coil frame; what lies inside the winding is hidden.
-        relative_half_width: Half of the 90 % interval of |B| over |B|.
-        winding: The coil's, one value each.
-        readings_m: Places of the sensor in the coil frame; outside of them the model extrapolates.
+        x_m: Coordinates across the axis, evenly spaced, increasing.
+        z_m: Coordinates along the axis, evenly spaced, increasing.
+        field_T: Field in the coil frame; values inside the winding are hidden.
+        relative_half_width: Half-width of the 90 % credible interval of |B|, relative to |B|.
+        winding: Winding of the coil (no batch).
+        readings_m: Sensor positions in the coil frame; beyond them the model extrapolates.
         title: Rig, date and the coil's current.
     """
     x_mm, z_mm = x_m * 1e3, z_m * 1e3
-    made = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
-    left, right = made.subplots(1, 2, sharex=True, sharey=True)
+    fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
+    left, right = fig.subplots(1, 2, sharex=True, sharey=True)
     across_m = np.abs(x_m)[None, :]
     inner_m = float(winding.radius_m - winding.thickness_m)
     is_beside = (z_m > 0.0) | (z_m < -float(winding.length_m))
@@ -54,31 +54,32 @@ def field_plane(
     across, along = field_T[..., 0], field_T[..., 2]
     left.streamplot(x_mm, z_mm, across, along, color="white", linewidth=0.6, arrowsize=0.7, density=0.9)
     ticks = LogLocator(subs=(1.0, 2.0, 5.0))
-    bar = made.colorbar(filled, ax=left, label="|B| (mT)", ticks=ticks, format="%g")
+    bar = fig.colorbar(filled, ax=left, label="|B| (mT)", ticks=ticks, format="%g")
     bar.ax.minorticks_off()
-    left.set_title("field and its lines, y = 0")
+    left.set_title("field and field lines, y = 0")
     percent = 100.0 * relative_half_width
     top = float(np.quantile(percent[is_known], 0.98))
     steps = MaxNLocator(10).tick_values(0.0, top or 1.0)
     filled = right.contourf(
         x_mm, z_mm, np.ma.masked_invalid(percent), list(steps), cmap=ERROR_MAP, extend="max"
     )
-    made.colorbar(filled, ax=right, label="half-width of the 90 % interval of |B| (%)")
-    right.set_title("how well |B| is known")
+    fig.colorbar(filled, ax=right, label="half-width of the 90 % credible interval of |B| (%)")
+    right.set_title("relative uncertainty of |B|")
     for ax in (left, right):
         draw_winding(ax, winding, "z", zorder=3.0)
-        ax.set_facecolor(WINDING)  # shows where the model has no value: inside this winding or another coil's
+        ax.set_facecolor(WINDING)  # visible where the model has no value: inside a winding
         ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
     if readings_m is not None:
-        places = np.unique(np.round(readings_m[:, [0, 2]], 3), axis=0) * 1e3
-        right.plot(*places.T, "o", color="white", mec=BLACK, mew=0.5, ms=3, label="readings, all y", zorder=4)
+        positions_mm = np.unique(np.round(readings_m[:, [0, 2]], 3), axis=0) * 1e3
+        label = "sensor positions, all y"
+        right.plot(*positions_mm.T, "o", color="white", mec=BLACK, mew=0.5, ms=3, label=label, zorder=4)
         right.legend(loc="upper right", frameon=True, framealpha=1.0, fontsize=8)
     left.set_ylabel("z (mm)")
-    return made
+    return fig
 
 
 def draw_winding(ax: Axes, winding: Winding, up: str, zorder: float = 0.5) -> None:
-    """The winding's section in XZ (two rectangles), or its outline from the front in XY (a ring), in mm."""
+    """Draw the winding's section in XZ (two rectangles) or its outline in XY (a ring), in mm."""
     sizes_m = (winding.radius_m, winding.thickness_m, winding.length_m)
     radius, thickness, length = (1e3 * float(size_m) for size_m in sizes_m)
     style: dict[str, Any] = {"facecolor": WINDING, "edgecolor": WINDING_EDGE, "lw": 0.8, "zorder": zorder}

@@ -1,4 +1,4 @@
-"""Parameters over time: what every session says by itself, the version in use, and how each session was concluded."""
+"""Parameters over time: the estimate of each session, the version in use, and the conclusion on each session."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from estimator.reporting.plots.style import (
     ORANGE,
     POSTERIOR,
     VERMILLION,
-    Shown,
+    Display,
+    displays,
     figure,
     plain,
-    shown,
     styled,
 )
 from estimator.units import split_unit
@@ -38,14 +38,14 @@ HALF_WIDTH_90 = 1.644854
 
 
 @dataclass(frozen=True)
-class Visit:
-    """One session.
+class SessionSummary:
+    """A session as the history shows it.
 
     Attributes:
-        taken: When.
-        conclusion: What became of it.
-        label: Written above it, such as the cause of a drift.
-        estimate: Value and standard deviation of every parameter from it alone, by name, SI.
+        taken: Time of its readings.
+        conclusion: One of `CONCLUSIONS`.
+        label: Text above its mark, such as the cause of a drift.
+        estimate: Value and standard deviation of every parameter from this session alone, by name, SI.
     """
 
     taken: datetime
@@ -55,8 +55,8 @@ class Visit:
 
 
 @dataclass(frozen=True)
-class InUse:
-    """A version from one time to another, with the lower end, median and upper end of its 90 % intervals by name, SI."""
+class VersionInUse:
+    """A version with the period of its use, and by parameter the lower end, median and upper end of the 90 % interval, SI."""
 
     begin: datetime
     end: datetime
@@ -65,51 +65,51 @@ class InUse:
 
 
 @styled
-def history(visits: Sequence[Visit], in_use: Sequence[InUse], title: str = "") -> Figure:
+def history(sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse], title: str = "") -> Figure:
     """Conclusions on top; below, one panel per parameter with the versions as bands and the sessions as points.
 
     Args:
-        visits: In the order of time.
-        in_use: Versions in the order of their use; one that was made current again comes again.
+        sessions: Sessions in order of time.
+        versions: Versions in order of use; one that was made current again appears again.
         title: Rig and dates.
     """
-    names = list(dict.fromkeys(name for part in in_use for name in part.intervals))
-    made = figure(9.0, 2.0 + 1.15 * len(names), title)
-    strip, *panels = made.subplots(
+    names = list(dict.fromkeys(name for version in versions for name in version.intervals))
+    fig = figure(9.0, 2.0 + 1.15 * len(names), title)
+    strip, *panels = fig.subplots(
         len(names) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.1, *[1.0] * len(names)]
     ).flat
-    _conclusions(strip, visits, in_use)
+    _conclusions(strip, sessions, versions)
     for ax, name in zip(panels, names, strict=True):
-        _parameter(ax, name, _shown(name, names), visits, in_use)
+        _parameter(ax, name, _display(name, names), sessions, versions)
     bottom = panels[-1] if panels else strip
     locator = mdates.AutoDateLocator(minticks=3, maxticks=9)
     bottom.xaxis.set_major_locator(locator)
     bottom.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
     bottom.set_xlabel("time of the readings (UTC)")
-    made.align_ylabels()
-    return made
+    fig.align_ylabels()
+    return fig
 
 
-def _conclusions(ax: Axes, visits: Sequence[Visit], in_use: Sequence[InUse]) -> None:
-    for visit in visits:
-        colour, marker = CONCLUSIONS[visit.conclusion]
-        ax.plot([_number(visit.taken)], [0.0], marker, color=colour, ms=7, clip_on=False)
-        if visit.label:
+def _conclusions(ax: Axes, sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse]) -> None:
+    for session in sessions:
+        colour, marker = CONCLUSIONS[session.conclusion]
+        ax.plot([_number(session.taken)], [0.0], marker, color=colour, ms=7, clip_on=False)
+        if session.label:
             ax.annotate(
-                plain(visit.label),
-                (_number(visit.taken), 0.0),
+                plain(session.label),
+                (_number(session.taken), 0.0),
                 (0, 8),
                 textcoords="offset points",
                 ha="center",
                 fontsize=8,
                 color=colour,
             )
-    for i, part in enumerate(in_use):
+    for i, version in enumerate(versions):
         if i:
-            ax.axvline(_number(part.begin), color=POSTERIOR, lw=0.8, ls=":")
+            ax.axvline(_number(version.begin), color=POSTERIOR, lw=0.8, ls=":")
         ax.annotate(
-            f"version {part.version}",
-            (_number(part.begin), -1.0),
+            f"version {version.version}",
+            (_number(version.begin), -1.0),
             (3, 0),
             textcoords="offset points",
             fontsize=8,
@@ -119,31 +119,40 @@ def _conclusions(ax: Axes, visits: Sequence[Visit], in_use: Sequence[InUse]) -> 
     ax.set_yticks([0.0], ["sessions"])
     ax.tick_params(axis="y", length=0, labelsize=8)
     ax.spines["left"].set_visible(False)
-    found = [c for c in CONCLUSIONS if any(visit.conclusion == c for visit in visits)]
+    present = {session.conclusion for session in sessions}
     handles = [
-        Line2D([], [], ls="none", marker=CONCLUSIONS[c][1], color=CONCLUSIONS[c][0], label=c) for c in found
+        Line2D([], [], ls="none", marker=marker, color=colour, label=conclusion)
+        for conclusion, (colour, marker) in CONCLUSIONS.items()
+        if conclusion in present
     ]
     handles += [
-        Line2D([], [], marker="o", ms=3, color=GREY, label="one session, 90 %"),
+        Line2D([], [], marker="o", ms=3, color=GREY, label="single session, 90 %"),
         Patch(facecolor=INSIDE_95, edgecolor=POSTERIOR, label="version in use, 90 %"),  # type: ignore[list-item]
     ]
     ax.legend(handles=handles, ncols=len(handles), loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
 
 
-def _parameter(ax: Axes, name: str, show: Shown, visits: Sequence[Visit], in_use: Sequence[InUse]) -> None:
-    for part in in_use:
-        if name in part.intervals:
-            lower, median, upper = (show.factor * value for value in part.intervals[name])
-            span = [_number(part.begin), _number(part.end)]
+def _parameter(
+    ax: Axes,
+    name: str,
+    display: Display,
+    sessions: Sequence[SessionSummary],
+    versions: Sequence[VersionInUse],
+) -> None:
+    for version in versions:
+        if name in version.intervals:
+            lower, median, upper = (display.factor * value for value in version.intervals[name])
+            span = [_number(version.begin), _number(version.end)]
             ax.fill_between(span, lower, upper, color=INSIDE_95, lw=0)
             ax.plot(span, [median, median], color=POSTERIOR, lw=1.2)
             ax.axvline(span[0], color=POSTERIOR, lw=0.8, ls=":")
-    told = [visit for visit in visits if name in visit.estimate]
-    for visit in told:
-        value, sd = (show.factor * number for number in visit.estimate[name])
-        colour = CONCLUSIONS[visit.conclusion][0]
+    for session in sessions:
+        if name not in session.estimate:
+            continue
+        value, sd = (display.factor * number for number in session.estimate[name])
+        colour = CONCLUSIONS[session.conclusion][0]
         ax.errorbar(
-            [_number(visit.taken)],
+            [_number(session.taken)],
             [value],
             HALF_WIDTH_90 * sd,
             fmt="o",
@@ -152,18 +161,18 @@ def _parameter(ax: Axes, name: str, show: Shown, visits: Sequence[Visit], in_use
             ecolor=GREY,
             elinewidth=1.0,
         )
-    ax.set_ylabel(show.label, fontsize=8, rotation=0, ha="right", va="center")
+    ax.set_ylabel(display.label, fontsize=8, rotation=0, ha="right", va="center")
     ax.tick_params(labelsize=8)
 
 
-def _shown(name: str, names: Sequence[str]) -> Shown:
-    """As in other pictures, but a quantity of a cause goes with its cause."""
-    show = shown(names)[name]
+def _display(name: str, names: Sequence[str]) -> Display:
+    """As in other plots, but with the name of the cause before its quantity."""
+    display = displays(names)[name]
     cause, _, key = name.rpartition(".")
     if "[" not in cause:
-        return show
+        return display
     words = f"{cause.partition('[')[0]} {split_unit(key)[0]}".replace("_", " ")
-    return replace(show, words=words)
+    return replace(display, words=words)
 
 
 def _number(time: datetime) -> float:

@@ -1,4 +1,4 @@
-"""What sampling gave: walkers over steps, and the posterior of every parameter beside its prior.
+"""Results of sampling: traces of the walkers, and the posterior of every parameter beside its prior.
 
 Values come by parameter name in SI units; `estimator.reporting.plots.style.shown` shortens names and picks
 display units.
@@ -28,11 +28,11 @@ from estimator.reporting.plots.style import (
     QUANTILES_95_68_50,
     SIDE_AND_DATA,
     TRUTH,
-    Shown,
+    Display,
     axes,
+    displays,
     figure,
     plain,
-    shown,
     styled,
     summary,
 )
@@ -41,7 +41,7 @@ from estimator.rig.parameters import Prior
 MOST_BLOCKS = 300
 N_SINGLE_WALKERS = 3
 PRIOR_DRAWS = 20_000
-LEARNT_LITTLE = 1.5
+LEARNT_LITTLE = 1.5  # prior over posterior standard deviation
 
 
 @styled
@@ -52,19 +52,19 @@ def trace(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Median and 68/95 % band over all walkers against the step, with three single walkers.
+    """Median and 68 and 95 % bands over all walkers against the step, with three single walkers.
 
     Long chains are pooled in blocks of neighbouring steps.
 
     Args:
         chain: One parameter of all walkers, SI, burn-in included.
-        name: Of the parameter.
-        burn_in: Steps that the results leave out.
-        ax: Place; a new figure by default.
+        name: Name of the parameter.
+        burn_in: Number of first steps that the results leave out.
+        ax: Axes to draw into; a new figure by default.
         title: Rig and date.
     """
     ax = axes(ax, 6.0, 2.2)
-    _trace(ax, chain, shown([name])[name], burn_in)
+    _trace(ax, chain, displays([name])[name], burn_in)
     ax.set_xlabel("step")
     ax.set_title(plain(title))
     return ax
@@ -74,16 +74,16 @@ def trace(
 def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], burn_in: int = 0, title: str = "") -> Figure:
     """`trace` of every parameter, in two columns."""
     n_rows = (len(chains) + 1) // 2
-    made = figure(10.0, 0.8 + 1.25 * n_rows, title)
-    grid = made.subplots(n_rows, 2, squeeze=False, sharex=True)
+    fig = figure(10.0, 0.8 + 1.25 * n_rows, title)
+    grid = fig.subplots(n_rows, 2, squeeze=False, sharex=True)
     for ax in grid.flat[len(chains) :]:
         ax.set_axis_off()
-    for ax, (name, show) in zip(grid.flat, shown(list(chains)).items(), strict=False):
-        _trace(ax, chains[name], show, burn_in)
+    for ax, (name, display) in zip(grid.flat, displays(list(chains)).items(), strict=False):
+        _trace(ax, chains[name], display, burn_in)
     for ax in grid[-1]:
         ax.set_xlabel("step")
-    made.align_ylabels()
-    return made
+    fig.align_ylabels()
+    return fig
 
 
 @styled
@@ -94,18 +94,18 @@ def interval_summary(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Prior and posterior of every parameter on the prior's scale: a short bar was learnt from the readings.
+    """Prior and posterior of every parameter in prior standard deviations: the shorter the bar, the more the readings told.
 
     Args:
         draws: Posterior draws by parameter name, SI.
-        prior: By the same names; draws without a prior are left out.
-        truth: Values that a simulation used.
-        ax: Place; a new figure by default.
+        prior: Priors by name; parameters without a prior are left out.
+        truth: True values of a simulation.
+        ax: Axes to draw into; a new figure by default.
         title: Rig and date.
     """
-    names = {name: show for name, show in shown(list(draws)).items() if name in prior}
+    names = {name: display for name, display in displays(list(draws)).items() if name in prior}
     ax = axes(ax, 7.5, 1.4 + 0.38 * len(names))
-    for row, (name, show) in enumerate(names.items()):
+    for row, (name, display) in enumerate(names.items()):
         centre, sd = prior[name].centre, prior[name].sd
         values = np.asarray(draws[name], dtype=float)
         prior_values = prior[name].sample(np.random.default_rng(0), PRIOR_DRAWS)
@@ -114,10 +114,10 @@ def interval_summary(
         ax.plot((np.median(values) - centre) / sd, row + 0.17, "|", color=POSTERIOR, ms=10, mew=2.2)
         if truth and name in truth:
             ax.plot((truth[name] - centre) / sd, row + 0.17, "x", color=TRUTH, ms=6, mew=1.6, zorder=3)
-        text = f"{summary(values * show.factor, show)}\n{_learnt(sd, float(values.std()))}"
+        text = f"{summary(values * display.factor, display)}\n{_learnt(sd, float(values.std()))}"
         ax.annotate(text, (1.01, row), xycoords=SIDE_AND_DATA, va="center", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.6)
-    ax.set_yticks(range(len(names)), [show.words for show in names.values()])
+    ax.set_yticks(range(len(names)), [display.words for display in names.values()])
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel("distance from the prior's centre (prior standard deviations)")
     ax.set_title(plain(title), pad=24)
@@ -130,8 +130,8 @@ def interval_summary(
     return ax
 
 
-def _trace(ax: Axes, chain: np.ndarray, show: Shown, burn_in: int) -> None:
-    values = np.asarray(chain, dtype=float) * show.factor
+def _trace(ax: Axes, chain: np.ndarray, display: Display, burn_in: int) -> None:
+    values = np.asarray(chain, dtype=float) * display.factor
     blocks = np.array_split(np.arange(len(values)), min(len(values), MOST_BLOCKS))
     step = [block.mean() for block in blocks]
     quantiles = np.array([np.quantile(values[block], QUANTILES_95_68_50) for block in blocks]).T
@@ -147,7 +147,7 @@ def _trace(ax: Axes, chain: np.ndarray, show: Shown, burn_in: int) -> None:
         ax.plot(first, values[first, walker], color=GREY, lw=0.4)
     ax.plot(step, quantiles[2], color=BLACK, lw=1.2)
     ax.set_xlim(0.0, max(1.0, len(values) - 1.0))
-    ax.set_ylabel(show.label, fontsize=8)
+    ax.set_ylabel(display.label, fontsize=8)
 
 
 def _bars(ax: Axes, height: float, scaled: np.ndarray, colours: tuple[str, str]) -> None:

@@ -1,7 +1,7 @@
-"""Measured against predicted: where, and by how much, readings leave the model.
+"""Residuals: by how much readings differ from predictions, and where.
 
 A residual is measured minus predicted, in the sensor's frame; components that were not measured are NaN. Zero and
-the band of one sigma are always drawn: noise stays inside two thirds of the time.
+the band of one sigma are always drawn: two thirds of pure noise lie inside.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Components = Float[np.ndarray, "reading 3"]
 READINGS_PER_BIN = 25
 MOST_BINS = 16
 FURTHEST_SIGMA = 8.0
-# Size and opacity of points, by the most readings for which they suit.
+# Size and opacity of points, by the largest number of readings that they suit.
 LOOK_OF_POINTS = {500: (3.0, 0.7), 3000: (2.5, 0.5), np.inf: (1.5, 0.25)}
 
 
@@ -43,15 +43,15 @@ def predicted_against_measured(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Predicted over measured components in mT, and the residuals below.
+    """Predicted against measured components in mT, with residuals below.
 
     Args:
         measured_T: Readings; NaN where a component was not measured.
-        predicted_T: What the model says of them.
-        sigma_T: One standard deviation of the noise, one for all or one for each.
-        ax: Place for both panels; a new figure by default.
+        predicted_T: Predictions of the model.
+        sigma_T: One standard deviation of the noise, common or of each component.
+        ax: Axes for both panels; a new figure by default.
         title: Rig and date.
-    Returns: The place; its `child_axes` are the upper and the lower panel.
+    Returns: The Axes; its `child_axes` are the upper and the lower panel.
     """
     ax = axes(ax, 5.6, 5.2)
     ax.set_axis_off()
@@ -82,14 +82,14 @@ def residual_against(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Residuals over time, current, distance or whatever else; the means over neighbours show what noise would hide.
+    """Residuals against time, current, distance or any other covariate; means of neighbours show what noise would hide.
 
     Args:
-        covariate: Already in the unit that `label` names.
+        covariate: Values in the unit that `label` names.
         residual_T: Measured minus predicted.
         sigma_T: One standard deviation of the noise.
-        label: Of the horizontal axis, with its unit.
-        ax: Place; a new figure by default.
+        label: Label of the horizontal axis, with its unit.
+        ax: Axes to draw into; a new figure by default.
         title: Rig and date.
     """
     ax = axes(ax)
@@ -119,7 +119,7 @@ def residual_against(
 def residual_histogram(
     residual_T: Components, sigma_T: float | Components, ax: Axes | None = None, title: str = ""
 ) -> Axes:
-    """Residuals in units of sigma beside the unit normal that they follow where model and noise are right."""
+    """Whitened residuals beside the standard normal density, which they follow if model and noise are right."""
     ax = axes(ax)
     whitened = residual_T / np.asarray(sigma_T)
     reach = max(4.0, float(np.nanmax(np.abs(whitened))))
@@ -153,14 +153,14 @@ def residual_by_sensor(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """RMS residual of every sensor and component, in units of the sensor's noise, beside the range that noise alone would give.
+    """Rms residual of every sensor and component relative to the sensor's noise, with the range expected from noise alone.
 
     Args:
         residual_T: Measured minus predicted.
         sensor: Index into `names`.
-        names: Of the sensors.
+        names: Names of the sensors.
         sigma_T: One standard deviation of the noise.
-        ax: Place; a new figure by default.
+        ax: Axes to draw into; a new figure by default.
         title: Rig and date.
     """
     ax = axes(ax, 5.6, 1.8 + 0.32 * len(names))
@@ -194,7 +194,7 @@ def residual_by_sensor(
     ax.set_xlim(0.0, 1.6 * largest)
     ax.set_yticks(range(len(names)), [plain(name) for name in names])
     ax.set_ylim(len(names) - 0.5, -0.5)
-    ax.set_xlabel("rms residual / sigma (grey: 68 and 95 % of what noise alone gives)")
+    ax.set_xlabel("rms residual / sigma (grey: 68 and 95 % ranges of noise alone)")
     ax.set_title(plain(title), pad=22)
     ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
     return ax
@@ -229,7 +229,7 @@ def _points(name: str, n: int) -> dict[str, Any]:
 
 
 def _neighbours(covariate: np.ndarray) -> np.ndarray:
-    """Group of every reading: equal values where there are few of them, else groups of equal size in order."""
+    """Group of every reading: equal values if there are few distinct ones, otherwise neighbours in groups of equal size."""
     distinct = np.unique(covariate)
     if len(distinct) <= MOST_BINS:
         return np.asarray(np.searchsorted(distinct, covariate))
@@ -241,13 +241,13 @@ def _neighbours(covariate: np.ndarray) -> np.ndarray:
 def _means(
     covariate: np.ndarray, values: np.ndarray, group: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre, mean and standard error of every group with two values at least."""
-    measured = np.isfinite(values)
+    """Centre, mean and standard error of every group of at least two values."""
+    is_measured = np.isfinite(values)
     rows = []
-    for i in np.unique(group[measured]):
-        mine = measured & (group == i)
-        if mine.sum() > 1:
-            mean_error = values[mine].std(ddof=1) / np.sqrt(mine.sum())
-            rows.append((covariate[mine].mean(), values[mine].mean(), mean_error))
+    for i in np.unique(group[is_measured]):
+        in_group = is_measured & (group == i)
+        if in_group.sum() > 1:
+            standard_error = values[in_group].std(ddof=1) / np.sqrt(in_group.sum())
+            rows.append((covariate[in_group].mean(), values[in_group].mean(), standard_error))
     table = np.array(rows).reshape(-1, 3)
     return table[:, 0], table[:, 1], table[:, 2]

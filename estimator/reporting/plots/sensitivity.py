@@ -1,4 +1,4 @@
-"""What changes the field: main effects and interactions of a factorial, as in Fig 8 of the paper."""
+"""Sensitivity of the field: main effects and interactions of a full factorial, as in Fig 8 of the paper."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator.model.sensitivity import Factorial
-from estimator.reporting.plots.style import BLUE, FIELD_MAP, GREY, Shown, axes, figure, shown, styled
+from estimator.reporting.plots.style import BLUE, FIELD_MAP, GREY, Display, axes, displays, figure, styled
 from estimator.units import UNITS
 
 MILLI = UNITS["mT"].to_si
@@ -16,16 +16,16 @@ MILLI = UNITS["mT"].to_si
 
 @styled
 def main_effect(factorial: Factorial, name: str, ax: Axes | None = None) -> Axes:
-    """Mean response at each level of one parameter, with the band that the levels of all others span; dotted: the mean of all."""
+    """Mean response at each level of one parameter, with the 95 % band over all other levels; dotted: the overall mean."""
     ax = axes(ax, 3.4, 2.8)
-    show = shown(factorial.names)[name]
-    across = factorial.levels[factorial.names.index(name)] * show.factor
-    others = tuple(i for i, other in enumerate(factorial.names) if other != name)
-    low, high = (np.quantile(factorial.response, q, axis=others) / MILLI for q in (0.025, 0.975))
-    ax.fill_between(across, low, high, color=GREY, alpha=0.25, lw=0, label="95 % of all runs")
+    display = displays(factorial.names)[name]
+    across = factorial.levels[factorial.names.index(name)] * display.factor
+    other_axes = tuple(i for i, axis_name in enumerate(factorial.names) if axis_name != name)
+    low, high = (np.quantile(factorial.response, q, axis=other_axes) / MILLI for q in (0.025, 0.975))
+    ax.fill_between(across, low, high, color=GREY, alpha=0.25, lw=0, label="central 95 % of runs")
     ax.plot(across, factorial.main_effect(name) / MILLI, color=BLUE, marker="o", ms=4, label="mean")
     ax.axhline(factorial.response.mean() / MILLI, color=GREY, lw=0.8, ls=":")
-    ax.set_xlabel(show.label)
+    ax.set_xlabel(display.label)
     ax.set_ylabel("rms field (mT)")
     return ax
 
@@ -33,10 +33,10 @@ def main_effect(factorial: Factorial, name: str, ax: Axes | None = None) -> Axes
 @styled
 def main_effects(factorial: Factorial, title: str = "") -> Figure:
     """Main effect of every parameter on one scale."""
-    made = figure(2.6 * len(factorial.names), 2.8, title)
+    fig = figure(2.6 * len(factorial.names), 2.8, title)
     first: Axes | None = None
     for i, name in enumerate(factorial.names):
-        ax = made.add_subplot(1, len(factorial.names), i + 1, sharey=first)
+        ax = fig.add_subplot(1, len(factorial.names), i + 1, sharey=first)
         main_effect(factorial, name, ax)
         if first is None:
             first = ax
@@ -44,31 +44,31 @@ def main_effects(factorial: Factorial, title: str = "") -> Figure:
         else:
             ax.set_ylabel("")
             ax.tick_params(labelleft=False)
-    return made
+    return fig
 
 
 @styled
 def interaction(factorial: Factorial, across: str, line: str, ax: Axes | None = None) -> Axes:
-    """Mean response along one parameter, a line for each level of another; parallel lines do not interact."""
+    """Mean response along one parameter, a line for each level of another; parallel lines mean no interaction."""
     ax = axes(ax, 3.0, 2.6)
-    show = shown(factorial.names)
-    x = factorial.levels[factorial.names.index(across)] * show[across].factor
+    display = displays(factorial.names)
+    x = factorial.levels[factorial.names.index(across)] * display[across].factor
     levels = factorial.levels[factorial.names.index(line)]
     table = factorial.interaction(line, across) / MILLI
     colours = colormaps[FIELD_MAP](np.linspace(0.0, 0.9, len(levels)))
     for row, level, colour in zip(table, levels, colours, strict=True):
-        ax.plot(x, row, color=colour, lw=1.0, label=_says(level, show[line]))
-    ax.set_xlabel(show[across].label)
+        ax.plot(x, row, color=colour, lw=1.0, label=_level_text(level, display[line]))
+    ax.set_xlabel(display[across].label)
     ax.set_ylabel("rms field (mT)")
     return ax
 
 
 @styled
 def interactions(factorial: Factorial, title: str = "") -> Figure:
-    """Every pair of parameters on one scale: across by column, lines by row, explained at the end of the row; main effects between."""
+    """All pairs of parameters on one scale, with main effects on the diagonal; each row has a parameter's levels as lines."""
     n = len(factorial.names)
-    made = figure(2.3 * n + 1.0, 2.1 * n, title)
-    panels = made.subplots(n, n, sharex="col", sharey=True, squeeze=False)
+    fig = figure(2.3 * n + 1.0, 2.1 * n, title)
+    panels = fig.subplots(n, n, sharex="col", sharey=True, squeeze=False)
     for line, row in zip(factorial.names, panels, strict=True):
         for across, ax in zip(factorial.names, row, strict=True):
             if line == across:
@@ -78,7 +78,7 @@ def interactions(factorial: Factorial, title: str = "") -> Figure:
         lines = row[1 if line == factorial.names[0] else 0].lines
         row[-1].legend(
             handles=lines,
-            title=shown(factorial.names)[line].label,
+            title=displays(factorial.names)[line].label,
             loc="center left",
             bbox_to_anchor=(1.0, 0.5),
             fontsize=7,
@@ -86,8 +86,8 @@ def interactions(factorial: Factorial, title: str = "") -> Figure:
         )
         for ax in row:
             ax.label_outer()
-    return made
+    return fig
 
 
-def _says(level: float, show: Shown) -> str:
-    return f"{level * show.factor:.4g}".replace("-", "−")
+def _level_text(level: float, display: Display) -> str:
+    return f"{level * display.factor:.4g}".replace("-", "−")

@@ -1,6 +1,6 @@
-"""What all plots share: colours by meaning, display units, short names, and figures that need no screen.
+"""Shared by all plots: colours by meaning, display units, short names, and figures that need no screen.
 
-Colours are Okabe and Ito's, which stay apart for every kind of colour vision; components differ by marker as well.
+The colours are those of Okabe and Ito, distinct for every kind of colour vision; components differ by marker as well.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ styled = mpl.rc_context(RC)
 
 
 @dataclass(frozen=True)
-class Shown:
-    """How a parameter is shown: `words` name it, values are multiplied by `factor` to be in `unit`."""
+class Display:
+    """Display of a parameter: `words` name it, and values times `factor` are in `unit`."""
 
     words: str
     unit: str
@@ -67,48 +67,53 @@ class Shown:
         return f"{self.words} ({self.unit})" if self.unit else self.words
 
 
-def shown(names: Sequence[str]) -> dict[str, Shown]:
-    """Short words and display units of parameters: lengths in mm, angles in mrad, fields in µT.
+def displays(names: Sequence[str]) -> dict[str, Display]:
+    """Short names and display units of parameters: lengths in mm, angles in mrad, fields in µT.
 
-    A name is cut to its quantity where that alone tells it from the others.
+    A name is cut to its quantity if that is unique among the names.
 
     Examples:
-        >>> shown(["coil1.radius_m", "coil1.world_from_coil.tilt_x_rad"])["coil1.radius_m"]
-        Shown(words='radius', unit='mm', factor=1000.0)
-        >>> [s.label for s in shown(["coil1.axial_loops", "hall.noise_T", "probe.noise_T"]).values()]
+        >>> displays(["coil1.radius_m", "coil1.world_from_coil.tilt_x_rad"])["coil1.radius_m"]
+        Display(words='radius', unit='mm', factor=1000.0)
+        >>> [s.label for s in displays(["coil1.axial_loops", "hall.noise_T", "probe.noise_T"]).values()]
         ['axial loops', 'hall noise (µT)', 'probe noise (µT)']
     """
+
+    def candidates(name: str) -> tuple[list[str], list[str], list[str]]:
+        """Parts of a name, the shortest choice first."""
+        parts = split_unit(name)[0].split(".")
+        return parts[-1:], [parts[0], parts[-1]], parts
+
     result = {}
     for name in names:
-        quantity, unit = split_unit(name)
-        parts = quantity.split(".")
-        shorter = (parts[-1:], [parts[0], parts[-1]], parts)
-        others = [split_unit(other)[0].split(".") for other in names if other != name]
-        taken = [(other[-1:], [other[0], other[-1]], other) for other in others]
-        kept = next((cut for i, cut in enumerate(shorter) if all(cut != other[i] for other in taken)), parts)
+        unit = split_unit(name)[1]
+        rivals = [candidates(rival) for rival in names if rival != name]
+        choices = candidates(name)
+        unique = (parts for i, parts in enumerate(choices) if all(parts != rival[i] for rival in rivals))
+        parts = next(unique, choices[-1])
         symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
         factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
-        words = plain(" ".join(kept).replace("_", " "))
-        result[name] = Shown(words, symbol.replace("u", "µ"), round(factor, 9))
+        words = plain(" ".join(parts).replace("_", " "))
+        result[name] = Display(words, symbol.replace("u", "µ"), round(factor, 9))
     return result
 
 
-def are_counts(values: Num[np.ndarray, " draw"], show: Shown) -> bool:
-    """Whether draws are loop counts: pure whole numbers."""
-    return not show.unit and bool(np.all(values == np.round(values)))
+def are_counts(values: Num[np.ndarray, " draw"], display: Display) -> bool:
+    """Whether draws are loop counts: whole numbers without a unit."""
+    return not display.unit and bool(np.all(values == np.round(values)))
 
 
-def summary(values: Num[np.ndarray, " draw"], show: Shown) -> str:
-    """Median and standard deviation of draws already in the unit shown, or the most probable count."""
-    if are_counts(values, show):
+def summary(values: Num[np.ndarray, " draw"], display: Display) -> str:
+    """Median and standard deviation of draws in their display unit, or the most probable count."""
+    if are_counts(values, display):
         counts, number = np.unique(values, return_counts=True)
         best = int(number.argmax())
         return f"{counts[best]:.0f} ({100.0 * number[best] / len(values):.0f} %)"
-    return f"{with_sd(float(np.median(values)), float(values.std()))} {show.unit}".strip()
+    return f"{with_sd(float(np.median(values)), float(values.std()))} {display.unit}".strip()
 
 
 def with_sd(value: float, sd: float) -> str:
-    """A value to the digit where its standard deviation has its second one.
+    """A value with its standard deviation, both rounded to the second digit of the latter.
 
     Examples:
         >>> with_sd(50.98123, 0.0312), with_sd(48.0, 0.0), with_sd(1234.5, 87.2)
@@ -124,7 +129,7 @@ def with_sd(value: float, sd: float) -> str:
 
 
 def to_digit_of(sd: float, value: float) -> str:
-    """A value to the digit where the standard deviation has its second one; to six digits where that is zero.
+    """A value rounded to the second digit of a standard deviation; to six digits if that is zero.
 
     Examples:
         >>> to_digit_of(0.0312, 50.98123), to_digit_of(0.0, 0.00049), to_digit_of(0.1, -0.001)
@@ -137,29 +142,29 @@ def to_digit_of(sd: float, value: float) -> str:
 
 
 def plain(text: str) -> str:
-    """Text that a user chose, kept from being read as a formula."""
+    """A user's text, escaped so that it is not read as a formula."""
     return text.replace("$", r"\$")
 
 
 def axes(ax: Axes | None, width_in: float = 5.6, height_in: float = 3.6) -> Axes:
-    """The Axes given, or those of a new figure."""
+    """The given Axes, or those of a new figure."""
     return ax if ax is not None else figure(width_in, height_in).add_subplot()
 
 
 def figure(width_in: float, height_in: float, title: str = "") -> Figure:
-    """An empty figure outside pyplot, so that nothing has to be closed and no screen is asked for."""
-    made = Figure(figsize=(width_in, height_in), layout="constrained")
+    """An empty figure outside pyplot, which needs neither closing nor a screen."""
+    fig = Figure(figsize=(width_in, height_in), layout="constrained")
     if title:
-        made.suptitle(plain(title))
-    return made
+        fig.suptitle(plain(title))
+    return fig
 
 
 def sigma_unit(
     sigma_T: float | Float[np.ndarray, "reading 3"],
 ) -> tuple[Float[np.ndarray, "..."], float, str]:
-    """Divisor, half-width of the noise band and unit in which residuals are shown.
+    """Divisor, half-width of the noise band and unit for residuals.
 
-    µT where the noise is one number; where it differs between readings, only multiples of sigma compare.
+    The unit is µT if the noise is one number. If it differs between readings, only multiples of sigma compare.
 
     Examples:
         >>> divisor, band, unit = sigma_unit(20e-6)

@@ -15,7 +15,7 @@ from estimator.diagnosis.gain import Gain, gain, judged
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
-from estimator.readings.metrics import errors
+from estimator.readings.metrics import error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Cause, Rig
@@ -70,7 +70,7 @@ def test_errors_are_those_of_the_prediction_at_the_maximum(found, wrong_zero):
     model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
     with torch.no_grad():
         mean_T = model.predict(fit.values).expand(len(unseen), 3)
-    expected = errors(unseen.field_sensor_T.numpy(), mean_T.numpy())
+    expected = error_metrics(unseen.field_sensor_T.numpy(), mean_T.numpy())
     assert judged(fit, unseen).errors.vector_T == pytest.approx(expected.vector_T, rel=1e-5)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from estimator.diagnosis import verdict
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Search
@@ -162,7 +162,7 @@ def test_all_log_odds_charge_every_cause_its_prior(base, both):
 def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
     small_rig, small_session, small_truth, most_refitted, monkeypatch
 ):
-    monkeypatch.setattr(verdict, "MOST_REFITTED", most_refitted)
+    monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", most_refitted)
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)

@@ -11,7 +11,7 @@ from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy, families
 from estimator.diagnosis.widening import Widening, envelope
 from estimator.readings.metrics import HALF_WIDTH_90
-from estimator.readings.split import blocks_of_places
+from estimator.readings.split import pose_blocks
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -30,7 +30,7 @@ def test_blocks_know_of_curves_that_the_noise_does_not(fit):
     """Over many draws of curve and noise, in the linear model about the fit; a block must not be smaller than what varies in it."""
     curves = [f for f in families(fit) if f.name == "place relative to coil1, with its current"]
     generator = torch.Generator().manual_seed(13)
-    block = blocks_of_places(fit.observations, np.random.default_rng(0))
+    block = pose_blocks(fit.observations, np.random.default_rng(0))
     by_noise, by_block = [], []
     sd = torch.sqrt(torch.diagonal(fit.covariance))
     for i in range(600):

@@ -1,4 +1,4 @@
-"""The cheap first derivative against the plain one, in everything that reaches a coil's field."""
+"""First derivatives of `first_order_field` against those of the plain field, in everything that moves a coil's field."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def observations() -> Observations:
 @pytest.mark.parametrize(
     "radius", ["{prior: {normal: {mean: 51, sd: 1}}}", "51"], ids=["free", "fixed radius"]
 )
-def test_cheap_slope_has_the_value_and_the_derivatives_of_the_plain_field(observations, radius):
+def test_first_order_field_has_the_value_and_the_derivatives_of_the_plain_field(observations, radius):
     agree(rig_from_text(RIG.replace("{prior: {normal: {mean: 51, sd: 1}}}", radius)), observations)
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_cheap_slope_of_what_moves_with_a_coil_has_the_derivatives_of_the_plain_field(observations, source):
+def test_field_that_moves_with_a_coil_has_the_derivatives_of_the_plain_field(observations, source):
     rig = rig_from_text(RIG)
     for coil in ("coil1", "coil2"):
         rig = with_effect(rig, Cause(source, coil), observations, {})
@@ -85,14 +85,18 @@ def test_cheap_slope_of_what_moves_with_a_coil_has_the_derivatives_of_the_plain_
 
 
 def agree(rig: Rig, observations: Observations) -> None:
-    """Value and derivatives of both chains, at a draw from the prior."""
+    """Both models agree in value and derivatives at a draw from the prior."""
     coordinates = Coordinates(rig)
     plain = MeasurementModel.build(rig, observations)
-    cheap = replace(plain, mode=SumMode.FIRST_ORDER)
-    at = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
-    values = [model.predict(coordinates.values(at)) for model in (plain, cheap)]
+    first_order = replace(plain, mode=SumMode.FIRST_ORDER)
+    vector = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
+    values = [model.predict(coordinates.values(vector)) for model in (plain, first_order)]
     torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
-    slopes = [jacfwd(lambda v, c=model: c.predict(coordinates.values(v)))(at) for model in (plain, cheap)]
+    jacobians = [
+        jacfwd(lambda v, c=model: c.predict(coordinates.values(v)))(vector) for model in (plain, first_order)
+    ]
     moves = torch.tensor([".noise" not in name for name in coordinates.names])
-    assert (slopes[0].flatten(0, 1).norm(dim=0)[moves] > 0.0).all()
-    torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-10, atol=1e-12 * float(slopes[0].abs().max()))
+    assert (jacobians[0].flatten(0, 1).norm(dim=0)[moves] > 0.0).all()
+    torch.testing.assert_close(
+        jacobians[1], jacobians[0], rtol=1e-10, atol=1e-12 * float(jacobians[0].abs().max())
+    )

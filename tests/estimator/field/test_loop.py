@@ -12,7 +12,14 @@ from mpmath import mpf
 from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev
 
-from estimator.field.loop import MOST_STEPS, agm_steps, loop_field, loop_slope, loop_terms, steps_for_ratio
+from estimator.field.loop import (
+    MOST_STEPS,
+    agm_steps,
+    loop_derivatives,
+    loop_field,
+    loop_terms,
+    steps_for_ratio,
+)
 from estimator.units import MU0_T_M_PER_A
 
 RADIUS_M = 0.05
@@ -37,7 +44,7 @@ def textbook(point_m: list[float], radius_m: float) -> list[mpf]:
         return [B_rho * x / rho, B_rho * y / rho, Bz]
 
 
-def textbook_slope(point_m: list[float], radius_m: float) -> list[float]:
+def textbook_derivatives(point_m: list[float], radius_m: float) -> list[float]:
     """dB/dz per ampere: a difference of which 20 digits are left."""
     x, y, z = point_m
     step = mpf("1e-20")
@@ -111,8 +118,8 @@ def test_field_near_the_wire_at_any_azimuth_is_as_exact_as_the_coordinates(dtype
         theta, phi = random.uniform(0, 2 * math.pi, (2, 20))
         rho_m, z_m = RADIUS_M * (1 + distance * np.cos(theta)), RADIUS_M * distance * np.sin(theta)
         points_m = torch.tensor(np.stack((rho_m * np.cos(phi), rho_m * np.sin(phi), z_m), -1), dtype=dtype)
-        own = points_m.double().numpy()
-        to_wire = np.hypot(np.hypot(own[:, 0], own[:, 1]) - RADIUS_M, own[:, 2]) / RADIUS_M
+        double_m = points_m.double().numpy()
+        to_wire = np.hypot(np.hypot(double_m[:, 0], double_m[:, 1]) - RADIUS_M, double_m[:, 2]) / RADIUS_M
         assert (relative_errors(points_m) < 2.0 * torch.finfo(dtype).eps * (1.0 + 1.0 / to_wire)).all()
 
 
@@ -166,17 +173,19 @@ def points_at_ratio(ratio: float) -> tuple[Tensor, Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-2, 1.0, 1e2], ids="{:g} radii from the centre".format)
-def test_slope_along_the_axis_is_that_of_sixty_digits(scale: float):
+def test_derivatives_along_the_axis_agree_with_sixty_digits(scale: float):
     points_m = torch.from_numpy(scale * RADIUS_M * directions(6, seed=7))
     x, y, z = points_m.unbind(-1)
     radius = torch.tensor(RADIUS_M, dtype=torch.float64)
-    slope = loop_slope(x, y, z, radius, MOST_STEPS)
-    torch.testing.assert_close(torch.stack(slope[:2]), torch.stack(loop_terms(x, y, z, radius, MOST_STEPS)))
+    derivatives = loop_derivatives(x, y, z, radius, MOST_STEPS)
+    torch.testing.assert_close(
+        torch.stack(derivatives[:2]), torch.stack(loop_terms(x, y, z, radius, MOST_STEPS))
+    )
     for i, point in enumerate(points_m.tolist()):
-        radial, _, axial = textbook_slope(point, RADIUS_M)
+        radial, _, axial = textbook_derivatives(point, RADIUS_M)
         size = float(mpmath.norm(textbook(point, RADIUS_M))) / max(RADIUS_M, RADIUS_M * scale)
-        assert point[0] * slope.h_z_T_per_A_m2[i].item() == pytest.approx(radial, abs=1e-13 * size)
-        assert slope.axial_z_T_per_A_m[i].item() == pytest.approx(axial, abs=1e-13 * size)
+        assert point[0] * derivatives.h_z_T_per_A_m2[i].item() == pytest.approx(radial, abs=1e-13 * size)
+        assert derivatives.axial_z_T_per_A_m[i].item() == pytest.approx(axial, abs=1e-13 * size)
 
 
 @pytest.mark.parametrize("ratio", [0.4, 0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8])

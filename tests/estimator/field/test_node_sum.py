@@ -70,10 +70,10 @@ print("same")
 @pytest.mark.slow  # 10 s, and 20 s more for the first compilation on a machine
 def test_compiled_sum_equals_the_eager_one():
     """In a process of its own: type checks and warnings as errors, as here, keep torch from compiling."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", IN_A_FRESH_PROCESS], capture_output=True, text=True, check=False
     )
-    assert done.stdout.strip() == "same", done.stderr
+    assert completed.stdout.strip() == "same", completed.stderr
 
 
 @pytest.mark.parametrize("axis_m", [0.0, 1e-13, 1e-6, 0.02, 0.3], ids=lambda m: f"{m:g} m from the axis")
@@ -89,5 +89,5 @@ def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(a
     )
     torch.testing.assert_close(quick(*given), plain(*given), rtol=1e-13, atol=1e-22)
     for i in range(4):
-        expected, slope = (jacfwd(f, argnums=i)(*given) for f in (plain, quick))
-        torch.testing.assert_close(slope, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().max()))
+        expected, derivative = (jacfwd(f, argnums=i)(*given) for f in (plain, quick))
+        torch.testing.assert_close(derivative, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().max()))

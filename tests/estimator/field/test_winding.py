@@ -60,15 +60,15 @@ def points_around(coil: Winding, nearest_m: float, farthest_m: float, number: in
     """Random points on all sides whose distance to the cross-section lies between the two."""
     random = np.random.default_rng(seed)
     margin_m = 1.2 * min(farthest_m, 0.15)
-    found = torch.empty(0, 3, dtype=torch.float64)
-    while len(found) < number:
+    selected_m = torch.empty(0, 3, dtype=torch.float64)
+    while len(selected_m) < number:
         rho = random.uniform(0.0, float(coil.radius_m) + margin_m, 20_000)
         azimuth = random.uniform(0.0, 2.0 * np.pi, 20_000)
         z = random.uniform(-float(coil.length_m) - margin_m, margin_m, 20_000)
         points = torch.from_numpy(np.stack((rho * np.cos(azimuth), rho * np.sin(azimuth), z), -1))
         distance_m = distance_to_winding(points, coil)
-        found = torch.cat((found, points[(distance_m >= nearest_m) & (distance_m < farthest_m)]))
-    return found[:number]
+        selected_m = torch.cat((selected_m, points[(distance_m >= nearest_m) & (distance_m < farthest_m)]))
+    return selected_m[:number]
 
 
 def sides(points_m: Tensor, coil: Winding) -> dict[str, Tensor]:
@@ -237,7 +237,7 @@ def test_derivative_in_the_position_is_the_limit_of_central_differences():
     assert error(4e-6) < 1e-6
 
 
-def test_point_inside_the_winding_is_refused_with_its_number_and_place():
+def test_point_inside_the_winding_is_refused_with_its_number_and_position():
     middle = [0.051 - 0.5 * 25 * 0.98e-3, 0.0, -0.5 * 48 * 0.98e-3]
     points_m = tensor([[0.0, 0.0, 0.05], [0.0, 0.0, -0.02], middle, [0.2, 0.0, 0.0], middle])
     with pytest.raises(
@@ -266,8 +266,8 @@ def test_distance_is_that_to_the_nearest_point_of_the_cross_section():
 def test_batches_equal_one_by_one_even_where_they_are_cut_into_chunks(monkeypatch):
     random = np.random.default_rng(4)
     radius_m, counts = tensor(random.uniform(0.04, 0.06, (3, 1))), tensor(random.uniform(20.0, 30.0, (3, 1)))
-    one = torch.ones(3, 1, dtype=torch.float64)
-    coils = Winding(radius_m, counts, 8.0 * one, 1e-3 * one, 1.2e-3 * one)
+    ones = torch.ones(3, 1, dtype=torch.float64)
+    coils = Winding(radius_m, counts, 8.0 * ones, 1e-3 * ones, 1.2e-3 * ones)
     points_m = tensor(random.uniform(0.02, 0.1, (2, 7, 3)))
     rule = Rule(6, 4, 6)
     together = winding_field_per_ampere(points_m, coils, rule)

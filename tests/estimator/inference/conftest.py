@@ -33,34 +33,34 @@ def make_problem(
     sensors: str = "{hall: {noise_uT: 20, carried_by: stage}}",
     truth: Mapping[str, float] | None = None,
     noise_T: float = 20e-6,
-    places_m: np.ndarray | None = None,
+    positions_m: np.ndarray | None = None,
     seed: int = 0,
 ) -> Problem:
-    """One reading of every sensor and with every coil alone at 1 A, at each place of a stage whose flange starts at the world's origin.
+    """One reading of every sensor and with every coil alone at 1 A, at each position of a stage whose flange starts at the world's origin.
 
     Args:
         coils, sensors: Sections of the rig file, as YAML in braces.
         truth: What differs from the nominal values.
-        noise_T: Noise of the readings, whatever the rig says.
-        places_m: Places of the stage; 16 in a box of 4 cm otherwise.
-        seed: Of places and noise.
+        noise_T: Noise of the readings, which may differ from that of the rig.
+        positions_m: Positions of the stage; by default 16 in a box of 4 cm.
+        seed: Seed of positions and noise.
     """
     rig = rig_from_text(
         "schema_version: 1\nname: problem\nmovers: {stage: {motion: pose}}\n"
         f"coils: {coils}\nsensors: {sensors}\n"
     )
     random = np.random.default_rng(seed)
-    places = random.uniform(-0.02, 0.02, (16, 3)) if places_m is None else places_m
-    place, coil, sensor = (
+    positions = random.uniform(-0.02, 0.02, (16, 3)) if positions_m is None else positions_m
+    position, coil, sensor = (
         axis.ravel()
-        for axis in np.meshgrid(*(np.arange(n) for n in (len(places), len(rig.coils), len(rig.sensors))))
+        for axis in np.meshgrid(*(np.arange(n) for n in (len(positions), len(rig.coils), len(rig.sensors))))
     )
-    n = len(place)
+    n = len(position)
     observations = Observations(
         time_s=torch.arange(n, dtype=torch.float64),
         sensor=torch.from_numpy(sensor),
         current_A=torch.from_numpy(np.eye(len(rig.coils))[coil]),
-        motion={"stage": torch.from_numpy(np.concatenate((places[place], np.zeros((n, 3))), axis=1))},
+        motion={"stage": torch.from_numpy(np.concatenate((positions[position], np.zeros((n, 3))), axis=1))},
         field_sensor_T=torch.zeros(n, 3, dtype=torch.float64),
         is_validation=torch.zeros(n, dtype=torch.bool),
         repeat=torch.zeros(n, dtype=torch.int64),

@@ -17,19 +17,19 @@ def autoregressive(correlation: float, steps: int, walkers: int, seed: int = 0) 
 
 
 def test_independent_draws_count_fully():
-    found = convergence(np.random.default_rng(1).normal(size=(400, 20, 3)))
-    assert found.n_samples == 8000
-    assert found.ess_bulk == pytest.approx(8000, rel=0.1)
-    assert found.autocorrelation_steps == pytest.approx(1.0, rel=0.1)
-    assert found.largest_rhat < 1.01
+    diagnostics = convergence(np.random.default_rng(1).normal(size=(400, 20, 3)))
+    assert diagnostics.n_samples == 8000
+    assert diagnostics.ess_bulk == pytest.approx(8000, rel=0.1)
+    assert diagnostics.autocorrelation_steps == pytest.approx(1.0, rel=0.1)
+    assert diagnostics.largest_rhat < 1.01
 
 
 @pytest.mark.parametrize("correlation", [0.5, 0.9])
 def test_correlated_draws_count_as_many_as_theory_says(correlation):
-    found = convergence(autoregressive(correlation, 3000, 16))
+    diagnostics = convergence(autoregressive(correlation, 3000, 16))
     expected = 3000 * 16 * (1.0 - correlation) / (1.0 + correlation)
-    assert found.ess_bulk[0] == pytest.approx(expected, rel=0.12)
-    assert found.autocorrelation_steps[0] == pytest.approx(
+    assert diagnostics.ess_bulk[0] == pytest.approx(expected, rel=0.12)
+    assert diagnostics.autocorrelation_steps[0] == pytest.approx(
         (1.0 + correlation) / (1.0 - correlation), rel=0.12
     )
 
@@ -38,17 +38,17 @@ def test_worst_coordinate_decides():
     chain = np.concatenate(
         (autoregressive(0.0, 1000, 8, seed=2), autoregressive(0.9, 1000, 8, seed=3)), axis=-1
     )
-    found = convergence(chain)
-    assert found.smallest_ess == min(found.ess_bulk.min(), found.ess_tail.min())
-    assert found.smallest_ess < 0.2 * found.ess_bulk[0]
-    assert found.largest_rhat == found.rhat[1]
+    diagnostics = convergence(chain)
+    assert diagnostics.smallest_ess == min(diagnostics.ess_bulk.min(), diagnostics.ess_tail.min())
+    assert diagnostics.smallest_ess < 0.2 * diagnostics.ess_bulk[0]
+    assert diagnostics.largest_rhat == diagnostics.rhat[1]
 
 
 def test_walkers_that_do_not_mix_are_seen():
     chain = np.random.default_rng(4).normal(size=(500, 10, 1)) + 3.0 * np.arange(10)[None, :, None]
-    found = convergence(chain)
-    assert found.largest_rhat > 1.5
-    assert found.smallest_ess < 50
+    diagnostics = convergence(chain)
+    assert diagnostics.largest_rhat > 1.5
+    assert diagnostics.smallest_ess < 50
 
 
 def test_drift_over_time_is_seen_although_walkers_agree():
@@ -59,27 +59,27 @@ def test_drift_over_time_is_seen_although_walkers_agree():
 def test_tails_that_mix_slower_than_the_bulk_are_seen():
     """Signs flip at every step, so the mean is known well, but large and small magnitudes alternate slowly."""
     slow = np.exp(1.5 * autoregressive(0.98, 4000, 8, seed=6))
-    found = convergence(slow * np.random.default_rng(7).choice([-1.0, 1.0], size=slow.shape))
-    assert found.ess_tail[0] < 0.3 * found.ess_bulk[0]
-    assert found.smallest_ess == found.ess_tail[0]
+    diagnostics = convergence(slow * np.random.default_rng(7).choice([-1.0, 1.0], size=slow.shape))
+    assert diagnostics.ess_tail[0] < 0.3 * diagnostics.ess_bulk[0]
+    assert diagnostics.smallest_ess == diagnostics.ess_tail[0]
 
 
 def test_coordinate_that_never_moved_is_left_out():
     chain = np.random.default_rng(8).normal(size=(200, 8, 2))
     chain[:, :, 1] = 25.0
-    found = convergence(chain)
-    assert np.isnan([found.ess_bulk[1], found.ess_tail[1], found.rhat[1]]).all()
-    assert found.smallest_ess == min(found.ess_bulk[0], found.ess_tail[0])
-    assert found.largest_rhat == found.rhat[0]
+    diagnostics = convergence(chain)
+    assert np.isnan([diagnostics.ess_bulk[1], diagnostics.ess_tail[1], diagnostics.rhat[1]]).all()
+    assert diagnostics.smallest_ess == min(diagnostics.ess_bulk[0], diagnostics.ess_tail[0])
+    assert diagnostics.largest_rhat == diagnostics.rhat[0]
 
 
 @pytest.mark.parametrize(
     "chain", [np.ones((50, 4, 2)), np.random.default_rng(9).normal(size=(FEWEST_STEPS - 1, 4, 2))]
 )
 def test_nothing_moved_or_too_short_is_no_convergence(chain):
-    found = convergence(chain)
-    assert isinstance(found, Convergence)
-    assert (found.smallest_ess, found.largest_rhat) == (0.0, np.inf)
+    diagnostics = convergence(chain)
+    assert isinstance(diagnostics, Convergence)
+    assert (diagnostics.smallest_ess, diagnostics.largest_rhat) == (0.0, np.inf)
 
 
 def test_shortest_chain_that_is_looked_at_has_numbers():

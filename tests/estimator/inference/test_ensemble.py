@@ -11,7 +11,7 @@ import torch
 from emcee.backends import Backend
 
 from estimator.errors import InvalidInput
-from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported, sample
+from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported_parameters, sample
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.store.emcee_backend import ZarrBackend
@@ -22,9 +22,9 @@ NEVER = 1e9  # an effective sample size that no chain reaches
 @pytest.fixture(scope="module")
 def mixture(counts_problem) -> CountMixture:
     fit = levenberg_marquardt(counts_problem.real, counts_problem.real.coordinates.start()[None])
-    found = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(0))
-    assert found is not None
-    return found
+    laplace_mixture = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(0))
+    assert laplace_mixture is not None
+    return laplace_mixture
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def steps_of(counts_problem, mixture: CountMixture, **settings) -> Samples:
 def assert_law(samples: Samples, counts_problem, exact_counts) -> None:
     """Probabilities of counts, and moments of gain and height, within 4 standard errors of what they are."""
     coordinates = counts_problem.whole.coordinates
-    chain = reported(coordinates, samples.chain)
+    chain = reported_parameters(coordinates, samples.chain)
     by_name = {name: chain[..., i] for i, name in enumerate(coordinates.names)}
     ess = samples.convergence.smallest_ess
     for (axial, radial), p in exact_counts.probability.items():
@@ -86,9 +86,9 @@ def test_sampling_stops_at_the_first_look_that_meets_its_targets(samples):
 
 @pytest.mark.parametrize("target", [{"target_ess": NEVER}, {"target_ess": 1.0, "largest_rhat": 1.0 - 1e-9}])
 def test_unmet_targets_are_reported(counts_problem, mixture, target):
-    found = steps_of(counts_problem, mixture, **target)
-    assert not found.is_converged
-    assert found.n_steps == 30
+    samples = steps_of(counts_problem, mixture, **target)
+    assert not samples.is_converged
+    assert samples.n_steps == 30
 
 
 def test_log_prob_belongs_to_the_chain(samples, counts_problem):
@@ -98,10 +98,10 @@ def test_log_prob_belongs_to_the_chain(samples, counts_problem):
 
 
 def test_same_seed_gives_the_same_chain_and_another_seed_another(counts_problem, mixture):
-    first, again, other = (steps_of(counts_problem, mixture, seed=seed) for seed in (3, 3, 4))
+    first, again, other_seed = (steps_of(counts_problem, mixture, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.chain, again.chain)
     np.testing.assert_array_equal(first.log_prob, again.log_prob)
-    assert (first.chain[..., 0] != other.chain[..., 0]).all()
+    assert (first.chain[..., 0] != other_seed.chain[..., 0]).all()
 
 
 def test_seed_is_all_that_decides(counts_problem, mixture):
@@ -157,10 +157,10 @@ def test_finished_chain_is_looked_at_again_and_not_prolonged(counts_problem, mix
 def test_progress_tells_every_look(counts_problem, mixture):
     seen: list[Progress] = []
     settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=45)
-    found = sample(counts_problem.whole, mixture, settings, on_progress=seen.append)
+    samples = sample(counts_problem.whole, mixture, settings, on_progress=seen.append)
     assert [look.step for look in seen] == [10, 20, 30, 40, 45]
     assert {look.max_steps for look in seen} == {45}
-    assert seen[-1].smallest_ess == found.convergence.smallest_ess
+    assert seen[-1].smallest_ess == samples.convergence.smallest_ess
     assert seen[-1].target_ess == NEVER
 
 
@@ -175,8 +175,8 @@ def test_looks_grow_rarer_as_the_chain_grows(counts_problem, mixture):
 
 def test_walkers_start_inside_the_prior(counts_problem, mixture):
     """Two thirds of this proposal lie where a negative number of ... gain is cut off by the prior's bound."""
-    found = steps_of(counts_problem, mixture, max_steps=1, check_every=1)
-    assert np.isfinite(found.log_prob).all()
+    samples = steps_of(counts_problem, mixture, max_steps=1, check_every=1)
+    assert np.isfinite(samples.log_prob).all()
 
 
 def test_too_few_walkers_are_refused(counts_problem, mixture):
@@ -187,6 +187,6 @@ def test_too_few_walkers_are_refused(counts_problem, mixture):
 def test_reported_chain_holds_the_free_parameters_in_their_order(counts_problem):
     coordinates = counts_problem.real.coordinates
     vectors = coordinates.sample_prior(np.random.default_rng(6), 6).reshape(2, 3, -1)
-    chain = reported(coordinates, vectors.numpy())
+    chain = reported_parameters(coordinates, vectors.numpy())
     for i, name in enumerate(coordinates.names):
         np.testing.assert_array_equal(chain[..., i], coordinates.values(vectors)[name].numpy())

@@ -85,10 +85,10 @@ def test_turns_and_current_gain_are_named_as_exchangeable(problem):
         "{hall: {noise_uT: 0.003, carried_by: stage}}",
         noise_T=0.0,
     ).real
-    found = open_directions(
+    directions = open_directions(
         posterior.coordinates, levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     )
-    (direction,) = found
+    (direction,) = directions
     assert set(direction.shares) == {"coil1 turns", "coil1.current_gain"}
     assert direction.shares["coil1 turns"] * direction.shares["coil1.current_gain"] < 0.0
     first, second = direction.shares
@@ -102,8 +102,8 @@ def test_open_directions_come_least_determined_first_and_stop_where_the_data_tak
     sd = 0.05
     for first, second, expected in ((1e-4, 0.25, [100.0, 2.0]), (4.0, 0.25, [2.0]), (4.0, 9.0, [])):
         information = torch.diag(torch.tensor([first, second], dtype=torch.float64)) / sd**2
-        found = open_directions(coordinates, at_start(coordinates, information))
-        assert [direction.data_over_prior_sd for direction in found] == pytest.approx(expected, rel=1e-9)
+        directions = open_directions(coordinates, at_start(coordinates, information))
+        assert [direction.data_over_prior_sd for direction in directions] == pytest.approx(expected, rel=1e-9)
     (named,) = open_directions(
         coordinates, at_start(coordinates, torch.diag(torch.tensor([4.0, 0.25]).double()) / sd**2)
     )

@@ -22,9 +22,9 @@ def mixture(counts_problem, fit) -> CountMixture:
 
 
 def mixture_of(counts_problem, fit: Optimum, seed: int = 0) -> CountMixture:
-    found = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(seed))
-    assert found is not None
-    return found
+    result = count_mixture(counts_problem.real, counts_problem.whole, fit, np.random.default_rng(seed))
+    assert result is not None
+    return result
 
 
 def by_counts(mixture: CountMixture) -> dict[tuple[int, int], float]:
@@ -52,9 +52,9 @@ def test_table_holds_all_that_matters_and_little_else(mixture, exact_counts):
 def test_table_does_not_depend_on_where_it_begins(counts_problem, fit, mixture, monkeypatch):
     """From a handful of draws the neighbours of what matters lead to the same table."""
     monkeypatch.setattr(lattice, "DRAWS", 3)
-    few = mixture_of(counts_problem, fit, seed=5)
-    assert torch.equal(few.counts, mixture.counts)
-    torch.testing.assert_close(few.weight, mixture.weight, rtol=1e-2, atol=1e-5)
+    other_draws = mixture_of(counts_problem, fit, seed=5)
+    assert torch.equal(other_draws.counts, mixture.counts)
+    torch.testing.assert_close(other_draws.weight, mixture.weight, rtol=1e-2, atol=1e-5)
 
 
 def test_components_are_the_maxima_and_widths_of_their_counts(counts_problem, mixture):
@@ -82,26 +82,28 @@ def test_draws_come_from_the_given_generator_alone(counts_problem, fit, mixture)
 
 def test_without_free_counts_there_is_one_component(linear_problem):
     fit = levenberg_marquardt(linear_problem.real, linear_problem.real.coordinates.start()[None])
-    found = count_mixture(linear_problem.real, linear_problem.whole, fit, np.random.default_rng(0))
-    assert found is not None
-    assert (found.counts.shape, found.weight.tolist()) == ((1, 0), [1.0])
-    torch.testing.assert_close(found.mean, fit.vector, rtol=1e-9, atol=0.0)
-    torch.testing.assert_close(found.covariance[0], torch.linalg.inv(fit.precision[0]), rtol=1e-6, atol=1e-15)
+    result = count_mixture(linear_problem.real, linear_problem.whole, fit, np.random.default_rng(0))
+    assert result is not None
+    assert (result.counts.shape, result.weight.tolist()) == ((1, 0), [1.0])
+    torch.testing.assert_close(result.mean, fit.vector, rtol=1e-9, atol=0.0)
+    torch.testing.assert_close(
+        result.covariance[0], torch.linalg.inv(fit.precision[0]), rtol=1e-6, atol=1e-15
+    )
 
 
 def test_counts_never_fall_below_one(problem):
     """A single layer of a single turn, and readings so noisy that the neighbours all matter."""
-    made = problem(
+    simulated = problem(
         """{coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: {prior: {normal: {mean: 2, sd: 1, lower: 1}}},
   radial_loops: {prior: {normal: {mean: 1, sd: 0.7, lower: 1}}}, world_from_coil: {z_mm: {prior: {normal: {mean: -35, sd: 1}}}}}}""",
         "{hall: {noise_uT: 40, carried_by: stage}}",
         noise_T=40e-6,
     )
-    fit = levenberg_marquardt(made.real, made.real.coordinates.start()[None])
-    found = count_mixture(made.real, made.whole, fit, np.random.default_rng(0))
-    assert found is not None
-    assert found.counts.min() == 1.0
-    assert len(found.counts) > 4
+    fit = levenberg_marquardt(simulated.real, simulated.real.coordinates.start()[None])
+    result = count_mixture(simulated.real, simulated.whole, fit, np.random.default_rng(0))
+    assert result is not None
+    assert result.counts.min() == 1.0
+    assert len(result.counts) > 4
 
 
 @pytest.mark.parametrize("limit", ["MOST_TUPLES", "MOST_EFFECTIVE"])

@@ -71,16 +71,16 @@ def test_scipy_finds_no_higher_point_and_comes_back_to_the_maximum(winding_probl
         return (fits.log_posterior[0] - here).item(), ((down - up) / 2e-4).numpy()
 
     random = np.random.default_rng(4).normal(size=len(factor))
-    found = scipy.optimize.minimize(
+    scipy_result = scipy.optimize.minimize(
         cost, 3.0 * random / np.linalg.norm(random), jac=True, method="BFGS", options={"gtol": 1e-4}
     )
-    assert -1e-6 < found.fun < 1e-6
-    assert np.abs(found.x).max() < 2e-3
+    assert -1e-6 < scipy_result.fun < 1e-6
+    assert np.abs(scipy_result.x).max() < 2e-3
 
 
 def test_precision_is_the_negative_hessian_where_residuals_are_small(problem):
     """Gauss-Newton leaves out residual times second derivative: nothing on perfect readings, and the noise is fixed here."""
-    made = problem(
+    simulated = problem(
         """{coil1: {radius_mm: {prior: {normal: {mean: 51, sd: 1}}}, wire_radius_mm: 0.9, axial_loops: 6,
   radial_loops: {prior: {normal: {mean: 4, sd: 0.3, lower: 1}}},
   world_from_coil: {x_mm: {prior: {normal: {mean: 0, sd: 3}}}, z_mm: {prior: {normal: {mean: -35, sd: 3}}},
@@ -88,9 +88,11 @@ def test_precision_is_the_negative_hessian_where_residuals_are_small(problem):
         "{hall: {noise_uT: 0.5, carried_by: stage}}",
         noise_T=0.0,
     )
-    fit = levenberg_marquardt(made.real, made.real.coordinates.sample_prior(np.random.default_rng(5), 1))
+    fit = levenberg_marquardt(
+        simulated.real, simulated.real.coordinates.sample_prior(np.random.default_rng(5), 1)
+    )
     sd = torch.linalg.inv(fit.precision[0]).diagonal().sqrt()
-    numerical = -hessian(made.real, fit.vector[0], 0.05 * sd) / 0.05**2
+    numerical = -hessian(simulated.real, fit.vector[0], 0.05 * sd) / 0.05**2
     ours = fit.precision[0] * sd[:, None] * sd[None, :]
     torch.testing.assert_close(ours, numerical, rtol=1e-3, atol=1e-3 * ours.abs().max().item())
     assert (ours - ours.diagonal().diag()).abs().max() > 0.1
@@ -118,8 +120,8 @@ def test_information_is_the_part_of_the_precision_that_the_prior_has_no_share_in
 def test_linear_problem_is_solved_as_by_linear_algebra(linear_problem):
     """Ridge regression of the readings on the fields of the two coils."""
     posterior = linear_problem.real
-    one, two = torch.eye(2).double()
-    design = torch.stack((posterior.predicted(one), posterior.predicted(two)), -1) / 0.2e-6
+    first, second = torch.eye(2).double()
+    design = torch.stack((posterior.predicted(first), posterior.predicted(second)), -1) / 0.2e-6
     matrix = design.T @ design + torch.eye(2) / 0.05**2
     expected = torch.linalg.solve(matrix, design.T @ posterior.measured_T / 0.2e-6 + 1.0 / 0.05**2)
     fit = levenberg_marquardt(posterior, torch.tensor([[0.7, 1.4]]).double())
@@ -158,15 +160,15 @@ def test_too_few_iterations_are_reported_and_leave_no_worse_point(winding_proble
 
 
 def test_maximum_on_a_bound_is_approached_from_inside(problem):
-    made = problem(
+    simulated = problem(
         """{coil1: {radius_mm: {value: 51, prior: {normal: {mean: 51, sd: 1, lower: 50.5}}}, wire_radius_mm: 1, axial_loops: 3,
   radial_loops: 2}}""",
         "{hall: {noise_uT: 1, carried_by: stage, flange_from_sensor: {z_mm: 10}}}",
         {"coil1.radius_m": 0.0507},
         noise_T=0.0,
     )
-    observations = made.observations.with_field(1.02 * made.observations.field_sensor_T)
-    posterior = LogPosterior(made.real.coordinates, made.real.model, observations)
+    observations = simulated.observations.with_field(1.02 * simulated.observations.field_sensor_T)
+    posterior = LogPosterior(simulated.real.coordinates, simulated.real.model, observations)
     fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     radius_m = posterior.coordinates.values(fit.vector[0])["coil1.radius_m"].item()
     assert torch.isfinite(fit.log_posterior).all()
@@ -177,7 +179,7 @@ def test_maximum_on_a_bound_is_approached_from_inside(problem):
 
 def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(problem):
     """Radius and pitches share coordinates, and readings of a larger, longer and thicker coil pull all of them to their bounds."""
-    made = problem(
+    simulated = problem(
         """{coil1: {radius_mm: {prior: {normal: {mean: 51, sd: 1, lower: 49, upper: 51.5}}}, wire_radius_mm: 0.5,
   axial_pitch_mm: {prior: {normal: {mean: 1.2, sd: 0.05, lower: 1.1, upper: 1.25}}},
   radial_pitch_mm: {prior: {normal: {mean: 1.2, sd: 0.05, lower: 1.1, upper: 1.25}}}, axial_loops: 12, radial_loops: 20,
@@ -190,7 +192,7 @@ def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(probl
             "coil1.world_from_coil.z_m": -0.042,
         },
     )
-    posterior, coordinates = made.real, made.real.coordinates
+    posterior, coordinates = simulated.real, simulated.real.coordinates
     fit = levenberg_marquardt(posterior, coordinates.start()[None])
 
     def minus_log_posterior(shares: np.ndarray) -> float:
@@ -201,18 +203,20 @@ def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(probl
     is_noise = torch.tensor([name == "hall.noise_T" for name in coordinates.names])
     lower, upper = torch.where(is_noise, 1e-5, lower), torch.where(is_noise, 1e-2, upper)
     inside = [(1e-6, 1.0 - 1e-6)] * coordinates.n
-    other = scipy.optimize.minimize(
+    scipy_result = scipy.optimize.minimize(
         minus_log_posterior, np.full(coordinates.n, 0.5), method="L-BFGS-B", bounds=inside
     )
-    other = scipy.optimize.minimize(
-        minus_log_posterior, other.x, method="Nelder-Mead", bounds=inside, options={"maxiter": 4000}
+    scipy_result = scipy.optimize.minimize(
+        minus_log_posterior, scipy_result.x, method="Nelder-Mead", bounds=inside, options={"maxiter": 4000}
     )
     assert fit.is_converged.all()
     assert fit.n_iterations < 60
-    assert float(fit.log_posterior[0]) > -other.fun - 0.05
+    assert float(fit.log_posterior[0]) > -scipy_result.fun - 0.05
     values = coordinates.values(fit.vector[0])
     held = [
-        name for name, p in made.rig.parameters.items() if p.prior and _at_end(float(values[name]), p.prior)
+        name
+        for name, p in simulated.rig.parameters.items()
+        if p.prior and _at_end(float(values[name]), p.prior)
     ]
     assert len(held) > 1
 
@@ -238,7 +242,7 @@ def test_what_the_readings_cannot_see_stays_put_and_keeps_the_width_of_its_prior
 
 
 def test_rows_and_together_are_inverse(fits):
-    joined = Optimum.together([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
+    joined = Optimum.concatenated([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
     for name in ("vector", "log_posterior", "precision", "information", "is_converged"):
         assert torch.equal(getattr(joined, name), getattr(fits, name))
     assert joined.n_iterations == fits.n_iterations

@@ -25,11 +25,13 @@ COIL = """{coil1: {radius_mm: {prior: {normal: {mean: 50, sd: 2, lower: 45}}}, w
 @pytest.fixture(scope="module")
 def posterior(problem) -> LogPosterior:
     """Two sensors of different noise, and readings that lack components."""
-    made = problem(COIL, TWO_SENSORS, noise_T=0.4e-6)
-    field = made.observations.field_sensor_T.clone()
+    simulated = problem(COIL, TWO_SENSORS, noise_T=0.4e-6)
+    field = simulated.observations.field_sensor_T.clone()
     field[0, 1] = field[3, 0] = field[3, 2] = torch.nan
     field[5] = torch.nan
-    return LogPosterior(made.real.coordinates, made.real.model, made.observations.with_field(field))
+    return LogPosterior(
+        simulated.real.coordinates, simulated.real.model, simulated.observations.with_field(field)
+    )
 
 
 def prior_draws(posterior: LogPosterior, number: int) -> torch.Tensor:
@@ -66,17 +68,17 @@ def test_posterior_is_prior_times_likelihood(posterior):
 
 
 def test_residuals_vanish_at_the_truth_of_perfect_readings(problem):
-    made = problem(COIL, TWO_SENSORS, {"coil1.radius_m": 0.052}, noise_T=0.0)
-    truth = made.real.coordinates.vector({"coil1.radius_m": 0.052})
-    assert made.real.whitened(truth).abs().max() < 1e-6
-    assert made.real.whitened(made.real.coordinates.start()).abs().max() > 1.0
+    simulated = problem(COIL, TWO_SENSORS, {"coil1.radius_m": 0.052}, noise_T=0.0)
+    truth = simulated.real.coordinates.vector({"coil1.radius_m": 0.052})
+    assert simulated.real.whitened(truth).abs().max() < 1e-6
+    assert simulated.real.whitened(simulated.real.coordinates.start()).abs().max() > 1.0
 
 
 def test_whitened_residuals_of_the_truth_are_standard_normal(problem):
     """The noise of the readings is that of the rig here, but for the first sensor, whose noise is said to be half of it."""
     sensors = TWO_SENSORS.replace("noise_uT: 0.3", "noise_uT: 0.2").replace("median: 0.8", "median: 0.4")
-    places_m = np.random.default_rng(2).uniform(-0.02, 0.02, (300, 3))
-    posterior = problem(COIL, sensors, noise_T=0.4e-6, places_m=places_m).real
+    positions_m = np.random.default_rng(2).uniform(-0.02, 0.02, (300, 3))
+    posterior = problem(COIL, sensors, noise_T=0.4e-6, positions_m=positions_m).real
     whitened = posterior.whitened(posterior.coordinates.start())
     assert stats.kstest(whitened[posterior.sensor == 1].numpy(), "norm").pvalue > 0.01
     assert stats.kstest(0.5 * whitened[posterior.sensor == 0].numpy(), "norm").pvalue > 0.01

@@ -117,7 +117,7 @@ SHRUNKEN = {(1.0, 0.0): 5.0, (0.0, 1.0): 6.0}
 
 
 @pytest.mark.parametrize(
-    ("found", "accepted"),
+    ("trial_values", "accepted"),
     [
         ({REFLECTED: -1.0, EXPANDED: -2.0}, [EXPANDED]),
         ({REFLECTED: -1.0, EXPANDED: -1.0}, [REFLECTED]),
@@ -129,14 +129,14 @@ SHRUNKEN = {(1.0, 0.0): 5.0, (0.0, 1.0): 6.0}
         ({REFLECTED: 2.0, INSIDE: 2.0} | SHRUNKEN, list(SHRUNKEN)),
     ],
 )
-def test_each_rule_decides_ties_as_scipy_does(found, accepted):
-    values = {(0.0, 0.0): 0.0, (2.0, 0.0): 1.0, (0.0, 2.0): 2.0} | found
+def test_each_rule_decides_ties_as_scipy_does(trial_values, accepted):
+    values = {(0.0, 0.0): 0.0, (2.0, 0.0): 1.0, (0.0, 2.0): 2.0} | trial_values
     objective = Recorder(lambda x: torch.tensor([values[tuple(row)] for row in x.tolist()], dtype=x.dtype))
     state = evaluated(objective, torch.tensor([[[0, 0], [2, 0], [0, 2]]], dtype=torch.float64))
     after = step(state, objective, Coefficients.for_dimension(2))
     new = set(map(tuple, after.vertices[0].tolist())) - set(map(tuple, state.vertices[0].tolist()))
     assert new == set(accepted)
-    assert after.n_evaluations.item() == objective.n_rows == 3 + len(found)
+    assert after.n_evaluations.item() == objective.n_rows == 3 + len(trial_values)
 
 
 @pytest.mark.parametrize("function", [rosenbrock, kinked, rugged])
@@ -214,11 +214,11 @@ def test_restarts_rescue_the_stagnating_simplex_of_mckinnon():
 def test_a_restart_that_improves_nothing_is_the_last():
     objective = Recorder(ellipsoid)
     vertices = simplex_at(0.0, 0.0, scale=0.5)
-    without, once, many = (tightly(objective, vertices, n_restarts=n) for n in (0, 1, 9))
-    assert torch.equal(once.n_evaluations, many.n_evaluations)
+    without, once, often = (tightly(objective, vertices, n_restarts=n) for n in (0, 1, 9))
+    assert torch.equal(once.n_evaluations, often.n_evaluations)
     assert (once.n_evaluations > without.n_evaluations).all()
     assert once.values <= without.values
-    assert objective.n_rows == without.n_evaluations + once.n_evaluations + many.n_evaluations
+    assert objective.n_rows == without.n_evaluations + once.n_evaluations + often.n_evaluations
 
 
 def test_a_start_out_of_iterations_is_reported_and_not_restarted():

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.readings.metrics import angular_deviation_rad, errors
+from estimator.readings.metrics import angular_deviation_rad, error_metrics
 
 NAN = float("nan")
 
@@ -15,7 +15,7 @@ NAN = float("nan")
 def test_two_full_readings_by_hand() -> None:
     measured = np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0]])
     predicted = np.array([[3.0, 0.0, 1.0], [4.0, 2.0, 0.0]])
-    result = errors(measured, predicted)  # error vectors (0, 0, 3) and (-4, 0, 0)
+    result = error_metrics(measured, predicted)  # error vectors (0, 0, 3) and (-4, 0, 0)
     assert result.vector_T == pytest.approx(math.sqrt((9 + 16) / 2))
     assert result.paper_metric_T == pytest.approx(0.5 * math.sqrt((9 + 16) / 2))
     assert result.component_T == pytest.approx(math.sqrt((9 + 16) / 6))
@@ -27,7 +27,7 @@ def test_two_full_readings_by_hand() -> None:
 def test_components_that_were_not_measured_do_not_count() -> None:
     measured = np.array([[NAN, NAN, 1.0], [0.0, 2.0, NAN]])
     predicted = np.array([[50.0, 60.0, 1.5], [0.0, 1.0, 70.0]])
-    result = errors(measured, predicted)  # errors 0.5; 0 and 1
+    result = error_metrics(measured, predicted)  # errors 0.5; 0 and 1
     assert result.vector_T == pytest.approx(math.sqrt((0.25 + 1.0) / 2))
     assert result.component_T == pytest.approx(math.sqrt((0.25 + 1.0) / 3))
     assert result.max_T == 1.0
@@ -38,15 +38,15 @@ def test_components_that_were_not_measured_do_not_count() -> None:
 def test_a_reading_without_any_component_does_not_count() -> None:
     measured, predicted = np.array([[1.0, 2.0, 3.0]]), np.array([[1.5, 2.0, 3.0]])
     empty = np.array([[NAN, NAN, NAN]])
-    assert errors(np.concatenate([measured, empty]), np.concatenate([predicted, predicted])) == errors(
-        measured, predicted
-    )
+    assert error_metrics(
+        np.concatenate([measured, empty]), np.concatenate([predicted, predicted])
+    ) == error_metrics(measured, predicted)
 
 
 def test_the_angle_is_over_whole_readings_only() -> None:
     measured = np.array([[1.0, 0.0, 0.0], [NAN, 1.0, 0.0]])
     predicted = np.array([[1.0, 1.0, 0.0], [5.0, 1.0, 0.0]])
-    assert errors(measured, predicted).angular_deviation_rad == pytest.approx(math.pi / 4)
+    assert error_metrics(measured, predicted).angular_deviation_rad == pytest.approx(math.pi / 4)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.3, math.pi / 2, math.pi - 1e-9, math.pi])
@@ -58,16 +58,16 @@ def test_angles_keep_their_digits_at_both_ends(angle_rad: float) -> None:
 
 @pytest.mark.parametrize("measured", [np.zeros((0, 3)), np.full((2, 3), NAN)])
 def test_no_readings_have_no_errors(measured: np.ndarray) -> None:
-    result = errors(measured, np.ones_like(measured))
+    result = error_metrics(measured, np.ones_like(measured))
     assert all(math.isnan(value) for value in vars(result).values())
 
 
 def test_no_field_has_no_relative_error() -> None:
-    result = errors(np.zeros((1, 3)), np.ones((1, 3)))
+    result = error_metrics(np.zeros((1, 3)), np.ones((1, 3)))
     assert math.isnan(result.relative)
     assert result.vector_T == pytest.approx(math.sqrt(3))
 
 
 def test_a_perfect_prediction_has_no_error() -> None:
     measured = np.array([[1e-3, -2e-3, 5e-4]])
-    assert set(vars(errors(measured, measured)).values()) == {0.0}
+    assert set(vars(error_metrics(measured, measured)).values()) == {0.0}

@@ -72,11 +72,13 @@ def test_a_pose_is_every_combination_of_the_stops_in_si(rig: Rig, tmp_path: Path
 
 
 def test_every_pose_is_read_by_every_sensor_at_every_setting_and_repeat(rig: Rig, tmp_path: Path) -> None:
-    found = rows(loaded(tmp_path, rig), rig)
-    assert len(found) == len(set(found)) == (6 + 1) * 2 * 2 * 2  # poses, settings, repeats, sensors
-    assert {row[1] for row in found} == {(3.0, 0.0), (-3.0, 0.5)}  # a coil that is not named is off
-    assert sum(row[4] == (True,) for row in found) == 1 * 2 * 2 * 2
-    assert [row[5] for row in found[:4]] == [(0,)] * 4
+    visited_rows = rows(loaded(tmp_path, rig), rig)
+    assert (
+        len(visited_rows) == len(set(visited_rows)) == (6 + 1) * 2 * 2 * 2
+    )  # poses, settings, repeats, sensors
+    assert {row[1] for row in visited_rows} == {(3.0, 0.0), (-3.0, 0.5)}  # a coil that is not named is off
+    assert sum(row[4] == (True,) for row in visited_rows) == 1 * 2 * 2 * 2
+    assert [row[5] for row in visited_rows[:4]] == [(0,)] * 4
 
 
 def test_raster_order_is_that_of_the_file_and_random_order_a_permutation_by_seed(
@@ -92,7 +94,7 @@ def test_raster_order_is_that_of_the_file_and_random_order_a_permutation_by_seed
     first, second = (
         [row[:4] for row in rows(random, rig) if row[4:] == ((False,), (repeat,))] for repeat in (0, 1)
     )
-    assert first != second  # a repeat has an order of its own, so that drift does not look like place
+    assert first != second  # a repeat has an order of its own, so that drift does not look like position
 
 
 def test_settings_at_one_pose_and_sensors_at_one_setting_follow_each_other(rig: Rig, tmp_path: Path) -> None:
@@ -128,14 +130,14 @@ def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: P
     share = (poses[:, moved] - np.array([0.0, -1e-3])) / np.array([np.pi, 2e-3])
     assert ((share > 0.0) & (share < 1.0)).all()
     counts, *_ = np.histogram2d(*share.T, bins=4, range=[[0, 1], [0, 1]])
-    assert counts.min() >= 9  # of 12.5 on average; random places leave cells with 5
+    assert counts.min() >= 9  # of 12.5 on average; random points leave cells with 5
     assert np.abs(np.corrcoef(share.T)[0, 1]) < 0.05
 
 
 CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
 REFUSALS = {
     "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
-    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a key that is known here", 11),
+    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a known key", 11),
     "no poses": ("poses:", "pose:", "poses.calibration is missing", 1),
     "no calibration": ("  calibration:", "  calibrate:", "poses.calibration is missing", 4),
     "unknown mover": (
@@ -153,7 +155,7 @@ REFUSALS = {
     "joints of a stage": (
         "x_cm: 2",
         "q1_deg: 2",
-        "poses.validation.stage.q1_deg is not a key that is known here",
+        "poses.validation.stage.q1_deg is not a known key",
         8,
     ),
     "range as text": (
@@ -277,8 +279,8 @@ def test_stops_are_visited_one_by_one_with_their_own_currents(tmp_path: Path, ri
         (", current_A: {coil2: -0.5}", "", "stops[1].current_A is missing"),
         ("{coil2: -0.5}", "{coil3: 1}", "stops[1].current_A must name coils of the rig (coil1, coil2)"),
         ("{x_mm: -2}", "{x: -2}", "stops[1].stage.x must carry its unit"),
-        ("{x_mm: -2}", "{x_mm: -2, w_mm: 1}", "stops[1].stage.w_mm is not a key that is known here"),
-        ("  - {stage", "  - {arm2: {}, stage", "stops[1].arm2 is not a key that is known here"),
+        ("{x_mm: -2}", "{x_mm: -2, w_mm: 1}", "stops[1].stage.w_mm is not a known key"),
+        ("  - {stage", "  - {arm2: {}, stage", "stops[1].arm2 is not a known key"),
     ],
 )
 def test_mistakes_in_stops_are_named(tmp_path: Path, rig: Rig, old: str, new: str, words: str) -> None:
@@ -310,10 +312,10 @@ def test_a_plan_without_currents_follows_the_recommended_protocol(tmp_path: Path
     alone = {(level * 3.0, 0.0) for level in (0.5, -0.5, 1.0, -1.0)}
     alone |= {(0.0, level * 2.0) for level in (0.5, -0.5, 1.0, -1.0)}
     assert currents_A == {(0.0, 0.0)} | alone
-    places = stops.motion["stage"][:, 2].reshape(-1, 9)
-    assert bool((places == places[:, :1]).all())  # all currents at a place before the next one
-    visited = places[:, 0].tolist()
-    assert visited[:2] == visited[2:4] == visited[6:]  # two places three times: at first, half-way, at last
+    z_m = stops.motion["stage"][:, 2].reshape(-1, 9)
+    assert bool((z_m == z_m[:, :1]).all())  # all currents at a pose before the next one
+    visited = z_m[:, 0].tolist()
+    assert visited[:2] == visited[2:4] == visited[6:]  # two poses three times: at first, half-way, at last
     assert len(set(visited)) == 4
     assert visited != sorted(visited)
     assert stops.repeat.reshape(-1, 9)[:, 0].tolist() == [0, 0, 1, 1, 0, 0, 2, 2]

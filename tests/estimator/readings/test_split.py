@@ -1,4 +1,4 @@
-"""The validation split: whole blocks of neighbouring places, a share that is kept, a seed that decides."""
+"""The validation split: whole blocks of neighbouring poses, a share that is kept, a seed that decides."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def grid(n: int, size_m: float = 0.1) -> np.ndarray:
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.5, 0.8])
 def test_the_share_is_kept_to_within_a_block(share: float) -> None:
     for seed in range(10):
-        found = block_split(readings(grid(7)), share, seed).double().mean().item()
-        assert share <= found < share + 0.12  # blocks hold about a twentieth, the largest twice that
+        kept_out_share = block_split(readings(grid(7)), share, seed).double().mean().item()
+        assert share <= kept_out_share < share + 0.12  # blocks hold about a twentieth, the largest twice that
 
 
 def test_a_share_of_zero_keeps_every_reading() -> None:
@@ -75,18 +75,18 @@ def test_the_seed_decides() -> None:
 
 
 @given(
-    n_places=st.integers(1, 40),
+    n_positions=st.integers(1, 40),
     n_repeats=st.integers(1, 4),
     n_sensors=st.integers(1, 3),
     share=st.floats(0.0, 0.95),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_repeats_of_one_place_never_straddle(
-    n_places: int, n_repeats: int, n_sensors: int, share: float, seed: int
+def test_repeats_of_one_pose_never_straddle(
+    n_positions: int, n_repeats: int, n_sensors: int, share: float, seed: int
 ) -> None:
-    places = np.random.default_rng(seed).integers(0, 4, size=(n_places, 3)) * 0.01
-    position_m = np.tile(np.repeat(places, n_sensors, axis=0), (n_repeats, 1))
-    sensor = np.tile(np.arange(n_sensors), n_places * n_repeats)
+    positions = np.random.default_rng(seed).integers(0, 4, size=(n_positions, 3)) * 0.01
+    position_m = np.tile(np.repeat(positions, n_sensors, axis=0), (n_repeats, 1))
+    sensor = np.tile(np.arange(n_sensors), n_positions * n_repeats)
     kept_out = block_split(readings(position_m, sensor), share, seed).numpy()
     decided: dict[tuple, bool] = {}
     for key, is_out in zip(map(tuple, np.column_stack([sensor, position_m])), kept_out, strict=True):

@@ -16,7 +16,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
-from estimator.recalibration import agreement
+from estimator.recalibration import agreement, policy
 from estimator.recalibration.agreement import Agreement
 from estimator.recalibration.widening import widened_rig
 from estimator.rig.rig import Rig
@@ -54,7 +54,7 @@ def quickly(
     )
     columns = agreement._cause_columns(refit, torch.full((3 * len(clean[0]),), 5e-6, dtype=torch.float64))
     monkeypatch.setattr(agreement, "_cause_columns", lambda *_: columns)
-    monkeypatch.setattr(agreement, "N_SIMULATED", 2000)
+    monkeypatch.setattr(policy, "N_SIMULATED", 2000)
     return lambda calibration: [
         agreement.agreement(calibration, readings, refit, seed=k) for k, readings in enumerate(clean)
     ]

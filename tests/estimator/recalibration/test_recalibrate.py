@@ -17,6 +17,7 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.recalibration import arrivals as arrivals_module
+from estimator.recalibration import policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.judgement import Conclusion, Judgement, judge
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
@@ -60,7 +61,7 @@ def inbox(
 @pytest.fixture(autouse=True)
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is being copied: what cannot be read is damaged."""
-    monkeypatch.setattr(arrivals_module, "SETTLED_S", 0.0)
+    monkeypatch.setattr(policy, "SETTLED_S", 0.0)
 
 
 @pytest.fixture
@@ -157,7 +158,7 @@ def test_a_version_that_a_kill_left_without_its_line_is_told_of(
     monkeypatch.setattr(
         recalibrate_module, "judge", lambda *_, **__: Judgement(Conclusion.UNCHANGED, "agrees", agrees=True)
     )
-    monkeypatch.setattr(arrivals_module, "SETTLED_S", 0.0)
+    monkeypatch.setattr(policy, "SETTLED_S", 0.0)
     assert (registry.versions, registry.entries()) == ((1,), [])
     heard: list[Entry] = []
     assert recalibrate(small_rig, inbox, registry.folder, on_entry=heard.append) == heard
@@ -202,7 +203,7 @@ def test_a_session_that_is_measured_or_copied_is_left_for_the_next_time_and_it_i
     inbox: Path, small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: None
 ) -> None:
     del told
-    monkeypatch.setattr(arrivals_module, "SETTLED_S", 60.0)
+    monkeypatch.setattr(policy, "SETTLED_S", 60.0)
     shutil.rmtree(inbox / "w_drift.zarr")
     with Journal.create(inbox / "w_drift.zarr", new_header(small_rig, "measured", "plan", {})):
         pass
@@ -213,7 +214,7 @@ def test_a_session_that_is_measured_or_copied_is_left_for_the_next_time_and_it_i
     assert waited["w_drift.zarr"].startswith("it is still being measured")
     assert waited["x_damaged.zarr"].startswith("it cannot be read and changed less than a minute ago")
     assert [Path(e.session).stem for e in Registry(tmp_path / "registry").entries()] == ["z_first", "y_same"]
-    monkeypatch.setattr(arrivals_module, "SETTLED_S", 0.0)
+    monkeypatch.setattr(policy, "SETTLED_S", 0.0)
     (late,) = recalibrate(small_rig, inbox, tmp_path / "registry")
     assert Path(late.session).stem == "x_damaged"
 

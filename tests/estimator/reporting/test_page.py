@@ -61,8 +61,8 @@ def test_a_report_says_everything_in_the_order_a_reader_needs() -> None:
         "Look for drift",
         "seed",
     ]
-    places = [text.index(part) for part in order]
-    assert places == sorted(places)
+    offsets = [text.index(part) for part in order]
+    assert offsets == sorted(offsets)
     Tags(text)
 
 

@@ -91,7 +91,7 @@ REFUSALS = {
     ),
     "unknown quantity": (
         "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0, w: 1}",
-        "effects.axis_gain[probe].w is not a key that is known here",
+        "effects.axis_gain[probe].w is not a known key",
         9,
     ),
     "missing quantity": (

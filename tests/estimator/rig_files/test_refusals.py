@@ -22,19 +22,19 @@ REFUSALS = {
     "unknown key": (
         WIRE,
         f"{WIRE}\n    current_gian: 1",
-        "coils.coil1.current_gian is not a key that is known here",
+        "coils.coil1.current_gian is not a known key",
         11,
     ),
     "unknown key at the top": (
         "sensors:",
         "robots: {}\nsensors:",
-        "robots is not a key that is known here",
+        "robots is not a known key",
         21,
     ),
     "pose of a body that is carried": (
         "  hall:",
         "  hall:\n    carried_by: arm2\n    world_from_sensor: {}",
-        "sensors.hall.world_from_sensor is not a key that is known here",
+        "sensors.hall.world_from_sensor is not a known key",
         24,
     ),
     "unknown sum": (
@@ -197,7 +197,7 @@ REFUSALS = {
     "prior of another kind's key": (
         PRIOR,
         "normal: {mean: 50, sd: 3, median: 1}",
-        "coils.coil1.radius_mm.prior.normal.median is not a key that is known here",
+        "coils.coil1.radius_mm.prior.normal.median is not a known key",
         9,
     ),
     "prior of negative width": (

@@ -8,6 +8,7 @@ from itertools import combinations
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.kinds import of_one_kind, steps_of, together
@@ -140,7 +141,7 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
 
 
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
-    monkeypatch.setattr("estimator.diagnosis.hypotheses.search.MOST_REVISITED", 0)  # each is not asked again
+    monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)  # each is not asked again
     told: list[str] = []
     found = search(base, told.append)
     assert set(found.final.rig.effects) == WITH_IT

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import record_mistakes as record
 from estimator.diagnosis.hypotheses.record_mistakes import without_faults
 from estimator.effects import EFFECTS
@@ -25,7 +26,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
 ):
     """From one of the rotations alone: the whole search takes half a minute."""
     monkeypatch.setattr(record, "RECORD", ("displacement_frame",))
-    monkeypatch.setattr(record, "MOST_FAULTS", 1)
+    monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
     monkeypatch.setattr(DisplacementFrameError, "starts", lambda *_: (turned,))
     truth_rig = small_rig.with_values(small_truth)

@@ -16,7 +16,7 @@ from estimator.diagnosis.structure.cross_validation import (
     jackknife_covariance,
     log_predictive,
 )
-from estimator.readings.split import blocks_of_places
+from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -31,7 +31,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 @pytest.fixture(scope="module")
 def block(small_session: Session) -> np.ndarray:
-    return blocks_of_places(small_session.observations, np.random.default_rng(0))
+    return pose_blocks(small_session.observations, np.random.default_rng(0))
 
 
 def test_each_block_is_predicted_as_a_fit_of_the_others_predicts_it(fit, block):

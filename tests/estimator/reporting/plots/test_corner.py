@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 
 from estimator.reporting.plots import corner
-from estimator.reporting.plots.corner import _set_colours
+from estimator.reporting.plots.corner import _credible_set_colours
 from estimator.reporting.plots.style import INSIDE_68, INSIDE_95, OUTSIDE, TRUTH
 
 
@@ -29,8 +29,8 @@ def draws() -> dict[str, np.ndarray]:
 def test_corner_has_one_panel_per_pair_and_shows_units(
     draws: dict[str, np.ndarray], words: Callable[[Axes | Figure], str]
 ) -> None:
-    text = words(made := corner(draws, title="rig, 2026-01-01"))
-    assert len(made.axes) == 15
+    text = words(fig := corner(draws, title="rig, 2026-01-01"))
+    assert len(fig.axes) == 15
     for label in (
         "radius (mm)",
         "tilt x (mrad)",
@@ -45,8 +45,8 @@ def test_corner_has_one_panel_per_pair_and_shows_units(
 
 
 def test_counts_are_bars_over_whole_numbers(draws: dict[str, np.ndarray]) -> None:
-    made = corner({"coil1.axial_loops": draws["coil1.axial_loops"]})
-    bars = made.axes[0].patches
+    fig = corner({"coil1.axial_loops": draws["coil1.axial_loops"]})
+    bars = fig.axes[0].patches
     assert [bar.get_x() + 0.4 for bar in bars] == pytest.approx(np.unique(draws["coil1.axial_loops"]))
     assert sum(bar.get_height() for bar in bars) == pytest.approx(1.0)
 
@@ -55,14 +55,14 @@ def test_truth_and_point_estimate_are_marked_in_display_units(
     draws: dict[str, np.ndarray], words: Callable[[Axes | Figure], str]
 ) -> None:
     only = {"coil1.radius_m": draws["coil1.radius_m"]}
-    made = corner(only, truth={"coil1.radius_m": 0.0515}, point={"coil1.radius_m": 0.051, "other": 1.0})
-    at = {line.get_color(): line.get_xdata()[0] for line in made.axes[0].lines}
+    fig = corner(only, truth={"coil1.radius_m": 0.0515}, point={"coil1.radius_m": 0.051, "other": 1.0})
+    at = {line.get_color(): line.get_xdata()[0] for line in fig.axes[0].lines}
     assert at[TRUTH] == pytest.approx(51.5)
     assert len(at) == 2
-    assert made.axes[0].get_xlim()[1] > 51.5
+    assert fig.axes[0].get_xlim()[1] > 51.5
     below = corner(only, truth={"coil1.radius_m": 0.0505})
     assert below.axes[0].get_xlim()[0] < 50.5
-    assert "point estimate" in words(made)
+    assert "point estimate" in words(fig)
 
 
 def test_shaded_bars_of_the_interval_hold_68_per_cent(draws: dict[str, np.ndarray]) -> None:
@@ -89,13 +89,18 @@ def _share_inside(rings: ContourSet, i: int, x: np.ndarray, y: np.ndarray) -> fl
 
 
 def test_the_most_probable_counts_are_shaded_first() -> None:
-    assert _set_colours(np.array([0.02, 0.7, 0.2, 0.08])) == [OUTSIDE, INSIDE_68, INSIDE_95, INSIDE_95]
+    assert _credible_set_colours(np.array([0.02, 0.7, 0.2, 0.08])) == [
+        OUTSIDE,
+        INSIDE_68,
+        INSIDE_95,
+        INSIDE_95,
+    ]
 
 
 def test_a_count_that_is_certain_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:
     rng = np.random.default_rng(0)
-    made = corner({"c.radius_m": rng.normal(0.05, 1e-4, 500), "c.axial_loops": np.full(500, 48.0)})
-    assert "48 (100 %)" in words(made)
+    fig = corner({"c.radius_m": rng.normal(0.05, 1e-4, 500), "c.axial_loops": np.full(500, 48.0)})
+    assert "48 (100 %)" in words(fig)
 
 
 def test_twelve_parameters_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:

@@ -22,7 +22,7 @@ def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axe
         np.stack((across, 0.0 * across, along + 0.2), axis=-1)
         / ((along + 0.2) ** 2 + across**2)[..., None] ** 2
     )
-    made = field_plane(
+    fig = field_plane(
         x_m,
         z_m,
         1e-6 * dipole,
@@ -31,17 +31,17 @@ def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axe
         readings_m=np.array([[0.0, 0.0, 0.05]]),
         title="rig, 2026-01-01, 3 A",
     )
-    text = words(made)
+    text = words(fig)
     for label in (
         "|B| (mT)",
-        "90 % interval of |B| (%)",
+        "90 % credible interval of |B| (%)",
         "x (mm)",
         "z (mm)",
-        "readings",
+        "sensor positions",
         "rig, 2026-01-01, 3 A",
     ):
         assert label in text
-    for ax in made.axes[:2]:
-        assert ax.get_facecolor() == to_rgba(WINDING)  # what shows where the field is NaN, inside a winding
+    for ax in fig.axes[:2]:
+        assert ax.get_facecolor() == to_rgba(WINDING)  # visible where the field is NaN, inside a winding
         sections = [patch.get_bbox().bounds for patch in ax.patches if isinstance(patch, Rectangle)]
         assert np.allclose(sections, [(30.0, -20.0, 20.0, 20.0), (-50.0, -20.0, 20.0, 20.0)])

@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from estimator.reporting.plots import evidence_bars, explained, ladder, structure_bars
+from estimator.reporting.plots import evidence_bars, explained_residual, stepwise_residual, structure_bars
 from estimator.reporting.plots.style import BLUE, ORANGE
 
 EVIDENCE = {"nothing": 0.0, "axis_gain": 31.2, "cross_axis": 12.0, "unexplained": 8.5, "backlash": -90.0}
@@ -23,7 +23,7 @@ def labels(ax: Axes) -> list[str]:
     return [label.get_text() for label in ax.get_yticklabels()]
 
 
-def test_best_hypothesis_stands_on_top_and_the_one_taken_has_a_colour_of_its_own() -> None:
+def test_best_hypothesis_stands_on_top_and_the_adopted_one_has_a_colour_of_its_own() -> None:
     ax = evidence_bars(EVIDENCE, "axis_gain", title="step 1")
     assert labels(ax) == ["axis_gain", "cross_axis", "unexplained", "nothing", "backlash"]
     assert ax.yaxis_inverted()
@@ -42,16 +42,16 @@ def test_hopeless_hypotheses_are_cut_off_and_said_to_be(words: Callable[[Axes | 
 
 
 def test_nothing_and_the_unexplained_are_shown_however_far_behind() -> None:
-    many = {f"cause{i}": 50.0 - i for i in range(30)} | {"nothing": 0.0, "unexplained": -2.0}
-    shown = labels(evidence_bars(many))
-    assert {"nothing", "unexplained"} <= set(shown)
-    assert len(shown) == 12
+    evidence = {f"cause{i}": 50.0 - i for i in range(30)} | {"nothing": 0.0, "unexplained": -2.0}
+    names = labels(evidence_bars(evidence))
+    assert {"nothing", "unexplained"} <= set(names)
+    assert len(names) == 12
 
 
 def test_points_lie_on_the_line_where_everything_is_explained() -> None:
     rng = np.random.default_rng(1)
     change_T = rng.normal(size=(80, 3)) * 50e-6
-    ax = explained(change_T, change_T, 20e-6, title="axis_gain")
+    ax = explained_residual(change_T, change_T, 20e-6, title="axis_gain")
     points = [line for line in ax.lines if line.get_linestyle() == "None" and len(line.get_xdata()) == 80]
     assert len(points) == 3
     for line in points:
@@ -62,7 +62,7 @@ def test_points_lie_on_the_line_where_everything_is_explained() -> None:
 def test_missing_components_are_left_out_of_the_picture() -> None:
     change_T = np.full((30, 3), np.nan)
     change_T[:, 2] = np.linspace(-1e-5, 1e-5, 30)
-    ax = explained(change_T, change_T, 1e-6)
+    ax = explained_residual(change_T, change_T, 1e-6)
     assert [text.get_text() for text in ax.get_legend().get_texts() if text.get_text().startswith("B")] == [
         "Bz"
     ]
@@ -76,11 +76,13 @@ def test_structure_is_longer_the_surer_it_is_and_ends_at_the_smallest_shown() ->
     assert labels(ax) == ["time", "current"]
 
 
-def test_ladder_tells_what_was_left_after_each_cause_in_order():
-    ax = ladder(["axis_gain[hall]", "mount_tilt[coil1]"], [40e-6, 25e-6, 20e-6], [31.4, 8.0], title="rig")
-    assert labels(ax) == ["as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
+def test_stepwise_residual_shows_what_remains_after_each_cause():
+    ax = stepwise_residual(
+        ["axis_gain[hall]", "mount_tilt[coil1]"], [40e-6, 25e-6, 20e-6], [31.4, 8.0], title="rig"
+    )
+    assert labels(ax) == ["rig as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
     assert [bar.get_width() for bar in ax.patches] == pytest.approx([40.0, 25.0, 20.0])
-    said = [text.get_text().strip() for text in ax.texts]
-    assert said == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
-    large = ladder(["iron_plate[room]"], [4.25e-3, 2.9e-3], [604.0])
+    annotations = [text.get_text().strip() for text in ax.texts]
+    assert annotations == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
+    large = stepwise_residual(["iron_plate[room]"], [4.25e-3, 2.9e-3], [604.0])
     assert [text.get_text().strip() for text in large.texts] == ["4250 µT", "2900 µT, log evidence +604"]

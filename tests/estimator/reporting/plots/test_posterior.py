@@ -31,8 +31,8 @@ def test_trace_bands_are_the_quantiles_over_walkers() -> None:
 
 
 def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], str]) -> None:
-    made = traces({f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, burn_in=10)
-    text = words(made)
+    fig = traces({f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, burn_in=10)
+    text = words(fig)
     assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)"))
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.reporting.plots.style import COMPONENT, Shown, shown, sigma_unit, summary, with_sd
+from estimator.reporting.plots.style import COMPONENT, Display, displays, sigma_unit, summary, with_sd
 
 POSES = ["coil1.world_from_coil0.x_m", "coil1.flange_from_coil.x_m", "coil2.flange_from_coil.x_m"]
 
@@ -13,19 +13,19 @@ POSES = ["coil1.world_from_coil0.x_m", "coil1.flange_from_coil.x_m", "coil2.flan
     [("c.radius_m", "mm", 1e3), ("c.spin_rad", "mrad", 1e3), ("s.noise_T", "µT", 1e6), ("c.gain", "", 1.0)],
 )
 def test_the_suffix_of_a_name_sets_the_unit_shown(name: str, unit: str, factor: float) -> None:
-    show = shown([name])[name]
-    assert (show.unit, show.factor) == (unit, pytest.approx(factor))
+    display = displays([name])[name]
+    assert (display.unit, display.factor) == (unit, pytest.approx(factor))
 
 
 def test_words_stay_distinct_when_bodies_and_blocks_share_a_quantity() -> None:
-    words = [show.words for show in shown(POSES).values()]
+    words = [display.words for display in displays(POSES).values()]
     assert len(set(words)) == len(POSES)
     assert "world from coil0" in words[0]
-    assert shown(POSES[:1])[POSES[0]].words == "x"
+    assert displays(POSES[:1])[POSES[0]].words == "x"
 
 
 def test_a_dollar_in_a_name_is_not_read_as_a_formula() -> None:
-    assert shown(["a$b$.gain", "c.gain"])["a$b$.gain"].words == r"a\$b\$ gain"
+    assert displays(["a$b$.gain", "c.gain"])["a$b$.gain"].words == r"a\$b\$ gain"
 
 
 def test_values_are_cut_at_the_second_digit_of_their_sd() -> None:
@@ -36,8 +36,8 @@ def test_values_are_cut_at_the_second_digit_of_their_sd() -> None:
 
 
 def test_counts_are_summed_up_by_the_most_probable_one() -> None:
-    assert summary(np.array([48.0, 48.0, 48.0, 47.0]), Shown("loops", "", 1.0)) == "48 (75 %)"
-    assert summary(np.array([1.0, 3.0]), Shown("x", "mm", 1e3)) == "2.0 ± 1.0 mm"
+    assert summary(np.array([48.0, 48.0, 48.0, 47.0]), Display("loops", "", 1.0)) == "48 (75 %)"
+    assert summary(np.array([1.0, 3.0]), Display("x", "mm", 1e3)) == "2.0 ± 1.0 mm"
 
 
 def test_residuals_are_shown_in_sigmas_only_where_the_noise_differs() -> None:

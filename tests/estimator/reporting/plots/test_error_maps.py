@@ -31,8 +31,8 @@ def winding() -> Winding:
 
 
 def discs(ax: Axes) -> tuple[np.ndarray, np.ndarray]:
-    (found,) = (item for item in ax.collections if isinstance(item, EllipseCollection))
-    return found.get_offsets(), found.get_array()
+    (collection,) = (item for item in ax.collections if isinstance(item, EllipseCollection))
+    return collection.get_offsets(), collection.get_array()
 
 
 def tilted(positions_m: np.ndarray, angle_rad: float) -> np.ndarray:
@@ -43,8 +43,8 @@ def tilted(positions_m: np.ndarray, angle_rad: float) -> np.ndarray:
 def test_residual_map_shows_both_planes_the_winding_and_the_noise(
     winding: Winding, words: Callable[[Axes | Figure], str]
 ) -> None:
-    made = residual_map(GRID_M, np.full(GRID_M.shape, 1e-5), winding, sigma_T=1e-5, title=TITLE)
-    text = words(made)
+    fig = residual_map(GRID_M, np.full(GRID_M.shape, 1e-5), winding, sigma_T=1e-5, title=TITLE)
+    text = words(fig)
     for label in (
         "XZ: median over y",
         "XY: median over z",
@@ -56,7 +56,7 @@ def test_residual_map_shows_both_planes_the_winding_and_the_noise(
         TITLE,
     ):
         assert label in text
-    side, front = made.axes[:2]
+    side, front = fig.axes[:2]
     assert [type(patch) for patch in side.patches] == [Rectangle, Rectangle]
     assert [type(patch) for patch in front.patches] == [Annulus]
 
@@ -65,24 +65,24 @@ def test_a_disc_is_the_median_over_the_hidden_axis(winding: Winding) -> None:
     residual_T = np.zeros(GRID_M.shape)
     residual_T[:, 0] = 1e-6 * np.where(GRID_M[:, 1] == STEPS_M[0], 100.0, 1e3 * (GRID_M[:, 0] + 0.05))
     side, front = residual_map(GRID_M, residual_T, winding).axes[:2]
-    places_mm, values_uT = discs(side)
+    positions_mm, values_uT = discs(side)
     assert len(values_uT) == 25
-    assert np.allclose(values_uT, places_mm[:, 0] + 50.0)
-    places_mm, values_uT = discs(front)
-    assert np.allclose(values_uT[places_mm[:, 1] < -39.0], 100.0)
+    assert np.allclose(values_uT, positions_mm[:, 0] + 50.0)
+    positions_mm, values_uT = discs(front)
+    assert np.allclose(values_uT[positions_mm[:, 1] < -39.0], 100.0)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.03, -0.05])
 def test_a_tilted_grid_keeps_its_layers(winding: Winding, angle_rad: float) -> None:
-    made = residual_map(tilted(GRID_M, angle_rad), np.ones(GRID_M.shape), winding)
-    assert [len(discs(ax)[1]) for ax in made.axes[:2]] == [25, 25]
+    fig = residual_map(tilted(GRID_M, angle_rad), np.ones(GRID_M.shape), winding)
+    assert [len(discs(ax)[1]) for ax in fig.axes[:2]] == [25, 25]
 
 
-def test_scattered_places_become_a_raster(winding: Winding, words: Callable[[Axes | Figure], str]) -> None:
-    places_m = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 3))
-    made = residual_map(places_m, np.ones(places_m.shape), winding)
-    words(made)
-    for ax in made.axes[:2]:
+def test_scattered_positions_become_a_raster(winding: Winding, words: Callable[[Axes | Figure], str]) -> None:
+    positions_m = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 3))
+    fig = residual_map(positions_m, np.ones(positions_m.shape), winding)
+    words(fig)
+    for ax in fig.axes[:2]:
         positions_mm, _ = discs(ax)
         assert len(np.unique(np.round(positions_mm[:, 0], 6))) == 24
 
@@ -90,24 +90,24 @@ def test_scattered_places_become_a_raster(winding: Winding, words: Callable[[Axe
 def test_a_single_plane_with_jitter_stays_visible(
     winding: Winding, words: Callable[[Axes | Figure], str]
 ) -> None:
-    places_m = GRID_M * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.03]
-    places_m[:, 2] += np.random.default_rng(0).normal(0.0, 1e-6, len(places_m))
-    made = residual_map(places_m, np.ones(places_m.shape), winding)
-    words(made)
-    positions_mm, values = discs(made.axes[0])
+    positions_m = GRID_M * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.03]
+    positions_m[:, 2] += np.random.default_rng(0).normal(0.0, 1e-6, len(positions_m))
+    fig = residual_map(positions_m, np.ones(positions_m.shape), winding)
+    words(fig)
+    positions_mm, values = discs(fig.axes[0])
     assert len(values) == 5
     assert np.allclose(positions_mm[:, 1], 30.0, atol=1e-2)
-    assert np.allclose(made.axes[0].collections[0].get_heights(), 0.92 * 20.0)
+    assert np.allclose(fig.axes[0].collections[0].get_heights(), 0.92 * 20.0)
 
 
 def test_a_long_scan_is_not_squeezed_into_a_line(winding: Winding) -> None:
-    places_m = GRID_M * [0.2, 0.2, 20.0]
-    side, front = residual_map(places_m, np.ones(places_m.shape), winding).axes[:2]
+    positions_m = GRID_M * [0.2, 0.2, 20.0]
+    side, front = residual_map(positions_m, np.ones(positions_m.shape), winding).axes[:2]
     assert side.get_aspect() == "auto"
     assert front.get_aspect() == 1.0
 
 
-def test_one_place_can_be_drawn(winding: Winding, words: Callable[[Axes | Figure], str]) -> None:
+def test_one_position_can_be_drawn(winding: Winding, words: Callable[[Axes | Figure], str]) -> None:
     words(residual_map(GRID_M[:1], np.zeros((1, 3)), winding))
 
 
@@ -116,18 +116,18 @@ def test_relative_error_is_in_per_cent_of_the_measured_length(
 ) -> None:
     measured_T = np.tile([3e-3, 0.0, 4e-3], (len(GRID_M), 1))
     measured_T[0] = 0.0
-    made = relative_error_map(GRID_M, measured_T, measured_T * 1.02, winding, title=TITLE)
-    assert "(%)" in words(made)
-    assert np.allclose(discs(made.axes[0])[1], 2.0)
+    fig = relative_error_map(GRID_M, measured_T, measured_T * 1.02, winding, title=TITLE)
+    assert "(%)" in words(fig)
+    assert np.allclose(discs(fig.axes[0])[1], 2.0)
 
 
 def test_angle_is_in_mrad_and_needs_all_components(
     winding: Winding, words: Callable[[Axes | Figure], str]
 ) -> None:
     measured_T = np.tile([0.0, 0.0, 4e-3], (len(GRID_M), 1))
-    made = angular_deviation_map(GRID_M, measured_T, tilted(measured_T, 0.005), winding, title=TITLE)
-    assert "(mrad)" in words(made)
-    assert np.allclose(discs(made.axes[0])[1], 5.0)
+    fig = angular_deviation_map(GRID_M, measured_T, tilted(measured_T, 0.005), winding, title=TITLE)
+    assert "(mrad)" in words(fig)
+    assert np.allclose(discs(fig.axes[0])[1], 5.0)
     measured_T[:, 0] = np.nan
     with pytest.raises(InvalidInput, match="mrad"):
         angular_deviation_map(GRID_M, measured_T, measured_T, winding)
@@ -140,7 +140,7 @@ def test_components_that_were_not_measured_do_not_count(winding: Winding) -> Non
     assert np.allclose(values, 5.0)
 
 
-def test_before_and_after_share_their_colours_and_places(winding: Winding) -> None:
+def test_before_and_after_share_their_colours_and_positions(winding: Winding) -> None:
     before_T, after_T = np.full_like(GRID_M, 100e-6), np.full_like(GRID_M, 10e-6)
     figure = before_and_after_map(GRID_M, before_T, after_T, winding, 5e-6, TITLE)
     panels = [ax for ax in figure.axes if ax.get_title()]

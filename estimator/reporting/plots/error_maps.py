@@ -1,7 +1,7 @@
-"""Where in front of the coil the model is good: errors over the places at which the sensor stood.
+"""Maps of the model's error over the positions of the sensor, in the frame of a coil.
 
-All positions are in the coil frame: the winding, drawn grey, has its front face at z = 0 and +z points away from it. A panel shows
-one plane; readings that lie behind each other in it are one disc, coloured by their median.
+The winding, drawn grey, has its front face at z = 0, and +z points away from it. A panel shows one plane. Readings that share a position in
+it form one disc, coloured by their median.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ NOISE_STAYS_PALE = 4.0
 def residual_map(
     positions_m: Vectors, residual_T: Vectors, winding: Winding, sigma_T: float | None = None, title: str = ""
 ) -> Figure:
-    """Length of the residual vector over the places, in µT.
+    """Length of the residual vector at the sensor positions, in µT.
 
     Args:
-        positions_m: Sensor in the coil frame.
+        positions_m: Sensor positions in the coil frame.
         residual_T: Measured minus predicted, in any frame; NaN where a component was not measured.
-        winding: The coil's, one value each.
-        sigma_T: Noise of one component; its typical length is then marked beside the colours.
+        winding: Winding of the coil (no batch).
+        sigma_T: Noise of one component; if given, the median length of pure noise is marked on the colour bar.
         title: Rig and date.
     """
     length_uT = _length(residual_T) * 1e6
@@ -51,7 +51,7 @@ def residual_map(
 def relative_error_map(
     positions_m: Vectors, measured_T: Vectors, predicted_T: Vectors, winding: Winding, title: str = ""
 ) -> Figure:
-    """Length of the residual vector over that of the measured one, in per cent; arguments as in `residual_map`."""
+    """Length of the residual vector relative to the measured one, in per cent; arguments as in `residual_map`."""
     size_T = _length(measured_T)
     percent = 100.0 * _length(measured_T - predicted_T) / np.where(size_T > 0.0, size_T, np.nan)
     return _two_planes(positions_m, percent, winding, "|measured − predicted| / |measured| (%)", title)
@@ -76,7 +76,7 @@ def before_and_after_map(
     sigma_T: float | None = None,
     title: str = "",
 ) -> Figure:
-    """Length of the residual under two models at the same places and in the same colours, in µT; arguments as in `residual_map`."""
+    """Length of the residual under two models at the same positions and in the same colours, in µT; arguments as in `residual_map`."""
     noise_uT = None if sigma_T is None else sigma_T * 1e6 * MEDIAN_OF_MAXWELL
     rows = {"before": _length(before_T) * 1e6, "after": _length(after_T) * 1e6}
     return _panels(positions_m, rows, winding, "|measured − predicted| (µT)", title, noise_uT)
@@ -90,7 +90,7 @@ def _two_planes(
     title: str,
     noise: float | None = None,
 ) -> Figure:
-    """Values at the places from the side (XZ) and from the front (XY)."""
+    """Values at the sensor positions from the side (XZ) and from the front (XY)."""
     return _panels(positions_m, {"": values}, winding, label, title, noise)
 
 
@@ -102,47 +102,48 @@ def _panels(
     title: str,
     noise: float | None = None,
 ) -> Figure:
-    """Values at the places from the side (XZ) and from the front (XY), the median over the hidden axis; a row for each set of values."""
+    """A row of panels for each set of values: from the side (XZ) and from the front (XY), median over the hidden axis."""
     is_known = np.isfinite(np.stack(list(rows.values()))).all(axis=0)
     if not is_known.any():
         raise InvalidInput(f"a map of {label} needs readings of the field's components; received none")
-    places_mm = positions_m[is_known] * 1e3
-    same_mm = SAME_LAYER * float(np.ptp(places_mm, axis=0).max())
-    layers = np.empty(places_mm.shape, int)
+    positions_mm = positions_m[is_known] * 1e3
+    same_mm = SAME_LAYER * float(np.ptp(positions_mm, axis=0).max())
+    layers = np.empty(positions_mm.shape, int)
     for axis in range(3):
-        layers[:, axis], places_mm[:, axis] = _layers(places_mm[:, axis], same_mm)
-    cell_mm = np.ptp(places_mm, axis=0) / np.maximum(layers.max(0), 1)
+        layers[:, axis], positions_mm[:, axis] = _layers(positions_mm[:, axis], same_mm)
+    cell_mm = np.ptp(positions_mm, axis=0) / np.maximum(layers.max(0), 1)
     cell_mm = np.where(cell_mm > 0.0, cell_mm, cell_mm.max() or 1.0)
     seen = [
-        [(row, up, *_medians(places_mm, values[is_known], layers, (0, up))) for up in (2, 1)]
+        [(row, up, *_medians(positions_mm, values[is_known], layers, (0, up))) for up in (2, 1)]
         for row, values in rows.items()
     ]
     typical = max(float(np.quantile(medians, 0.98)) for row in seen for *_, medians in row)
     top = max(typical, NOISE_STAYS_PALE * (noise or 0.0)) or 1.0
 
-    made = figure(9.0, 0.6 + 3.6 * len(rows), title)
-    panels = made.subplots(len(rows), 2, squeeze=False)
+    fig = figure(9.0, 0.6 + 3.6 * len(rows), title)
+    panels = fig.subplots(len(rows), 2, squeeze=False)
     for line, row in zip(panels, seen, strict=True):
         for ax, (name, up, centres, medians) in zip(line, row, strict=True):
-            _frame(ax, places_mm[:, (0, up)], winding, up, cell_mm[[0, up]])
+            _frame(ax, positions_mm[:, (0, up)], winding, up, cell_mm[[0, up]])
             drawn = _discs(ax, centres, medians, cell_mm[[0, up]], top)
             if name:
                 ax.set_title(f"{name}, {ax.get_title()}")
-    bar = made.colorbar(drawn, ax=panels, label=label, extend="max")
+    bar = fig.colorbar(drawn, ax=panels, label=label, extend="max")
     if noise is not None:
         bar.ax.axhline(noise, color="white", lw=3.0)
         bar.ax.axhline(noise, color=BLACK, lw=1.2)
-        place = (-0.3, noise)
-        bar.ax.annotate("noise\nalone", place, xycoords=SIDE_AND_DATA, ha="right", va="center", fontsize=8)
-    return made
+        bar.ax.annotate(
+            "noise\nalone", (-0.3, noise), xycoords=SIDE_AND_DATA, ha="right", va="center", fontsize=8
+        )
+    return fig
 
 
-def _frame(ax: Axes, places_mm: np.ndarray, winding: Winding, up: int, cell_mm: np.ndarray) -> None:
-    """Winding, limits, labels and shape of the panel with x across and axis number `up` upwards."""
+def _frame(ax: Axes, positions_mm: np.ndarray, winding: Winding, up: int, cell_mm: np.ndarray) -> None:
+    """Draw the winding and set limits, labels and aspect of a panel with x across and axis number `up` upwards."""
     draw_winding(ax, winding, "xyz"[up])
     radius_mm, length_mm = float(winding.radius_m) * 1e3, float(winding.length_m) * 1e3
-    low = np.minimum(places_mm.min(0) - 0.5 * cell_mm, (-radius_mm, -length_mm if up == 2 else -radius_mm))
-    high = np.maximum(places_mm.max(0) + 0.5 * cell_mm, (radius_mm, 0.0 if up == 2 else radius_mm))
+    low = np.minimum(positions_mm.min(0) - 0.5 * cell_mm, (-radius_mm, -length_mm if up == 2 else -radius_mm))
+    high = np.maximum(positions_mm.max(0) + 0.5 * cell_mm, (radius_mm, 0.0 if up == 2 else radius_mm))
     span, margin = high - low, 0.03 * (high - low)
     ax.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
     ax.set_aspect("equal" if span.max() < LONGEST_PANEL * span.min() else "auto")
@@ -152,7 +153,7 @@ def _frame(ax: Axes, places_mm: np.ndarray, winding: Winding, up: int, cell_mm: 
 def _discs(
     ax: Axes, centres_mm: np.ndarray, values: np.ndarray, cell_mm: np.ndarray, top: float
 ) -> EllipseCollection:
-    """One disc per cell, nearly as large as the cell."""
+    """Draw one disc per cell, nearly as large as the cell."""
     if ax.get_aspect() != "auto":
         cell_mm = np.full(2, cell_mm.min())
     size, n = 0.92 * cell_mm, len(values)
@@ -174,15 +175,15 @@ def _discs(
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
-    """Length over the components that were measured; NaN where none was."""
+    """Length over the measured components; NaN if none was measured."""
     return np.where(np.isfinite(vectors).any(axis=1), np.sqrt(np.nansum(vectors**2, axis=1)), np.nan)
 
 
 def _layers(coordinate_mm: np.ndarray, same_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Layer of every place, and the coordinate at which it is drawn.
+    """Layer of every position, and the coordinate at which it is drawn.
 
-    A layer is one of the grid, which may be tilted a little; where the places form no grid, it is one of equal slices, drawn at its
-    middle. Coordinates within `same_mm` are one layer.
+    Layers are those of the grid, which may be tilted a little. Positions without a grid are cut into equal slices, drawn at their middles.
+    Coordinates within `same_mm` form one layer.
     """
     index = np.zeros(len(coordinate_mm), int)
     extent = float(np.ptp(coordinate_mm))
@@ -204,10 +205,10 @@ def _layers(coordinate_mm: np.ndarray, same_mm: float) -> tuple[np.ndarray, np.n
 
 
 def _medians(
-    places_mm: np.ndarray, values: np.ndarray, layers: np.ndarray, axes: tuple[int, int]
+    positions_mm: np.ndarray, values: np.ndarray, layers: np.ndarray, axes: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middle of the places and median of the values that share both layers."""
+    """Median position and median value of the readings that share both layers."""
     distinct, cell = np.unique(layers[:, axes], axis=0, return_inverse=True)
     of_cell = [cell.ravel() == i for i in range(len(distinct))]
-    centres = np.array([np.median(places_mm[m][:, axes], axis=0) for m in of_cell]).reshape(-1, 2)
+    centres = np.array([np.median(positions_mm[m][:, axes], axis=0) for m in of_cell]).reshape(-1, 2)
     return centres, np.array([np.median(values[m]) for m in of_cell])
