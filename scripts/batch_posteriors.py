@@ -1,6 +1,6 @@
-"""Posteriors of many sessions from Python, ready to edit: simulate some days of one rig, calibrate them all, open the results.
+"""An example to edit: simulate sessions of one rig, calibrate them all from Python, open the results.
 
-Replace `days()` by your own sessions. On Slurm, pass the address of a Dask scheduler (docs/decisions/0013-batch.md).
+Replace `days()` with your own sessions. On Slurm, pass the address of a Dask scheduler (docs/decisions/0013-batch.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Judge new sessions against the current calibration and say what changed; edit the three paths, or call it from your own scheduler.
+"""Judges new sessions against the current calibration and prints what changed; edit the three paths, or call it from a scheduler.
 
 `coilcal recalibrate` does the same from the command line, with alerts and `--every 6h`.
 """

@@ -1,4 +1,4 @@
-"""Jobs on Dask distributed: a cluster of this computer's processes, or one that is there already."""
+"""Runs calls on Dask distributed: on processes of this computer, or on an existing cluster."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from distributed.comm.core import CommClosedError
 
 from estimator.errors import InvalidInput
 
-DEATHS_ALLOWED = 3  # of workers on one and the same job, before the job is taken for the cause
+DEATHS_ALLOWED = 3  # workers that may die on one job before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
 ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
-GIVES_BACK = "MALLOC_TRIM_THRESHOLD_"  # of Dask: memory goes back to the system at once, and a fit takes up to twice as long
+# With this variable, Dask returns memory to the system at once, and a fit takes up to twice as long.
+TRIM_VARIABLE = "MALLOC_TRIM_THRESHOLD_"
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
 class _SchedulerLost(Exception):
-    """Calls that are not finished have to be made again."""
+    """The scheduler was lost: unfinished calls have to be made again."""
 
 
 def _words(error: BaseException | None) -> str:
@@ -34,35 +35,35 @@ def _words(error: BaseException | None) -> str:
 class Cluster:
     """Runs calls on workers.
 
-    A worker that dies is replaced and its calls are made again elsewhere; where the scheduler is lost, unfinished calls are made again once
-    there is one at the same address.
+    A worker that dies is replaced and its calls are made again elsewhere. If the scheduler is lost, unfinished calls are made again once
+    there is a new one at the same address.
     """
 
     def __init__(self, client: Client, address: str) -> None:
         self._client, self._address = client, address
 
     def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
-        """Make every call once; `tell` hears of each result, or of the exception in its place, as it comes.
+        """Make every call once, and pass each result, or the exception in its place, to `tell` as it comes.
 
         Raises:
-            InvalidInput: The scheduler was lost and none came back in its place.
+            InvalidInput: The scheduler was lost and not replaced.
         """
-        left = dict(calls)
+        unfinished = dict(calls)
         for _ in range(1 + RECONNECTIONS):
             try:
-                for name, result in self._results(left):
-                    del left[name]
+                for name, result in self._results(unfinished):
+                    del unfinished[name]
                     tell(name, result)
             except _SchedulerLost:
                 self._reconnect()
             else:
                 return
         raise InvalidInput(
-            f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(left)} jobs left)"
+            f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(unfinished)} jobs left)"
         )
 
     def _results(self, calls: Mapping[Hashable, Call]) -> Iterator[tuple[Hashable, Any]]:
-        """Results as they come. What fails in whoever hears of them is not raised in here, and so not taken for a lost scheduler."""
+        """Results as they come. Errors of the consumer are not raised in here, so they are not taken for a lost scheduler."""
         try:
             futures = {
                 self._client.submit(function, *arguments, pure=False): name
@@ -84,7 +85,7 @@ class Cluster:
             self._client = Client(self._address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, TimeoutError) as error:
             raise InvalidInput(
-                f"scheduler must answer within {PATIENCE_S} s; {self._address} did not (what is finished is kept: run it again)"
+                f"scheduler must answer within {PATIENCE_S} s; {self._address} did not (finished jobs are kept: run the command again)"
             ) from error
 
     def close(self) -> None:
@@ -94,20 +95,20 @@ class Cluster:
 
 @contextmanager
 def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
-    """Workers to run on.
+    """Start workers, or connect to those of a scheduler.
 
     Args:
         workers: Processes on this computer; one per processor by default. Only without a scheduler.
-        scheduler: Address of one that is there already, such as tcp://host:8786.
+        scheduler: Address of an existing scheduler, such as tcp://host:8786.
     Raises:
-        InvalidInput: Both are given, or the scheduler does not answer.
+        InvalidInput: Both arguments are given, or the scheduler does not answer.
     """
     if scheduler is not None and workers is not None:
         raise InvalidInput("workers must not be given for a scheduler that has its own; received both")
     environment = dict(dask.config.get(ENVIRONMENT))
-    environment.pop(GIVES_BACK, None)
-    chosen = {"distributed.scheduler.allowed-failures": DEATHS_ALLOWED, ENVIRONMENT: environment}
-    with dask.config.set(chosen), ExitStack() as stack:
+    environment.pop(TRIM_VARIABLE, None)
+    settings = {"distributed.scheduler.allowed-failures": DEATHS_ALLOWED, ENVIRONMENT: environment}
+    with dask.config.set(settings), ExitStack() as stack:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))
@@ -117,6 +118,6 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
             client = Client(address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise InvalidInput(f"scheduler must answer within {PATIENCE_S} s; {address} did not") from error
-        where = Cluster(client, address)
-        stack.callback(where.close)  # the client it has by then, which may be another one
-        yield where
+        connected = Cluster(client, address)
+        stack.callback(connected.close)  # closes the client of that time, which may be a later one
+        yield connected

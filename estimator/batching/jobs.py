@@ -1,4 +1,4 @@
-"""What a batch consists of: one fit for each session, coil and hypothesis, known by what decides its result."""
+"""The jobs of a batch: one fit for each session, coil and hypothesis, identified by everything that decides its result."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Job:
     Attributes:
         session: Path of the session.
         rig: Another description of its rig; None for its own.
-        coil: The one coil that is calibrated, from the readings in which it alone carries current; None for the whole rig.
-        hypothesis: `plain`, or causes to be free, joined by +.
-        seed: Of starts and sampling.
-        session_hash: Of its readings, wherever they lie.
-        key: Hash of session, rig, hypothesis, seed, versions and of the settings that decide a chain: what decides the result.
-        settings: Jobs that share it can be stacked.
-        n_readings: That are fitted.
+        coil: The coil to calibrate, from readings in which it alone carries current; None for the whole rig.
+        hypothesis: `plain`, or free causes joined by +.
+        seed: Seed of starts and sampling.
+        session_hash: Hash of the readings, wherever they are stored.
+        key: Hash of what decides the result: session, rig, hypothesis, seed, versions and the settings that decide a chain.
+        settings: Hash of rig and settings; jobs that share it can be stacked.
+        n_readings: Number of fitted readings.
     """
 
     session: str
@@ -52,13 +52,13 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Folder of the result: readable, and another one wherever the result would be another."""
+        """Name of the result folder: readable, and different for every different result."""
         words = [Path(self.session).stem, *([self.coil] if self.coil else []), self.hypothesis, self.key[:10]]
         return "-".join(re.sub(r"[^\w.+]+", "_", word).strip("_") for word in words)
 
     @property
     def subject(self) -> tuple[str, str | None]:
-        """What the hypotheses compete for."""
+        """Session and coil, for which hypotheses compete."""
         return self.session_hash, self.coil
 
 
@@ -70,7 +70,7 @@ def jobs_of(
     seed: int,
     settings: SamplerSettings | None = None,
 ) -> tuple[list[Job], dict[str, str]]:
-    """The fits of one session, and why others cannot be made: no reading for a coil, or no such hypothesis in its rig.
+    """The jobs of one session, and the reasons against others: no reading for a coil, or no such hypothesis in its rig.
 
     Raises:
         CoilcalError: The session cannot be read, or is of another rig.
@@ -79,19 +79,19 @@ def jobs_of(
     if rig is not None:
         session.check_rig(rig)
     coils: list[str | None] = [coil.name for coil in session.rig.coils] if is_each_coil else [None]
-    found, refused = [], {}
+    jobs, refused = [], {}
     for coil in coils:
         for hypothesis in hypotheses:
             job = Job(path, rig, coil, hypothesis, seed, session.hash)
             try:
-                found.append(_known(job, session, settings or SamplerSettings()))
+                jobs.append(_keyed(job, session, settings or SamplerSettings()))
             except CoilcalError as error:
                 refused[", ".join((path, *([coil] if coil else []), hypothesis))] = str(error)
-    return found, refused
+    return jobs, refused
 
 
 def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
-    """The readings that a job is about, and the rig with what its hypothesis frees.
+    """The readings of a job, and the rig with the causes of its hypothesis free.
 
     Raises:
         InvalidInput: The coil never carries current alone, or the hypothesis does not exist in this rig.
@@ -105,20 +105,21 @@ def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
 
 
 def stacks(jobs: Sequence[Job], most_readings: int, most_jobs: int) -> Iterator[list[Job]]:
-    """Jobs that are fitted together: those of the same rig at the same settings, whatever of them is done already."""
+    """Jobs to fit together: those of the same rig at the same settings, finished or not."""
     by_settings: dict[str, list[Job]] = {}
     for job in sorted(jobs, key=lambda job: job.key):
         by_settings.setdefault(job.settings, []).append(job)
-    for same in by_settings.values():
-        width = max(1, min(most_jobs, most_readings // max(same[0].n_readings, 1)))
-        for first in range(0, len(same), width):
-            yield same[first : first + width]
+    for alike in by_settings.values():
+        width = max(1, min(most_jobs, most_readings // max(alike[0].n_readings, 1)))
+        for first in range(0, len(alike), width):
+            yield alike[first : first + width]
 
 
-def _known(job: Job, session: Session, settings: SamplerSettings) -> Job:
-    own, rig = readings_and_rig(job, session)
-    observations = own.observations.calibration
-    chain = [settings.n_walkers, settings.check_every]  # when a chain ends does not decide its steps
+def _keyed(job: Job, session: Session, settings: SamplerSettings) -> Job:
+    """The job with its key and settings hash."""
+    job_session, rig = readings_and_rig(job, session)
+    observations = job_session.observations.calibration
+    chain = [settings.n_walkers, settings.check_every]  # its targets do not decide its steps
     decisive = [job.session_hash, rig.hash, job.coil, job.hypothesis, job.seed, versions(), chain]
     return replace(
         job,
@@ -140,15 +141,16 @@ def _with_cause(rig: Rig, observations: Observations, text: str) -> Rig:
     return with_effect(rig, cause, observations, shapes)
 
 
-def _one_coil(session: Session, rig: Rig, coil: str) -> tuple[Session, Rig]:
-    """Readings without current in any other coil, and the rig with everything of the other coils fixed (paper, eq 17)."""
-    at = [one.name for one in rig.coils].index(coil)
-    others = session.observations.current_A.clone()
-    others[:, at] = 0.0
-    alone = (others == 0.0).all(1)
-    if not bool((session.observations.current_A[alone, at] != 0.0).any()):
-        raise InvalidInput(f"{coil} must carry current alone in some reading; it never does")
-    idle = [name for name in (one.name for one in rig.coils) if name != coil]
-    fixed = [p.name for p in rig.free if p.name.partition(".")[0] in idle]
-    own = Session(rig, session.observations.rows(alone), session.source, session.created, session.truth)
-    return own, rig.with_fixed(fixed)
+def _one_coil(session: Session, rig: Rig, name: str) -> tuple[Session, Rig]:
+    """Readings without current in other coils, and the rig with the parameters of other coils fixed (paper, eq 17)."""
+    names = [coil.name for coil in rig.coils]
+    column = names.index(name)
+    other_currents_A = session.observations.current_A.clone()
+    other_currents_A[:, column] = 0.0
+    is_alone = (other_currents_A == 0.0).all(1)
+    if not bool((session.observations.current_A[is_alone, column] != 0.0).any()):
+        raise InvalidInput(f"{name} must carry current alone in some reading; it never does")
+    fixed = [p.name for p in rig.free if p.name.partition(".")[0] in set(names) - {name}]
+    observations = session.observations.rows(is_alone)
+    one_coil = Session(rig, observations, session.source, session.created, session.truth)
+    return one_coil, rig.with_fixed(fixed)

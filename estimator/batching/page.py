@@ -1,4 +1,4 @@
-"""The page of a batch: how many sessions agree, which do not fit, what failed."""
+"""The page of a batch: agreement of parameters across sessions, fits, and failures."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def overview(result: BatchResult, command: str) -> str:
     """HTML of a batch, self-contained.
 
     Args:
-        result: Of `estimator.batch`.
-        command: What produced it, shown as provenance.
+        result: Result of `estimator.batch`.
+        command: The command that produced it, shown as provenance.
     """
     table = result.table()
     best = _best(table)
@@ -45,7 +45,7 @@ def overview(result: BatchResult, command: str) -> str:
 
 
 def _best(table: pd.DataFrame) -> pd.DataFrame:
-    """Of every session and coil the most probable hypothesis."""
+    """The most probable hypothesis of every session and coil."""
     if not len(table):
         return table
     groups = [table["session_hash"], table["coil"].fillna("")]
@@ -53,7 +53,7 @@ def _best(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _scalars(result: BatchResult) -> list[str]:
-    """Parameters that all jobs share, in the order of the rig."""
+    """Parameters common to all jobs, in the order of the rig."""
     records = result.records()
     common = set.intersection(*(set(record["parameters"]) for record in records)) if records else set()
     return [name for name in (records[0]["parameters"] if records else ()) if name in common][
@@ -62,7 +62,7 @@ def _scalars(result: BatchResult) -> list[str]:
 
 
 def _scatter(best: pd.DataFrame, name: str) -> float:
-    """Chi-square per degree of freedom of one parameter across sessions: 1 where they agree within their intervals."""
+    """Chi-square per degree of freedom of one parameter across sessions; about 1 if they agree within their intervals."""
     centre, sd = best[name].to_numpy(), best[f"{name}.sd"].to_numpy()
     if len(centre) < 2 or not (sd > 0.0).all():
         return float("nan")
@@ -70,7 +70,7 @@ def _scatter(best: pd.DataFrame, name: str) -> float:
 
 
 def _mean(centre: np.ndarray, sd: np.ndarray) -> float:
-    """Weighted by the intervals; where one has no width, as for a loop count that is certain, the plain mean."""
+    """Mean weighted by the intervals, or the plain mean if one has no width, as for a certain loop count."""
     return float(np.average(centre, weights=sd**-2.0) if (sd > 0.0).all() else centre.mean())
 
 
@@ -80,13 +80,13 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
     fits = "1 fit" if len(table) == 1 else f"{len(table)} fits"
     sentences = [f"{fits}, {n_sampled} of them sampled{failures}."]
     if len(best) > 1:
-        apart = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
+        disagreeing = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
         words = displays(names)
         sentences.append(
             "Sessions differ by more than their intervals in "
-            + ", ".join(words[name].words for name in apart)
+            + ", ".join(words[name].words for name in disagreeing)
             + "."
-            if apart
+            if disagreeing
             else "Every parameter agrees across sessions within its intervals."
         )
     if len(best) and table["hypothesis"].nunique() > 1:
@@ -96,13 +96,13 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
 
 
 def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
-    found = [f"{Path(what).name}: {why}" for what, why in result.failed.items()]
+    warnings = [f"{Path(what).name}: {why}" for what, why in result.failed.items()]
     if len(table):
-        found += [
+        warnings += [
             f"{job} did not converge; its intervals are provisional."
             for job in table["job"][~table["is_converged"]]
         ]
-    return found
+    return warnings
 
 
 def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[Table]:
@@ -131,8 +131,8 @@ def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> li
             "unit",
             "χ² per degree of freedom",
         ]
-        says = "A χ² well above 1 says that sessions differ by more than their own uncertainty."
-        tables.append(Table("Across sessions", header, rows, says))
+        caption = "A χ² well above 1 means that sessions differ by more than their uncertainties."
+        tables.append(Table("Across sessions", header, rows, caption))
     short = _short(table["session"])
     rows = [
         [
@@ -170,12 +170,12 @@ def _picture(result: BatchResult, best: pd.DataFrame, names: Sequence[str]) -> P
         labels,
         best["is_sampled"].to_numpy(dtype=bool),
     )
-    says = "Median and 90 % interval of each session; blue was sampled, grey is Laplace; the line is the mean of all."
-    return Picture("Parameters, session by session", says, figure)
+    caption = "Median and 90 % interval of each session: blue by sampling, grey by Laplace; the line is the mean of all."
+    return Picture("Parameters, session by session", caption, figure)
 
 
 def _short(paths: Iterable[str]) -> dict[str, str]:
-    """By path the name of a session; where two have the same, with the folders in which they differ.
+    """Short name of each session by its path, with the folders in which paths differ if two share a name.
 
     Examples:
         >>> _short(["/data/a/day1.zarr", "/data/b/day1.zarr"])

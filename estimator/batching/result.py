@@ -1,4 +1,4 @@
-"""What a batch found: a table of all fits, the probabilities of the hypotheses, posteriors to open."""
+"""Results of a batch: a table of all fits, the probabilities of the hypotheses, the sampled posteriors."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from estimator.batching.work import POSTERIOR, RESULT
-from estimator.calibration.result import POSTERIOR as DRAWS
-from estimator.calibration.result import SUMMARY, Calibration, write_text
+from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
 from estimator.errors import InvalidInput
 
 
@@ -24,11 +23,11 @@ class BatchResult:
     """The results of a batch on disk.
 
     Attributes:
-        folder: With one folder for each job.
-        names: Of the jobs that were fitted.
-        failed: Why there is no result, by session or job.
-        n_new: Fits and posteriors that were made by this call; the others were there before.
-        sessions: Where the session of each job lies now; where it is not said, that is where it lay when it was fitted.
+        folder: Folder with one folder for each job.
+        names: Names of the fitted jobs.
+        failed: Reason for each session or job without a result.
+        n_new: Number of fits and posteriors made by this call.
+        sessions: Present path of the session of each job; by default its path at the time of the fit.
     """
 
     folder: Path
@@ -38,14 +37,14 @@ class BatchResult:
     sessions: Mapping[str, str] = field(default_factory=dict)
 
     def records(self) -> list[dict[str, Any]]:
-        """Content of every `result.json`; where the posterior was sampled, its parameters."""
+        """Content of every `result.json`, with the parameters of the posterior if it was sampled."""
         return [
             {**record, "session": self.sessions.get(name, record["session"])}
-            for name, record in ((name, _record(self.folder / name)) for name in self.names)
+            for name, record in ((name, _result(self.folder / name)) for name in self.names)
         ]
 
     def table(self) -> pd.DataFrame:
-        """One row for each job, its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %)."""
+        """One row for each job, with its parameters in columns `NAME`, `NAME.sd`, `NAME.low` and `NAME.high` (90 %)."""
         rows = []
         for name, record in zip(self.names, self.records(), strict=True):
             row = {
@@ -60,15 +59,20 @@ class BatchResult:
                 "validation_rmse_T": record["vector_rmse_T"]["validation"],
                 "session_hash": record["session_hash"],
             }
-            for key, p in record["parameters"].items():
-                low, high = p["ci90"]
-                row |= {key: p["median"], f"{key}.sd": p["sd"], f"{key}.low": low, f"{key}.high": high}
+            for key, numbers in record["parameters"].items():
+                low, high = numbers["ci90"]
+                row |= {
+                    key: numbers["median"],
+                    f"{key}.sd": numbers["sd"],
+                    f"{key}.low": low,
+                    f"{key}.high": high,
+                }
             rows.append(row)
         table = pd.DataFrame(rows)
         if len(table):
-            at = table.columns.get_loc("log_evidence")
-            assert isinstance(at, int)
-            table.insert(at + 1, "probability", probabilities(table))
+            position = table.columns.get_loc("log_evidence")
+            assert isinstance(position, int)
+            table.insert(position + 1, "probability", probabilities(table))
         return table
 
     def save_table(self, folder: Path) -> None:
@@ -80,16 +84,16 @@ class BatchResult:
         partial.replace(folder / "summary.parquet")
 
     def dataset(self) -> xr.Dataset:
-        """Medians, standard deviations and intervals of all parameters over job and parameter; NaN where a job has not got one."""
+        """Medians, standard deviations and intervals by job and parameter; NaN where a job lacks the parameter."""
         records = self.records()
         names = sorted({name for record in records for name in record["parameters"]})
         absent = {"median": np.nan, "sd": np.nan, "ci90": [np.nan, np.nan]}
-        found = [[record["parameters"].get(name, absent) for name in names] for record in records]
+        numbers = [[record["parameters"].get(name, absent) for name in names] for record in records]
         shape = (len(records), len(names))
         columns = {
-            key: np.array([[p[key] for p in row] for row in found], dtype=float) for key in ("median", "sd")
+            key: np.array([[p[key] for p in row] for row in numbers], dtype=float) for key in ("median", "sd")
         }
-        ends = np.array([[p["ci90"] for p in row] for row in found], dtype=float).reshape(*shape, 2)
+        ends = np.array([[p["ci90"] for p in row] for row in numbers], dtype=float).reshape(*shape, 2)
         return xr.Dataset(
             {
                 **{key: (("job", "parameter"), values.reshape(shape)) for key, values in columns.items()},
@@ -109,7 +113,7 @@ class BatchResult:
         """The sampled posterior of a job.
 
         Raises:
-            InvalidInput: It was not sampled.
+            InvalidInput: The posterior was not sampled.
         """
         return Calibration.load(self._sampled(name))
 
@@ -117,33 +121,33 @@ class BatchResult:
         """The sampled posterior of a job in ArviZ's groups.
 
         Raises:
-            InvalidInput: It was not sampled.
+            InvalidInput: The posterior was not sampled.
         """
-        return xr.open_datatree(self._sampled(name) / DRAWS, engine="zarr", consolidated=False)
+        return xr.open_datatree(self._sampled(name) / POSTERIOR_STORE, engine="zarr", consolidated=False)
 
     def _sampled(self, name: str) -> Path:
-        if not (self.folder / name / POSTERIOR / SUMMARY).exists():
+        if not (self.folder / name / CALIBRATION_FOLDER / SUMMARY_FILE).exists():
             raise InvalidInput(f"posterior of job {name!r} must have been sampled; it was not")
-        return self.folder / name / POSTERIOR
+        return self.folder / name / CALIBRATION_FOLDER
 
 
 def probabilities(table: pd.DataFrame) -> pd.Series[float]:
-    """Of each hypothesis among those that compete for the same session and coil, all equally likely before."""
+    """Posterior probability of each hypothesis among those of the same session and coil, with equal prior probabilities."""
     groups = [table["session_hash"], table["coil"].fillna("")]
     best = table["log_evidence"].groupby(groups).transform("max")
     weight = (table["log_evidence"] - best).map(math.exp)
     return weight / weight.groupby(groups).transform("sum")
 
 
-def _record(place: Path) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads((place / RESULT).read_text(encoding="utf-8"))
-    summary = place / POSTERIOR / SUMMARY
-    record["is_sampled"] = summary.exists()
-    if record["is_sampled"]:
-        sampled = json.loads(summary.read_text(encoding="utf-8"))
-        record["parameters"] = {
-            name: {key: p[key] for key in ("median", "sd", "ci90", "unit")}
-            for name, p in sampled["parameters"].items()
+def _result(folder: Path) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+    summary_file = folder / CALIBRATION_FOLDER / SUMMARY_FILE
+    result["is_sampled"] = summary_file.exists()
+    if result["is_sampled"]:
+        summary = json.loads(summary_file.read_text(encoding="utf-8"))
+        result["parameters"] = {
+            name: {key: numbers[key] for key in ("median", "sd", "ci90", "unit")}
+            for name, numbers in summary["parameters"].items()
         }
-        record["is_converged"] = sampled["is_converged"]
-    return record
+        result["is_converged"] = summary["is_converged"]
+    return result

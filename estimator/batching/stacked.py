@@ -1,6 +1,6 @@
-"""Many sessions fitted at once on the batch axis: the same rig at the same settings, with readings of their own.
+"""Fits many sessions at once on the batch axis: the same rig at the same settings with different readings.
 
-A fit of a few hundred readings spends its time in starting tensor operations, not in them; a stack of sessions starts them once.
+A fit of a few hundred readings spends most of its time launching tensor operations; a stack of sessions launches them once.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from estimator.rig.rig import Rig
 from estimator.store.session import digest, observation_arrays
 
 TOLERANCE = 1e-4  # in log density
-FIRST_ITERATIONS = 12  # from every start, before the highest one climbs on
+FIRST_ITERATIONS = 12  # from every start, before only the highest one continues
 
 
 def settings_hash(rig: Rig, observations: Observations) -> str:
-    """SHA-256 of all that a prediction needs: sessions that share it can be stacked.
+    """SHA-256 of everything that a prediction needs: sessions that share it can be stacked.
 
-    The readings themselves are no part of it, only which of their components were measured; nor are measured currents, which no prediction
-    uses. Times and temperatures are where the rig has effects, which may depend on them.
+    It covers which components were measured but not their values, nor measured currents, which no prediction uses. Times and temperatures
+    count only if the rig has effects, which may depend on them.
     """
     arrays = observation_arrays(observations)
     dimensions, _ = arrays.pop("field_sensor_T")
@@ -43,31 +43,34 @@ def stacked_fits(
 ) -> list[tuple[LogPosterior, Optimum]]:
     """The maximum of the posterior of each session, by Levenberg-Marquardt from the nominal values and from draws of the prior.
 
-    All starts climb some steps, then the highest of each session climbs to its top.
+    All starts take some iterations, then the highest of each session continues to convergence.
 
     Args:
-        rig: Of all of them; free loop counts are real numbers.
-        sessions: Readings to fit, all of the same `settings_hash`.
-        seeds: Of the draws, session by session, so that a result does not depend on what it was stacked with.
-        more_starts: Draws of the prior beside the nominal values.
-    Returns: Per session its own density and the highest maximum found.
+        rig: Rig of all sessions; free loop counts are real numbers.
+        sessions: Readings to fit, all with the same `settings_hash`.
+        seeds: Seed of the draws of each session, so that a result does not depend on its stack.
+        more_starts: Number of draws of the prior beside the nominal values.
+    Returns: The log posterior of each session and its highest maximum.
     """
     model = MeasurementModel.build(rig, sessions[0])
     coordinates = Coordinates(rig)
-    own = [
+    posteriors = [
         LogPosterior(coordinates, model.with_circumstances(Circumstances(rig, observations)), observations)
         for observations in sessions
     ]
     n_starts = 1 + more_starts
-    measured_T = torch.stack([posterior.measured_T for posterior in own]).repeat_interleave(n_starts, dim=0)
-    together = own[0].with_rows(measured_T)
+    measured_T = torch.stack([posterior.measured_T for posterior in posteriors]).repeat_interleave(
+        n_starts, dim=0
+    )
+    stacked = posteriors[0].with_rows(measured_T)
     starts = torch.cat([_starts(coordinates, seed, more_starts) for seed in seeds])
-    possible = torch.isfinite(together(starts))
-    starts = torch.where(possible[:, None], starts, coordinates.start())
-    first = levenberg_marquardt(together, starts, FIRST_ITERATIONS, TOLERANCE)
-    top = first.log_posterior.reshape(len(own), n_starts).argmax(1) + n_starts * torch.arange(len(own))
-    fits = levenberg_marquardt(together.at(top), first.vector[top], tolerance=TOLERANCE)
-    return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(own)]
+    is_possible = torch.isfinite(stacked(starts))
+    starts = torch.where(is_possible[:, None], starts, coordinates.start())
+    first = levenberg_marquardt(stacked, starts, FIRST_ITERATIONS, TOLERANCE)
+    highest = first.log_posterior.reshape(len(posteriors), n_starts).argmax(1)
+    highest = highest + n_starts * torch.arange(len(posteriors))
+    fits = levenberg_marquardt(stacked.at(highest), first.vector[highest], tolerance=TOLERANCE)
+    return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(posteriors)]
 
 
 def _starts(coordinates: Coordinates, seed: int, more: int) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""What a worker does: fit a stack of jobs, or sample the posterior of one. Results go to disk whole or not at all."""
+"""The work of a batch worker: fit a stack of jobs, or sample the posterior of one. Results are written to disk atomically."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import SUMMARY, write_text
+from estimator.calibration.result import SUMMARY_FILE, write_text
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
@@ -29,7 +29,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import load_session, replace_folder
 
-RESULT, POSTERIOR, UNFINISHED = "result.json", "calibration", ".unfinished"
+RESULT_FILE, CALIBRATION_FOLDER, UNFINISHED = "result.json", "calibration", ".unfinished"
 
 
 def describe(
@@ -40,7 +40,7 @@ def describe(
     seed: int,
     settings: SamplerSettings,
 ) -> tuple[list[Job], dict[str, str]] | str:
-    """The jobs of one session and why others cannot be made, or the sentence that says why there are none."""
+    """The jobs of one session with the reasons against others, or the reason why there are none, in a sentence."""
     try:
         return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings)
     except CoilcalError as error:
@@ -48,9 +48,9 @@ def describe(
 
 
 def fit(stack: list[Job], folder: str) -> dict[str, str]:
-    """Fit jobs of the same rig and settings together and write one result folder each.
+    """Fit jobs of the same rig and settings together and write a result folder for each.
 
-    Returns: For each job that failed, by its name, the sentence that says why; the others are not touched by that.
+    Returns: The reason for each failed job, by its name, in a sentence; the other jobs are finished all the same.
     """
     torch.set_num_threads(1)
     failed: dict[str, str] = {}
@@ -62,53 +62,53 @@ def fit(stack: list[Job], folder: str) -> dict[str, str]:
             ready.append((job, session.observations, rig))
         except Exception as error:
             failed[job.name] = _words(error)
-    for (job, observations, _), found in zip(ready, _fits(ready), strict=True):
+    for (job, observations, _), outcome in zip(ready, _fits(ready), strict=True):
         try:
-            if isinstance(found, Exception):
-                raise found
-            _write(Path(folder) / job.name, _record(job, found, observations))
+            if isinstance(outcome, Exception):
+                raise outcome
+            _write(Path(folder) / job.name, _result(job, outcome, observations))
         except Exception as error:
             failed[job.name] = _words(error)
     return failed
 
 
 def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
-    """Of all jobs together; where that fails, one by one, for one session of absurd numbers spoils a whole stack."""
+    """Fit all jobs together, or one by one if that fails: a single session of absurd numbers spoils a stack."""
     if not ready:
         return []
     rig = ready[0][2]
     try:
-        found = stacked_fits(
+        fits = stacked_fits(
             rig,
             [observations.calibration for _, observations, _ in ready],
             [job.seed for job, _, _ in ready],
             policy.MORE_STARTS,
         )
     except Exception as error:
-        return [error] if len(ready) == 1 else [_fits([one])[0] for one in ready]
-    return [Fit(posterior, optimum) for posterior, optimum in found]
+        return [error] if len(ready) == 1 else [_fits([ready_job])[0] for ready_job in ready]
+    return [Fit(posterior, optimum) for posterior, optimum in fits]
 
 
 def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
-    """Sample the posterior of a job that was fitted; a sampling that was cut off, or ended before what is asked for now, goes on there.
+    """Sample the posterior of a fitted job; a sampling that was interrupted, or that ended before the present targets, is continued.
 
-    Returns: The sentence that says why there is none, or None.
+    Returns: Why there is no posterior, in a sentence; None if there is one.
     """
     torch.set_num_threads(1)
-    place = Path(folder) / job.name
-    finished, unfinished = place / POSTERIOR, place / f".{POSTERIOR}.unfinished"
+    job_folder = Path(folder) / job.name
+    finished, unfinished = job_folder / CALIBRATION_FOLDER, job_folder / f".{CALIBRATION_FOLDER}.unfinished"
     try:
         session, rig = readings_and_rig(job, load_session(job.session))
-        with _only_writer(place / RESULT):
-            if is_enough(finished, settings):  # by a worker that was thought to be lost
+        with _only_writer(job_folder / RESULT_FILE):
+            if is_enough(finished, settings):  # finished by a worker that was thought to be lost
                 return None
             if finished.exists() and not unfinished.exists():
-                copy = place / f".{POSTERIOR}.copy"
+                copy = job_folder / f".{CALIBRATION_FOLDER}.copy"
                 shutil.rmtree(copy, ignore_errors=True)
                 shutil.copytree(finished, copy)
                 copy.rename(unfinished)
             if not is_enough(unfinished, settings):
-                (unfinished / SUMMARY).unlink(missing_ok=True)
+                (unfinished / SUMMARY_FILE).unlink(missing_ok=True)
                 calibrate(session, rig, out=unfinished, seed=job.seed, settings=settings)
             replace_folder(unfinished, finished)
     except CoilcalError as error:
@@ -117,9 +117,9 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
 
 
 def is_enough(posterior: Path, settings: SamplerSettings) -> bool:
-    """Whether a posterior meets the targets, or as many steps were taken as are allowed."""
+    """Whether a posterior meets the targets or has taken all allowed steps."""
     try:
-        sampling = json.loads((posterior / SUMMARY).read_text(encoding="utf-8"))["sampling"]
+        sampling = json.loads((posterior / SUMMARY_FILE).read_text(encoding="utf-8"))["sampling"]
     except FileNotFoundError:
         return False
     ess, rhat = sampling["smallest_ess"], sampling["largest_rhat"]
@@ -129,8 +129,8 @@ def is_enough(posterior: Path, settings: SamplerSettings) -> bool:
 
 @contextmanager
 def _only_writer(path: Path) -> Iterator[None]:
-    """Wait for a worker that goes on with the same job: one whose scheduler was lost does not know of that."""
-    import fcntl  # not there on Windows, where results can be read
+    """Wait for another worker at the same job: a worker whose scheduler was lost keeps working."""
+    import fcntl  # missing on Windows, where results can still be read
 
     with path.open("r+b") as file:
         with suppress(OSError):  # file systems without locks
@@ -142,15 +142,15 @@ def _words(error: Exception) -> str:
     return str(error) if isinstance(error, CoilcalError) else f"{type(error).__name__}: {error}"
 
 
-def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
+def _result(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
     parameters = {}
     for parameter in fit.rig.free:
         value, sd = float(fit.values[parameter.name]), fit.value_sd(parameter.name)
         ci90 = [value - HALF_WIDTH_90 * sd, value + HALF_WIDTH_90 * sd]
         parameters[parameter.name] = {"median": value, "sd": sd, "ci90": ci90, "unit": parameter.unit}
     rmse = {}
-    for role, some in (("calibration", observations.calibration), ("validation", observations.validation)):
-        rmse[role] = _vector_T(fit, some) if len(some) else None
+    for role, part in (("calibration", observations.calibration), ("validation", observations.validation)):
+        rmse[role] = _vector_rms_T(fit, part) if len(part) else None
     return {
         **asdict(job),
         "parameters": parameters,
@@ -162,21 +162,21 @@ def _record(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
     }
 
 
-def _vector_T(fit: Fit, observations: Observations) -> float:
+def _vector_rms_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
-        chain = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
-        predicted_T = chain.predict(fit.values).expand(len(observations), 3)
+        model = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
+        predicted_T = model.predict(fit.values).expand(len(observations), 3)
     return error_metrics(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 
 
-def _write(place: Path, record: dict[str, Any]) -> None:
-    """A result folder, written under a name of its own and renamed; one that is there already stays, for it holds the same."""
-    attempt = f".{place.name}.{uuid.uuid4().hex}{UNFINISHED}"
-    if not (place / RESULT).exists():
-        unfinished = place.with_name(attempt)
+def _write(folder: Path, result: dict[str, Any]) -> None:
+    """Write a result folder under a temporary name and rename it; an existing one stays, because it holds the same result."""
+    attempt = f".{folder.name}.{uuid.uuid4().hex}{UNFINISHED}"
+    if not (folder / RESULT_FILE).exists():
+        unfinished = folder.with_name(attempt)
         unfinished.mkdir(parents=True)
-        write_text(unfinished / RESULT, json.dumps(record, indent=2, allow_nan=False) + "\n")
+        write_text(unfinished / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
         with suppress(OSError):  # another attempt was faster
-            unfinished.rename(place)
-    for left in place.parent.glob(f".{place.name}.*{UNFINISHED}"):
-        shutil.rmtree(left, ignore_errors=True)
+            unfinished.rename(folder)
+    for leftover in folder.parent.glob(f".{folder.name}.*{UNFINISHED}"):
+        shutil.rmtree(leftover, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The main job: a session in, a calibrated model with credible intervals out."""
+"""From a session to its calibration: checks, point estimate, Laplace approximation, sampling, summary."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
-from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
 from estimator.field.node_sum import SumMode
@@ -32,18 +32,18 @@ from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.session import Session
 
-CHAIN = "chain.zarr"
+CHAIN_STORE = "chain.zarr"
 COMPILE_ABOVE = 3e8  # loop fields x effective samples: about half a minute of eager sums
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A step of the calibration that has just begun or moved on.
+    """A stage of the calibration that has just begun or made progress.
 
     Attributes:
-        name: What is going on, in words.
-        sampling: State of the chain while sampling.
+        name: Name of the stage, in words.
+        sampling: Progress of the chain while sampling.
         open_directions: What the data do not determine, known before sampling starts.
     """
 
@@ -70,43 +70,35 @@ def calibrate(
 
     Args:
         session: Readings; those marked as validation are kept out of the fit.
-        rig: Another description of the session's rig (other priors, other parameters free).
-        out: Folder for `summary.json`, `posterior.zarr` and the growing chain; a run that was killed, or ended at `max_steps`, is continued
-            from there.
+        rig: Another description of the session's rig (other priors, other free parameters).
+        out: Folder for `summary.json`, `posterior.zarr` and the growing chain. A run that was killed, or that ended at `max_steps`, is
+            continued from there.
         overwrite: Replace a calibration in `out` instead, once the new one starts sampling.
-        seed: Of everything random.
+        seed: Seed of all random numbers.
         settings: When to stop sampling; its seed is replaced by `seed`.
         has_integer_counts: False treats free loop counts as real numbers.
         on_stage: Called as the work proceeds.
-    Returns: The calibrated model. `summary()["is_converged"]` is False where sampling ended before its targets.
+    Returns: The calibrated model. `summary()["is_converged"]` is False if sampling ended before it reached its targets.
     Raises:
         InvalidInput: The readings cannot support a fit, or are in another unit than they claim; `out` holds another calibration or cannot
-            be written; settings do not fit the rig.
+            be written; the settings do not suit the rig.
         CorruptStore: The chain to be continued is damaged.
     References: Osinde et al., section 3; docs/decisions/0004 and 0007.
     """
     tell = on_stage or (lambda stage: None)
     rig = rig or session.rig
     session.check_rig(rig)
-    if not rig.free:
-        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    if has_integer_counts and all(parameter.is_count for parameter in rig.free):
-        raise InvalidInput(
-            "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts be continuous; "
-            f"rig {rig.name!r} has none"
-        )
+    _check_free(rig, has_integer_counts)
     settings = replace(settings or SamplerSettings(), seed=seed).for_rig(len(rig.free))
     folder = None if out is None else Path(out)
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
-    backend = None if folder is None or overwrite else _unfinished(folder, fingerprint)
+    backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     check_units(rig, observations, session.source)
-    MeasurementModel.build(
-        rig, session.observations
-    )  # sensors inside a winding are refused now, those of validation too
+    MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
     if folder is not None:
-        _make(folder)
+        _make_folder(folder)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     model = MeasurementModel.build(rig, observations)
@@ -160,30 +152,41 @@ def calibrate(
     return calibration
 
 
+def _check_free(rig: Rig, has_integer_counts: bool) -> None:
+    """Refuse a rig without a free parameter, or with free loop counts only."""
+    if not rig.free:
+        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    if has_integer_counts and all(parameter.is_count for parameter in rig.free):
+        raise InvalidInput(
+            "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts must be continuous; "
+            f"rig {rig.name!r} has none"
+        )
+
+
 def _values(coordinates: Coordinates, vector: torch.Tensor) -> dict[str, torch.Tensor]:
     with torch.no_grad():
         return coordinates.values(vector)
 
 
-def _unfinished(folder: Path, fingerprint: str) -> Backend | None:
-    """The chain of a calibration to be continued; None where the folder holds none."""
+def _unfinished_chain(folder: Path, fingerprint: str) -> Backend | None:
+    """The chain to continue; None if the folder holds none."""
     if _is_finished(folder):
         raise InvalidInput(
-            f"output must not hold a finished calibration, or be replaced with --overwrite; received {folder}"
+            f"output must not hold a finished calibration unless --overwrite replaces it; received {folder}"
         )
-    path = folder / CHAIN
+    path = folder / CHAIN_STORE
     if not path.exists():
         return None
     try:
         return ZarrBackend.open(path, fingerprint=fingerprint)
     except InvalidInput as error:
         raise InvalidInput(
-            "output must be free, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
-            f"or be replaced with --overwrite; received {folder}, which holds another"
+            "output must be empty, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
+            f"or be replaced with --overwrite; received {folder}, which holds another calibration"
         ) from error
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -204,7 +207,7 @@ def _new_backend(
     if overwrite:
         _remove_result(folder)
     return ZarrBackend.create(
-        folder / CHAIN,
+        folder / CHAIN_STORE,
         coordinate_names=coordinates.labels,
         n_walkers=settings.n_walkers,
         checkpoint_steps=settings.check_every,
@@ -215,16 +218,16 @@ def _new_backend(
 def _is_finished(folder: Path) -> bool:
     """Whether a folder holds a calibration that reached its targets."""
     try:
-        return bool(json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("is_converged", True))
+        return bool(json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")).get("is_converged", True))
     except OSError:
         return False
     except (ValueError, AttributeError):
-        return True  # damaged, but nothing to write over unasked
+        return True  # damaged, but not to be overwritten unasked
 
 
 def _remove_result(folder: Path) -> None:
     """Delete the files of an earlier calibration from a folder, and nothing else."""
-    for name in (SUMMARY, CHAIN, POSTERIOR, "report.html"):
+    for name in (SUMMARY_FILE, CHAIN_STORE, POSTERIOR_STORE, "report.html"):
         path = folder / name
         if path.is_dir():
             shutil.rmtree(path)
@@ -233,7 +236,7 @@ def _remove_result(folder: Path) -> None:
 
 
 def _fingerprint(session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool) -> str:
-    """Hash of all that decides the steps of a chain; when to stop does not."""
+    """Hash of everything that decides the steps of a chain; the targets that stop it do not."""
     decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
     parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
@@ -249,8 +252,8 @@ def _calibration(
 ) -> Calibration:
     chain = reported_parameters(coordinates, samples.chain)
     draws = {name: np.ascontiguousarray(chain[:, :, i].T) for i, name in enumerate(coordinates.names)}
-    top = int(mixture.weight.argmax())
-    best_vector = torch.cat((mixture.mean[top], mixture.counts[top]))
+    most_probable = int(mixture.weight.argmax())
+    best_vector = torch.cat((mixture.mean[most_probable], mixture.counts[most_probable]))
     best = {name: float(value) for name, value in coordinates.values(best_vector).items()}
     return Calibration(rig, session.observations, best, draws, np.ascontiguousarray(samples.log_prob.T), {})
 

@@ -1,4 +1,4 @@
-"""The figures of one calibration: fit, residuals around each coil, field, posterior."""
+"""The figures of one calibration: fit, residuals around each coil, field and posterior."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
         names = [s.name for s in calibration.rig.sensors]
         yield Picture(
             "Residuals by sensor",
-            "A sensor or component that stands out has a fault of its own; where the noise was fitted, a sensor's components average to 1.",
+            "A sensor or component that stands out has a fault; if the noise was fitted, the components of a sensor average to 1.",
             _figure(plots.residual_by_sensor(residual_T, sensor, names, sigma_T, title=title)),
         )
-    for coil, positions_m, winding in _places(calibration, model, best):
+    for coil, positions_m, winding in _sensor_positions(calibration, model, best):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
         yield from _plane(calibration, coil, positions_m, best, winding, title)
 
@@ -74,24 +74,24 @@ def _maps(
     sigma_T: float | np.ndarray,
     title: str,
 ) -> Iterator[Picture]:
-    here = np.isfinite(positions_m).all(axis=1)
-    places, measured, predicted = positions_m[here], measured_T[here], predicted_T[here]
+    has_current = np.isfinite(positions_m).all(axis=1)
+    shown_m, measured, predicted = positions_m[has_current], measured_T[has_current], predicted_T[has_current]
     one_sigma = sigma_T if isinstance(sigma_T, float) else None
     yield Picture(
         f"Residual around {coil.name}",
-        "Length of the residual where the sensor stood, in the coil's frame; patterns point to something the model lacks.",
-        plots.residual_map(places, measured - predicted, winding, sigma_T=one_sigma, title=title),
+        "Length of the residual where the sensor stood, in the coil's frame; a pattern points to something the model lacks.",
+        plots.residual_map(shown_m, measured - predicted, winding, sigma_T=one_sigma, title=title),
     )
     yield Picture(
         f"Relative error around {coil.name}",
         "Residual over measured field; it grows where the field is weak.",
-        plots.relative_error_map(places, measured, predicted, winding, title=title),
+        plots.relative_error_map(shown_m, measured, predicted, winding, title=title),
     )
     if np.isfinite(measured).all(axis=1).any():
         yield Picture(
             f"Angular deviation around {coil.name}",
             "Angle between measured and predicted field.",
-            plots.angular_deviation_map(places, measured, predicted, winding, title=title),
+            plots.angular_deviation_map(shown_m, measured, predicted, winding, title=title),
         )
 
 
@@ -107,7 +107,7 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
     priors = {p.name: p.prior for p in calibration.rig.free if p.prior is not None}
     yield Picture(
         "What the data taught",
-        "Posterior interval of every parameter in units of its prior: narrow means determined by the data.",
+        "Posterior interval of every parameter in units of its prior; a narrow one is determined by the data.",
         _figure(plots.interval_summary(draws, priors, calibration.summary()["truth"] or None, title=title)),
     )
     if len(moving) > 1:
@@ -124,10 +124,10 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
     )
 
 
-def _places(
+def _sensor_positions(
     calibration: Calibration, model: MeasurementModel, best: Mapping[str, torch.Tensor]
 ) -> Iterator[tuple[Coil, np.ndarray, Winding]]:
-    """Per coil that carried current the sensor's position in its frame for every reading; NaN where it was off."""
+    """Position of the sensor in the frame of each coil that carried current, reading by reading; NaN while the coil was off."""
     for coil in calibration.rig.coils[:MOST_COILS]:
         rows = model.powered[coil.name]
         if not len(rows):
@@ -148,7 +148,7 @@ def _plane(
 ) -> Iterator[Picture]:
     """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
 
-    The plane reaches as far as the readings, or twice as high as wide: beyond that the field is a dipole's, and the panels get thin.
+    The plane reaches as far as the readings, but at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
     """
     reach = 1.2 * max(float(winding.radius_m), np.nanmax(np.abs(positions_m[:, :2])))
     length_m = float(winding.length_m)
@@ -161,7 +161,7 @@ def _plane(
     shape = (PLANE_POINTS, PLANE_POINTS)
     yield Picture(
         f"Field of {coil.name}",
-        "Field per ampere in the plane through the axis, and how uncertain it is: the model is known where readings were taken.",
+        "Field per ampere in the plane through the axis, and its uncertainty: the model is known best where readings were taken.",
         plots.field_plane(
             x_m,
             z_m,
@@ -177,11 +177,11 @@ def _plane(
 def _field_in_coil_frame(
     calibration: Calibration, coil: Coil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its strength."""
+    """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its magnitude."""
     rig = calibration.rig
     world_from_coil = at_one_moment(rig).world_from_body(coil, "coil", torch.arange(1), best)
     room = RoomField(rig, best, world_from_coil.apply(points_m))
-    current_A = torch.tensor([float(other is coil) for other in rig.coils], dtype=torch.float64)
+    current_A = torch.tensor([float(powered is coil) for powered in rig.coils], dtype=torch.float64)
     field = room.field_T(best, current_A)
     strength = room.field_T(calibration.draw_values(PLANE_DRAWS), current_A).norm(dim=-1)
     lower, upper = torch.quantile(strength, torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0)

@@ -1,4 +1,4 @@
-"""The page of one calibration: what was found, how well it fits, what the data leave open."""
+"""The page of one calibration: its values, how well they fit, and what the data leave open."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def calibration_report(calibration: Calibration, command: str) -> str:
     """HTML of one calibration, self-contained.
 
     Args:
-        calibration: A calibration made by `estimator.calibration.calibrate` or loaded from disk.
-        command: What produced it, shown as provenance.
+        calibration: Made by `estimator.calibration.calibrate` or loaded from disk.
+        command: The command that produced it, shown as provenance.
     """
     summary = calibration.summary()
     page = ReportPage(
@@ -46,14 +46,14 @@ def _verdict(calibration: Calibration) -> list[str]:
     summary, observations = calibration.summary(), calibration.observations
     role = "validation" if summary["rmse"]["validation"] else "calibration"
     error, nominal = summary["rmse"][role], summary["rmse_nominal"][role]
-    kept = (
+    readings = (
         "readings kept out of the fit"
         if role == "validation"
         else "readings of the fit itself (none were kept out)"
     )
     sentences = [
         f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
-        f"{kept}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
+        f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
         _noise_share(calibration, observations.rows(observations.is_validation == (role == "validation"))),
         f"Its 90 % intervals hold {summary['coverage90'][role]:.1%} of the components of these readings.",
     ]
@@ -67,7 +67,7 @@ def _verdict(calibration: Calibration) -> list[str]:
 
 
 def _noise_share(calibration: Calibration, judged: Observations) -> str:
-    """The rms of the vector that noise alone gives, for no model is closer to its readings than that."""
+    """The rms of the vector from noise alone: no model predicts its readings better than that."""
     sensors = calibration.rig.sensors
     variance = np.array([calibration.best[f"{sensor.name}.noise_T"] ** 2 for sensor in sensors])
     is_measured = judged.is_measured.numpy()
@@ -81,32 +81,32 @@ def _noise_share(calibration: Calibration, judged: Observations) -> str:
 
 
 def _warnings(summary: Mapping[str, Any]) -> list[str]:
-    found = []
+    warnings = []
     if not summary["is_converged"]:
-        found.append(f"Sampling did not converge: {_sampling(summary)}. The intervals are provisional.")
+        warnings.append(f"Sampling did not converge: {_sampling(summary)}. The intervals are provisional.")
     if wider := summary.get("widening"):
-        found.append(
-            "Something in the readings remains unexplained, as the diagnosis shows: standard deviations are up to "
+        warnings.append(
+            "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
             f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
         )
     for direction in summary["undetermined"]:
-        found.append(
-            f"The data do not determine {direction['words']}: their own standard deviation is "
+        warnings.append(
+            f"The data do not determine {direction['words']}: their standard deviation alone is "
             f"{min(direction['data_over_prior_sd'], 9999):.3g} times the prior's, so the interval is the prior's."
         )
     for name, distance in summary["prior_tension"].items():
-        found.append(
+        warnings.append(
             f"{split_unit(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
             "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
         )
     if not summary["has_integer_counts"] and any(name.endswith("_loops") for name in summary["parameters"]):
-        found.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
+        warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
     estimate = summary["point_estimate"]
     if estimate["starts_agreeing"] < 0.5 * estimate["starts"]:
-        found.append(
+        warnings.append(
             f"Only {estimate['starts_agreeing']} of {estimate['starts']} starts found the best maximum: there may be several."
         )
-    return found
+    return warnings
 
 
 def _tables(calibration: Calibration) -> list[Table]:
@@ -124,13 +124,13 @@ def _tables(calibration: Calibration) -> list[Table]:
     ]
     rows = []
     for name in names:
-        p, factor = summary["parameters"][name], display[name].factor
-        low, high = (to_digit_of(p["sd"] * factor, end * factor) for end in p["ci90"])
+        numbers, factor = summary["parameters"][name], display[name].factor
+        low, high = (to_digit_of(numbers["sd"] * factor, end * factor) for end in numbers["ci90"])
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
         row = [
             split_unit(name)[0],
-            with_sd(p["median"] * factor, p["sd"] * factor),
+            with_sd(numbers["median"] * factor, numbers["sd"] * factor),
             f"{low} to {high}",
             display[name].unit or "1",
             with_sd(prior.centre * factor, prior.sd * factor) if prior else "derived",
@@ -153,18 +153,18 @@ def _error_table(summary: Mapping[str, Any]) -> Table:
     rows = []
     for role in ("calibration", "validation"):
         for label, source in (("nominal", "rmse_nominal"), ("calibrated", "rmse")):
-            m = summary[source][role]
-            if m is None:
+            metrics = summary[source][role]
+            if metrics is None:
                 continue
-            angle = m["angular_deviation_rad"]
+            angle = metrics["angular_deviation_rad"]
             rows.append(
                 [
                     f"{label}, {role}",
-                    _microtesla(m["vector_T"]),
-                    _microtesla(m["component_T"]),
-                    _microtesla(m["paper_metric_T"]),
-                    _microtesla(m["max_T"]),
-                    f"{m['relative']:.3%}",
+                    _microtesla(metrics["vector_T"]),
+                    _microtesla(metrics["component_T"]),
+                    _microtesla(metrics["paper_metric_T"]),
+                    _microtesla(metrics["max_T"]),
+                    f"{metrics['relative']:.3%}",
                     f"{np.degrees(angle):.3f}°" if angle is not None else "—",
                 ]
             )
@@ -182,25 +182,26 @@ def _error_table(summary: Mapping[str, Any]) -> Table:
 
 def _sensor_table(summary: Mapping[str, Any]) -> Table:
     rows = [
-        [name, _microtesla(m["vector_T"]), f"{m['relative']:.3%}"]
-        for name, m in summary["rmse_by_sensor"]["calibration"].items()
+        [name, _microtesla(metrics["vector_T"]), f"{metrics['relative']:.3%}"]
+        for name, metrics in summary["rmse_by_sensor"]["calibration"].items()
     ]
     return Table("Errors by sensor", ["sensor", "vector rms", "of rms field"], rows)
 
 
 def _most_probable(loop_counts: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    first: dict[str, Mapping[str, Any]] = {}
+    """The first entry of each coil."""
+    by_coil: dict[str, Mapping[str, Any]] = {}
     for entry in loop_counts:
-        first.setdefault(entry["coil"], entry)
-    return list(first.values())
+        by_coil.setdefault(entry["coil"], entry)
+    return list(by_coil.values())
 
 
 def _sampling(summary: Mapping[str, Any]) -> str:
-    s = summary["sampling"]
-    rhat = f"{s['largest_rhat']:.4f}" if s["largest_rhat"] is not None else "none"
+    sampling = summary["sampling"]
+    rhat = f"{sampling['largest_rhat']:.4f}" if sampling["largest_rhat"] is not None else "none"
     return (
-        f"{s['steps']} steps of {s['walkers']} walkers, acceptance {s['acceptance']:.2f}, "
-        f"smallest effective sample size {s['smallest_ess']:.0f}, largest R-hat {rhat}"
+        f"{sampling['steps']} steps of {sampling['walkers']} walkers, acceptance {sampling['acceptance']:.2f}, "
+        f"smallest effective sample size {sampling['smallest_ess']:.0f}, largest R-hat {rhat}"
     )
 
 

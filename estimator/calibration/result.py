@@ -1,4 +1,4 @@
-"""A calibrated model: the field anywhere, with credible intervals, and a place on disk."""
+"""A calibrated model: the field anywhere, with credible intervals, and its files on disk."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
-POSTERIOR, SUMMARY = "posterior.zarr", "summary.json"
+POSTERIOR_STORE, SUMMARY_FILE = "posterior.zarr", "summary.json"
 INTERVAL_DRAWS = 400
 
 
@@ -38,10 +38,10 @@ class Calibration:
     Attributes:
         rig: The rig with its priors.
         observations: The readings it was made from, validation included.
-        best: Every number of the rig at the posterior's maximum, with the most probable whole loop counts.
+        best: Every number of the rig at the maximum of the posterior, with the most probable whole loop counts.
         draws: Posterior draws of every free parameter, walker by step.
-        log_prob: Log posterior density of the draws, up to a constant; as they were sampled, where they were widened since.
-        summary_json: The content of `summary.json`.
+        log_prob: Log posterior density of the draws, up to a constant. Draws that were widened keep the density of the draws before.
+        summary_json: Content of `summary.json`.
     """
 
     rig: Rig
@@ -62,11 +62,11 @@ class Calibration:
         Args:
             points_m: Points in the world frame.
             currents_A: Current of each coil by name; coils that are not named are off.
-            motion: Per mover the six numbers of its columns. A mover that reports displacements stands at zero, its reference
-                configuration, where it is not named; any other that carries a coil must be.
+            motion: The six numbers of each mover's columns. A mover that reports displacements defaults to zero, its reference
+                configuration; any other mover that carries a coil must be named.
         Returns: Bx, By, Bz; NaN at points inside a winding.
         Raises:
-            InvalidInput: An unknown coil or mover, a mover whose stand is not said, or a number that is not finite.
+            InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite.
         """
         best = self.best_values()
         return self.room(points_m, motion).field_T(best, self._currents(currents_A))
@@ -77,7 +77,7 @@ class Calibration:
         currents_A: Mapping[str, float],
         motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
     ) -> Float[Tensor, "point 3 3"]:
-        """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free place."""
+        """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free region."""
         best = self.best_values()
         return self.room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
 
@@ -88,12 +88,12 @@ class Calibration:
         level: float = 0.9,
         motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
     ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3"]]:
-        """Credible interval of each field component: what the data and priors leave open about the model.
+        """Credible interval of each field component, from the uncertainty that data and priors leave in the model.
 
         Args:
             points_m, currents_A, motion: As in `field`.
             level: Probability inside the interval, 0 < level < 1.
-        Returns: Lower and upper ends, in tesla, from 400 draws of the posterior.
+        Returns: Lower and upper ends in tesla, from 400 posterior draws.
         Raises:
             InvalidInput: Level outside (0, 1), or as in `field`.
         """
@@ -110,11 +110,11 @@ class Calibration:
     def room(
         self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, "... 6"]] | None
     ) -> RoomField:
-        """The coils with their movers at a stand, or at one for each point, ready for any numbers of the rig and any currents.
+        """The coils with each mover in one pose, or in one pose per point, ready for any values of the rig and any currents.
 
         Args:
             points_m: Points in the world frame.
-            motion: As in `field`; or a row of six numbers for each point.
+            motion: As in `field`, or a row of six numbers for each point.
         Raises:
             InvalidInput: As in `field`.
         """
@@ -136,33 +136,31 @@ class Calibration:
         return RoomField(self.rig, self.best_values(), points_m, motion)
 
     def best_values(self) -> dict[str, Tensor]:
-        """Every number of the rig at the posterior's maximum, as `RoomField` takes them."""
+        """Every number of the rig at the maximum of the posterior, as `RoomField` takes them."""
         return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
 
     def draw_values(self, most: int) -> dict[str, Tensor]:
         """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps."""
-        flat = {name: array.T.reshape(-1) for name, array in self.draws.items()}
-        n = len(self.log_prob.reshape(-1))
-        index = np.linspace(0, n - 1, min(most, n)).astype(int)
+        n_draws = self.log_prob.size
+        index = np.linspace(0, n_draws - 1, min(most, n_draws)).astype(int)
+        chosen = {name: torch.from_numpy(array.T.reshape(-1)[index]) for name, array in self.draws.items()}
         coordinates = Coordinates(self.rig, integer_counts=True)
-        return coordinates.values(
-            coordinates.vector({k: torch.from_numpy(v[index]) for k, v in flat.items()})
-        )
+        return coordinates.values(coordinates.vector(chosen))
 
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
 
     def save(self, folder: Path | str) -> None:
-        """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`); `summary.json` comes last and marks a whole result."""
+        """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete."""
         folder = Path(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            partial = folder / (POSTERIOR + ".partial")
+            partial = folder / (POSTERIOR_STORE + ".partial")
             shutil.rmtree(partial, ignore_errors=True)
             self._write_posterior(partial)
-            replace_folder(partial, folder / POSTERIOR)
-            write_text(folder / SUMMARY, json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n")
+            replace_folder(partial, folder / POSTERIOR_STORE)
+            write_text(folder / SUMMARY_FILE, json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n")
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 
@@ -171,29 +169,29 @@ class Calibration:
         """Read what `save` wrote.
 
         Raises:
-            InvalidInput: No finished calibration in this folder.
+            InvalidInput: The folder holds no finished calibration.
             CorruptStore: A file in it is damaged.
         """
         folder = Path(folder)
-        if not (folder / SUMMARY).is_file():
+        if not (folder / SUMMARY_FILE).is_file():
             raise InvalidInput(
-                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY}); received {folder}"
+                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}"
             )
         try:
-            summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+            summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
             with (
                 quiet_zarr(),
-                xr.open_datatree(folder / POSTERIOR, engine="zarr", consolidated=False) as tree,
+                xr.open_datatree(folder / POSTERIOR_STORE, engine="zarr", consolidated=False) as tree,
             ):
                 tree.load()
             if tree.attrs["schema_version"] != SCHEMA_VERSION:
                 raise CorruptStore(
                     f"calibration schema_version must be {SCHEMA_VERSION}; received {tree.attrs['schema_version']!r} ({folder})"
                 )
-            seal = tree.attrs.pop("sha256")
-            if seal != _seal(tree):
+            stored_hash = tree.attrs.pop("sha256")
+            if stored_hash != _tree_hash(tree):
                 raise CorruptStore(
-                    f"calibration must match its SHA-256; {folder / POSTERIOR} was altered or lost a chunk"
+                    f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
                 )
             attributes = tree.attrs
             arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
@@ -202,7 +200,7 @@ class Calibration:
             draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
         except CorruptStore:
             raise
-        except Exception as error:  # whatever zarr, JSON or NumPy make of damaged bytes
+        except Exception as error:  # zarr, JSON and NumPy raise errors of many types on damaged bytes
             raise CorruptStore(
                 f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
             ) from error
@@ -227,7 +225,7 @@ class Calibration:
                 "/constant_data": xr.Dataset(arrays),
             }
         )
-        tree.attrs["sha256"] = _seal(tree)
+        tree.attrs["sha256"] = _tree_hash(tree)
         checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
         encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
         tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
@@ -244,7 +242,7 @@ class Calibration:
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
 
 
-def _seal(tree: xr.DataTree) -> str:
+def _tree_hash(tree: xr.DataTree) -> str:
     """SHA-256 over every array and attribute of a tree."""
     arrays = {
         f"{node.path} {name}": (tuple(str(d) for d in variable.dims), variable.to_numpy())
@@ -259,7 +257,7 @@ def _arrays(node: xr.DataTree) -> dict[str, np.ndarray]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Replace a file whole or not at all."""
+    """Replace a file atomically."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("w", encoding="utf-8") as file:
         file.write(text)

@@ -1,4 +1,4 @@
-"""What a calibration found, as the plain values that become `summary.json` (docs/file-formats.md)."""
+"""The result of a calibration in numbers, as `summary.json` holds it (docs/file-formats.md)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-TENSION = 2.5  # standard deviations of the prior; one of ten honest parameters goes there in a tenth of the sessions
+TENSION_SD = 2.5  # in standard deviations of the prior: with ten parameters and right priors, one session in ten shows a tension
 COVERAGE_DRAWS = 200
 COVERAGE_ROWS = 10_000  # readings at once, to bound memory
 
@@ -26,9 +26,9 @@ def summary(session: Session, calibration: Calibration) -> dict[str, Any]:
     """Parameters with credible intervals, loop counts, errors, coverage and the origin of the readings.
 
     Args:
-        session: Names the origin of the readings.
+        session: Origin of the readings.
         calibration: Readings, draws and best values.
-    Returns: What JSON can hold: None stands for 'does not apply'.
+    Returns: Numbers and words as JSON holds them; None stands for 'does not apply'.
     """
     rig = calibration.rig
     return {
@@ -47,9 +47,8 @@ def summary(session: Session, calibration: Calibration) -> dict[str, Any]:
 
 
 def _parameters(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    every = {**draws, **_derived(rig, draws)}
     result = {}
-    for name, values in every.items():
+    for name, values in {**draws, **_derived(rig, draws)}.items():
         diagnostics = convergence(values.T[:, :, None])
         lower, median, upper = np.quantile(values, [0.05, 0.5, 0.95])
         result[name] = {
@@ -68,15 +67,15 @@ def _parameters(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Parameters whose median lies far outside their prior, in its standard deviations: priors or model are wrong."""
-    distance = {
+    """Parameters whose median lies far from the centre of their prior, in its standard deviations: the prior or the model is wrong."""
+    distance_sd = {
         p.name: p.prior.distance(float(np.median(draws[p.name]))) for p in rig.free if p.prior is not None
     }
-    return {name: value for name, value in distance.items() if abs(value) > TENSION}
+    return {name: value for name, value in distance_sd.items() if abs(value) > TENSION_SD}
 
 
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Turns, length, thickness and rms radius of the loops of every coil whose winding is free: what the data determine best."""
+    """Turns, length, thickness and rms loop radius of every coil with a free winding: the data determine these best."""
     derived = {}
     for coil in rig.coils:
         if any(
@@ -84,17 +83,19 @@ def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]
             for key in ("radius_m", "wire_radius_m", "axial_loops", "radial_loops")
         ):
             shape = next(iter(draws.values())).shape
-            get = {
+            winding = {
                 key: np.broadcast_to(_resolved(rig, f"{coil.name}.{key}", draws), shape)
                 for key in ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
             }
-            thickness = get["radial_pitch_m"] * get["radial_loops"]
-            derived[f"{coil.name}.turns"] = get["axial_loops"] * get["radial_loops"]
-            derived[f"{coil.name}.length_m"] = get["axial_pitch_m"] * get["axial_loops"]
+            thickness = winding["radial_pitch_m"] * winding["radial_loops"]
+            derived[f"{coil.name}.turns"] = winding["axial_loops"] * winding["radial_loops"]
+            derived[f"{coil.name}.length_m"] = winding["axial_pitch_m"] * winding["axial_loops"]
             derived[f"{coil.name}.thickness_m"] = thickness
-            mean_radius, spread2 = get["radius_m"] - 0.5 * thickness, (get["radial_loops"] ** 2 - 1.0) / 12.0
+            mean_radius = winding["radius_m"] - 0.5 * thickness
+            # Variance of the radii of equally spaced layers, in squares of the pitch.
+            variance = (winding["radial_loops"] ** 2 - 1.0) / 12.0
             derived[f"{coil.name}.rms_radius_m"] = np.sqrt(
-                mean_radius**2 + get["radial_pitch_m"] ** 2 * spread2
+                mean_radius**2 + winding["radial_pitch_m"] ** 2 * variance
             )
     return derived
 
@@ -109,29 +110,29 @@ def _resolved(rig: Rig, name: str, draws: Mapping[str, np.ndarray]) -> np.ndarra
 
 
 def _loop_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    table = []
+    entries = []
     for coil in rig.coils:
-        pair = [_resolved(rig, f"{coil.name}.{key}", draws) for key in ("axial_loops", "radial_loops")]
-        is_free = any(isinstance(count, np.ndarray) for count in pair)
-        if not is_free or not all((np.asarray(count) == np.round(count)).all() for count in pair):
+        counts = [_resolved(rig, f"{coil.name}.{key}", draws) for key in ("axial_loops", "radial_loops")]
+        is_free = any(isinstance(count, np.ndarray) for count in counts)
+        if not is_free or not all((np.asarray(count) == np.round(count)).all() for count in counts):
             continue
-        flat = [np.ravel(count) for count in np.broadcast_arrays(*pair)]
-        pairs, number = np.unique(np.stack(flat, axis=1), axis=0, return_counts=True)
-        for i in np.argsort(-number):
-            axial, radial = (int(n) for n in pairs[i])
-            table.append(
+        flat = [np.ravel(count) for count in np.broadcast_arrays(*counts)]
+        pairs, n_draws = np.unique(np.stack(flat, axis=1), axis=0, return_counts=True)
+        for i in np.argsort(-n_draws):
+            axial, radial = (int(count) for count in pairs[i])
+            entries.append(
                 {
                     "coil": coil.name,
                     "axial": axial,
                     "radial": radial,
-                    "probability": float(number[i] / number.sum()),
+                    "probability": float(n_draws[i] / n_draws.sum()),
                 }
             )
-    return table
+    return entries
 
 
 def _errors(calibration: Calibration) -> dict[str, Any]:
-    """Errors of nominal and calibrated model, per sensor too, and the coverage of the 90 % predictive interval."""
+    """Errors of the nominal and the calibrated model, by sensor too, and the coverage of the 90 % predictive interval."""
     nominal = {
         name: torch.tensor(v, dtype=torch.float64) for name, v in calibration.rig.nominal_values().items()
     }
@@ -150,9 +151,9 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         result["rmse"][role] = _error_sizes(error_metrics(measured, predicted))
         result["rmse_nominal"][role] = _error_sizes(error_metrics(measured, model.predict(nominal).numpy()))
         result["rmse_by_sensor"][role] = {
-            sensor.name: _error_sizes(error_metrics(measured[mine], predicted[mine]))
+            sensor.name: _error_sizes(error_metrics(measured[is_own], predicted[is_own]))
             for i, sensor in enumerate(calibration.rig.sensors)
-            if (mine := observations.sensor.numpy() == i).any()
+            if (is_own := observations.sensor.numpy() == i).any()
         }
         result["coverage90"][role] = _coverage(calibration, model, observations)
     return result
@@ -186,5 +187,5 @@ def _error_sizes(metrics: ErrorMetrics) -> dict[str, float | None]:
 
 
 def finite(value: float) -> float | None:
-    """JSON has no NaN and no infinity: None stands for 'does not apply'."""
+    """A finite number; None, for 'does not apply', in place of NaN and infinity, which JSON lacks."""
     return float(value) if np.isfinite(value) else None

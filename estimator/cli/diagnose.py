@@ -62,7 +62,7 @@ def diagnose_command(
     from estimator.calibration.result import write_text
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import DIAGNOSIS, POSTERIOR, REPORT
+    from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, REPORT
     from estimator.rig_files.read import load_rig
     from estimator.store.session import load_session
 
@@ -88,7 +88,7 @@ def diagnose_command(
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
     write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
-        write_text(unfinished / POSTERIOR / REPORT, calibration_report(diagnosis.posterior, command))
+        write_text(unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
     shutil.rmtree(out, ignore_errors=True)
     unfinished.rename(out)
     show(diagnosis.to_json(), _text(diagnosis, out), as_json)

@@ -16,7 +16,15 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
-from estimator.diagnosis.result import POSTERIOR, Diagnosis, Fits, Found, LeftOpen, Question, label_of
+from estimator.diagnosis.result import (
+    CALIBRATION_FOLDER,
+    Diagnosis,
+    Fits,
+    Found,
+    LeftOpen,
+    Question,
+    label_of,
+)
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.verdict import (
     NamedCause,
@@ -133,7 +141,7 @@ def diagnose(
             session,
             result.extended_rig,
             result.left_open.widening,
-            out=None if folder is None else folder / POSTERIOR,
+            out=None if folder is None else folder / CALIBRATION_FOLDER,
             seed=seed,
         )
         result = replace(result, posterior=sampled)

@@ -28,7 +28,7 @@ from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
 
-DIAGNOSIS, EXTENDED_RIG, REPORT, POSTERIOR = (
+DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "diagnosis.json",
     "rig_extended.yaml",
     "report.html",

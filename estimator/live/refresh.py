@@ -1,4 +1,4 @@
-"""The slow half of a live calibration: posterior and diagnosis of the readings so far, in a process of their own."""
+"""The slow half of a live calibration: posterior and diagnosis of the readings so far, in a background process."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from estimator.store.session import Session
 
 QUICK = SamplerSettings(target_ess=400.0, largest_rhat=1.05, max_steps=3000)
 FEWEST_READINGS = 15
-GROWTH = 1.25  # of the session between two refreshments
+GROWTH = 1.25  # factor by which a session grows between two refreshments
 NICENESS = 10
 
 
 @dataclass(frozen=True)
 class Refreshed:
-    """Posterior and verdict about the first readings of a session.
+    """Posterior and verdict of the first readings of a session.
 
     Attributes:
-        n_readings: That it knows of, validation included.
-        best: Values at the maximum.
+        n_readings: Number of these readings, validation included.
+        best: Values at the maximum of the posterior.
         ci90: 90 % credible interval of each free parameter, from posterior draws.
-        verdict: Of the diagnosis.
-        causes: That were named, with what they cannot be told from.
-        took_s: The work.
-        places: Sensors, coils and movers that the named causes are in.
+        verdict: Verdict of the diagnosis.
+        causes: Named causes, each with those that it cannot be told from.
+        took_s: Duration of the work.
+        places: Sensors, coils and movers that the named causes belong to.
     """
 
     n_readings: int
@@ -51,8 +51,8 @@ class Refreshed:
     @property
     def words(self) -> str:
         """The verdict as an operator reads it."""
-        found = f": {', '.join(self.causes)}" if self.causes else ""
-        return f"{self.verdict.replace('_', ' ')}{found} (after {self.n_readings} readings)"
+        causes = f": {', '.join(self.causes)}" if self.causes else ""
+        return f"{self.verdict.replace('_', ' ')}{causes} (after {self.n_readings} readings)"
 
 
 def refreshed(session: Session, seed: int) -> Refreshed:
@@ -69,7 +69,7 @@ def refreshed(session: Session, seed: int) -> Refreshed:
     return Refreshed(
         len(session.observations),
         dict(calibration.best),
-        {name: (one["ci90"][0], one["ci90"][1]) for name, one in parameters.items()},
+        {name: (numbers["ci90"][0], numbers["ci90"][1]) for name, numbers in parameters.items()},
         str(diagnosis.verdict),
         tuple(" or ".join([sized.cause.label, *sized.alternative_names]) for sized in causes),
         time.monotonic() - begin_s,
@@ -78,10 +78,10 @@ def refreshed(session: Session, seed: int) -> Refreshed:
 
 
 class Background:
-    """Refreshes one session after another, each begun when the one before is done; leaving its `with` block ends it at once.
+    """Refreshes sessions one after another in a process of its own; leaving the `with` block ends the process at once.
 
     Attributes:
-        trouble: Why the last refreshment gave nothing, in a sentence, though there were readings enough; None where it did.
+        trouble: Why the last refreshment failed although there were enough readings, in a sentence; None if it did not fail.
     """
 
     def __init__(self, seed: int) -> None:
@@ -93,46 +93,46 @@ class Background:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a refreshment is under way or has not been taken."""
+        """Whether a refreshment is under way, or done and not taken yet."""
         return self._is_busy
 
     def wants(self, n_readings: int) -> bool:
-        """Whether there is nothing else to do, and a session of this size has grown enough."""
+        """Whether the process is free and a session of this size has grown enough."""
         return not self._is_busy and n_readings >= max(FEWEST_READINGS, GROWTH * self._n_seen)
 
     def offer(self, session: Session) -> None:
-        """Begin with a session, if it is wanted."""
+        """Refresh a session if it is wanted."""
         if self.wants(len(session.observations)):
             self._begin(session)
 
     def take(self) -> Refreshed | None:
-        """What was found, once; None where it is not ready, the readings do not support a fit yet, or there was trouble."""
+        """Take the result, once; None if it is not ready, the readings do not support a fit yet, or there was trouble."""
         return self._answer() if self._is_busy and self._pipe.poll() else None
 
     def last(self, session: Session) -> Refreshed | None:
-        """Posterior and verdict of a session that will not grow any more; waits for them."""
-        found = self._wait()
+        """Wait for posterior and verdict of a session that has stopped growing."""
+        result = self._wait()
         if len(session.observations) > self._n_seen or self.trouble is not None:
             self._begin(session)
-            found = self._wait() or found
-        return found
+            result = self._wait() or result
+        return result
 
     def _start(self) -> None:
         spawn = multiprocessing.get_context("spawn")
-        self._pipe, theirs = spawn.Pipe()
-        self._process = spawn.Process(target=_serve, args=(theirs, self._seed), daemon=True)
+        self._pipe, child_end = spawn.Pipe()
+        self._process = spawn.Process(target=_serve, args=(child_end, self._seed), daemon=True)
         self._process.start()
-        theirs.close()  # so that the end of the process is the end of the pipe
+        child_end.close()  # so that the pipe ends with the process
 
     def _begin(self, session: Session) -> None:
         self._n_seen, self._is_busy = len(session.observations), True
         if not self._process.is_alive():
             self._end()
             self._start()
-        with suppress(OSError):  # it ended just now, which the answer will tell
+        with suppress(OSError):  # the process ended just now; `_answer` reports it
             self._pipe.send(
                 session
-            )  # does not wait for the process to begin: tensors travel in shared memory
+            )  # returns before the process has started: tensors travel in shared memory
 
     def _answer(self) -> Refreshed | None:
         self._is_busy = False
@@ -140,9 +140,9 @@ class Background:
             answer: Refreshed | str | None = self._pipe.recv()
         except (EOFError, OSError):
             self._process.join()
-            answer = f"their process ended with exit status {self._process.exitcode}"
+            answer = f"the process ended with exit status {self._process.exitcode}"
         if isinstance(answer, str):
-            self.trouble = f"posterior and diagnosis after {self._n_seen} readings gave nothing: {answer}"
+            self.trouble = f"posterior and diagnosis after {self._n_seen} readings failed: {answer}"
             return None
         self.trouble = None
         return answer
@@ -168,7 +168,7 @@ class Background:
 
 
 def _serve(pipe: Connection, seed: int) -> None:
-    """Body of the process: the readings come first, and Ctrl-C is for the program that started it, with which it ends."""
+    """Body of the process: runs at low priority, and leaves Ctrl-C to the program that started it, with which it ends."""
     os.nice(NICENESS)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -182,6 +182,6 @@ def _serve(pipe: Connection, seed: int) -> None:
             answer = refreshed(session, seed)
         except InvalidInput:  # the readings do not support a fit yet
             answer = None
-        except Exception as error:  # whatever it is, the estimate goes on without it
+        except Exception as error:  # must not stop the running estimate
             answer = f"{type(error).__name__}: {error}"
         pipe.send(answer)

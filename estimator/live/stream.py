@@ -1,7 +1,7 @@
-"""A calibration that follows its readings: estimate, credible intervals and alarms after each of them.
+"""A calibration that follows its readings: estimate, credible intervals and alarms after each update.
 
-Nothing is dropped: `update` takes all that it is given and returns when the estimate holds it, so whoever feeds it waits, or hands
-over more at once (`estimator.store.follow` keeps on the disk what was not taken yet).
+No reading is dropped: `update` returns once the estimate holds all readings it was given. A caller with faster readings passes more at once
+(`estimator.store.follow` keeps on disk what was not taken yet).
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from estimator.live.watch import Alarm, Watch
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
-NINETY = 1.6448536269514722  # standard deviations on each side that hold 90 %
-FEWEST_COMPONENTS = (
-    3  # per free parameter, before readings are judged by what those before them led to expect
-)
+HALF_WIDTH_90_SD = 1.6448536269514722  # half-width of a central 90 % interval, in standard deviations
+FEWEST_COMPONENTS = 3  # per free parameter, before new readings are compared with their prediction
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A parameter in its SI unit, by Laplace: value, standard deviation, 90 % credible interval."""
+    """Value, standard deviation and 90 % credible interval of a parameter in its SI unit, by the Laplace approximation."""
 
     unit: str
     value: float
@@ -38,13 +36,13 @@ class Interval:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known after some readings.
+    """State of the calibration after some readings.
 
     Attributes:
-        n_readings: That the estimate holds.
-        intervals: Of every free parameter.
-        new_alarms: That the last readings raised.
-        took_s: From the readings to this.
+        n_readings: Number of readings in the estimate.
+        intervals: Interval of every free parameter.
+        new_alarms: Alarms that the last readings raised.
+        took_s: Time from the readings to this estimate.
     """
 
     n_readings: int
@@ -57,9 +55,9 @@ class Stream:
     """The running calibration of one rig.
 
     Attributes:
-        rig: With its priors.
-        observations: All readings that a fit may see, in the order in which they came; None before the first.
-        n_skipped: Readings for validation and readings without a component, which the fit does not see.
+        rig: The rig with its priors.
+        observations: All readings of the fit, in order of arrival; None before the first.
+        n_skipped: Number of readings left out of the fit: those for validation and those without a measured component.
 
     Examples:
         >>> from estimator import load_plan, load_rig, simulate
@@ -86,14 +84,14 @@ class Stream:
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """All so far."""
+        """All alarms so far."""
         return tuple(self._watch.alarms)
 
     def update(self, readings: Observations) -> Estimate:
-        """Take readings in, and say what is known now.
+        """Add readings to the estimate.
 
         Args:
-            readings: New ones, later than all before.
+            readings: New readings, later than all before.
         Raises:
             InvalidInput: A sensor would stand inside a winding.
         """
@@ -114,13 +112,13 @@ class Stream:
         return Estimate(n, self.intervals(), tuple(alarms), time.monotonic() - begin_s)
 
     def improve(self, values: Mapping[str, float]) -> None:
-        """Start from other values as well, such as those of a fit from many starts, and keep what is better."""
+        """Refit from other values, such as those of a fit from many starts, and keep the better optimum."""
         if self.observations is not None:
             start = self._fit.coordinates.vector(values)
             self._fit.refit(self.observations, start)
 
     def intervals(self) -> dict[str, Interval]:
-        """Of every free parameter, now."""
+        """Current interval of every free parameter."""
         coordinates = self._fit.coordinates
 
         def reported(vector: torch.Tensor) -> torch.Tensor:
@@ -128,9 +126,9 @@ class Stream:
             return torch.stack([values[name] for name in coordinates.names])
 
         value = reported(self._fit.vector)
-        slope = jacfwd(reported)(self._fit.vector)
-        sd = (slope @ self._fit.covariance * slope).sum(-1).sqrt()
+        jacobian = jacfwd(reported)(self._fit.vector)
+        sd = (jacobian @ self._fit.covariance * jacobian).sum(-1).sqrt()
         return {
-            parameter.name: Interval(parameter.unit, v, s, v - NINETY * s, v + NINETY * s)
+            parameter.name: Interval(parameter.unit, v, s, v - HALF_WIDTH_90_SD * s, v + HALF_WIDTH_90_SD * s)
             for parameter, v, s in zip(coordinates.parameters, value.tolist(), sd.tolist(), strict=True)
         }

@@ -1,7 +1,7 @@
-"""Looks at readings as they arrive: one that is improbable, or many that are off the same way, and since when.
+"""Alarms on readings as they arrive: one improbable reading, or many that are off in the same direction, and since when.
 
-What a reading says beyond what all before it had led to expect is noise of known size while the rig is what its model says. Page's
-cumulative sum finds a lasting shift of it soon, and where the sum began to rise is when the shift began.
+The innovation of a reading, its difference from the prediction by all readings before it, is noise of known size while the model holds.
+Page's cumulative sum detects a lasting shift of it early; the shift began where the sum began to rise.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from estimator.inference.running import Innovation
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
-IMPROBABLE = 1e-6  # probability of one reading by noise alone that is worth an alarm: one false one in a million readings
-SHIFT_SIGMA = 1.0  # that is found soonest
-LIMIT = (
-    12.0  # one false alarm of a sum in about 900 000 readings: Siegmund, Sequential Analysis (1985), eq 2.59
+IMPROBABLE = 1e-6  # probability of a reading by noise alone that raises an alarm: one false alarm in a million readings
+SHIFT_SIGMA = 1.0  # the shift that the sum detects earliest
+# One false alarm of a sum in about 900 000 readings: Siegmund, Sequential Analysis (1985), eq 2.59.
+LIMIT = 12.0
+FIELD_SIGMA = (
+    5.0  # a weaker field, in its uncertainty, has no clear direction along which its strength could shift
 )
-FIELD_SIGMA = 5.0  # below this, a field has no direction to be stronger or weaker along
 ALONG = "the strength of the field"
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """Something that noise would hardly do.
+    """A deviation of readings that noise alone makes improbable.
 
     Attributes:
-        sensor: Whose readings they are.
+        sensor: Sensor of these readings.
         what: Component, or `ALONG`.
         since: Number of the first reading concerned, from 1.
         at: Number of the reading at which it was noticed.
-        size_sigma: How far they are off, on average.
+        size_sigma: Mean deviation in standard deviations.
     """
 
     sensor: str
@@ -46,7 +47,7 @@ class Alarm:
 
     @property
     def words(self) -> str:
-        """As an operator reads it.
+        """The alarm as an operator reads it.
 
         Examples:
             >>> Alarm("hall", "x", 210, 224, 1.8).words
@@ -73,7 +74,7 @@ class _Sum:
     noticed_at: int | None = None
 
     def add(self, number: int, value: float) -> bool:
-        """Whether this is the reading at which the limit was passed."""
+        """Add a reading; True if the sum passes the limit with it."""
         self.height += self.sign * value - 0.5 * SHIFT_SIGMA
         if self.height <= 0.0:
             self.height, self.total, self.noticed_at = 0.0, 0.0, None
@@ -103,30 +104,30 @@ class Watch:
         """Judge new readings.
 
         Args:
-            innovation: What was new about them.
-            readings: They themselves.
-            first: Number of the first of them, from 1.
+            innovation: Differences of these readings from their predictions.
+            readings: The readings.
+            first: Number of the first of these readings, from 1.
         Returns: New alarms.
         """
         mask = readings.is_measured
         row_of = torch.arange(len(readings))[:, None].expand(-1, 3)[mask]
         axis_of = torch.arange(3).expand(len(readings), 3)[mask]
-        found = []
+        raised = []
         for row in range(len(readings)):
-            mine = (row_of == row).nonzero().flatten()
-            if not len(mine):
+            of_reading = (row_of == row).nonzero().flatten()
+            if not len(of_reading):
                 continue
-            difference_T = innovation.difference_T[mine]
-            covariance_T2 = innovation.covariance_T2[mine][:, mine]
+            difference_T = innovation.difference_T[of_reading]
+            covariance_T2 = innovation.covariance_T2[of_reading][:, of_reading]
             sensor, number = self._sensors[int(readings.sensor[row])], first + row
-            found += self._improbable(difference_T, covariance_T2, sensor, number)
-            for i, axis in enumerate(axis_of[mine].tolist()):
+            raised += self._improbable(difference_T, covariance_T2, sensor, number)
+            for i, axis in enumerate(axis_of[of_reading].tolist()):
                 value = float(difference_T[i] / covariance_T2[i, i].sqrt())
-                found += self._shifted(sensor, "xyz"[axis], number, value)
-            expected_T = innovation.expected_T[row][axis_of[mine]]
-            found += self._along(difference_T, covariance_T2, expected_T, sensor, number)
-        self.alarms += found
-        return found
+                raised += self._shifted(sensor, "xyz"[axis], number, value)
+            expected_T = innovation.expected_T[row][axis_of[of_reading]]
+            raised += self._along(difference_T, covariance_T2, expected_T, sensor, number)
+        self.alarms += raised
+        return raised
 
     def _improbable(
         self, difference_T: Tensor, covariance_T2: Tensor, sensor: str, number: int
@@ -147,8 +148,8 @@ class Watch:
         return self._shifted(sensor, ALONG, number, value)
 
     def _shifted(self, sensor: str, what: str, number: int, value: float) -> list[Alarm]:
-        found = []
-        for one in self._sums.setdefault((sensor, what), (_Sum(1.0), _Sum(-1.0))):
-            if one.add(number, value):
-                found.append(Alarm(sensor, what, one.numbers[0], number, one.total / len(one.numbers)))
-        return found
+        raised = []
+        for side in self._sums.setdefault((sensor, what), (_Sum(1.0), _Sum(-1.0))):
+            if side.add(number, value):
+                raised.append(Alarm(sensor, what, side.numbers[0], number, side.total / len(side.numbers)))
+        return raised

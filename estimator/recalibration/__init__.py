@@ -1,1 +1,1 @@
-"""How the periodic job judges a new session: agreement with the current version, widened priors, and the conclusion."""
+"""The periodic job: agreement of a new session with the current calibration, a refit, a conclusion, and the registry."""

@@ -1,4 +1,4 @@
-"""Telling somebody: a command that gets JSON on its standard input, or a webhook that it is posted to. Never fatal."""
+"""Alerts as JSON, to the standard input of a command or to a webhook. A failed alert is reported, never raised."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from estimator.recalibration import policy
 def run_command(command: str, message: Mapping[str, Any]) -> str | None:
     """Run a command with a message on its standard input.
 
-    Returns: What went wrong, in one sentence; None where nothing did.
+    Returns: The failure in one sentence; None if there was none.
     """
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             shlex.split(command),
             input=json.dumps(message).encode(),
             capture_output=True,
@@ -28,16 +28,16 @@ def run_command(command: str, message: Mapping[str, Any]) -> str | None:
         )
     except (OSError, ValueError, IndexError, subprocess.TimeoutExpired) as error:
         return f"alert command {command!r} failed: {error}"
-    if done.returncode:
-        said = done.stderr.decode(errors="replace").strip()
-        return f"alert command {command!r} ended with exit code {done.returncode}: {said}"
+    if process.returncode:
+        output = process.stderr.decode(errors="replace").strip()
+        return f"alert command {command!r} ended with exit code {process.returncode}: {output}"
     return None
 
 
 def post(url: str, message: Mapping[str, Any]) -> str | None:
     """Post a message to a webhook.
 
-    Returns: What went wrong, in one sentence; None where nothing did.
+    Returns: The failure in one sentence; None if there was none.
     """
     request = urllib.request.Request(
         url, json.dumps(message).encode(), {"Content-Type": "application/json"}, method="POST"
@@ -50,16 +50,16 @@ def post(url: str, message: Mapping[str, Any]) -> str | None:
 
 
 def senders(command: str | None, webhook: str | None) -> list[Callable[[Mapping[str, Any]], str | None]]:
-    """The ways that a user asked for.
+    """Functions that send a message to the command and the webhook, if they are given.
 
     Raises:
-        InvalidInput: The webhook is no http address.
+        InvalidInput: The webhook is not an http address.
     """
     if webhook is not None and not webhook.startswith(("http://", "https://")):
         raise InvalidInput(f"webhook must be an http or https address; received {webhook!r}")
-    found: list[Callable[[Mapping[str, Any]], str | None]] = []
+    send: list[Callable[[Mapping[str, Any]], str | None]] = []
     if command is not None:
-        found.append(lambda message: run_command(command, message))
+        send.append(lambda message: run_command(command, message))
     if webhook is not None:
-        found.append(lambda message: post(webhook, message))
-    return found
+        send.append(lambda message: post(webhook, message))
+    return send

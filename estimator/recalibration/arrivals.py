@@ -1,4 +1,4 @@
-"""What lies in an inbox: sessions that are whole, some that are damaged, and some that are still on their way."""
+"""Sessions of an inbox: complete ones, damaged ones, and those still being measured or copied."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from estimator.errors import CoilcalError, reason
 from estimator.recalibration import policy
 from estimator.store.session import Session, is_growing, load_session
 
-GROWING = "it is still being measured, or was left before its end"
-ON_ITS_WAY = "it cannot be read and changed less than a minute ago, as if it were being copied"
-CHANGED = "it changed while others were judged"
+GROWING = "it is still being measured, or its measurement was abandoned"
+BEING_COPIED = "it cannot be read and changed less than a minute ago: it may still be being copied"
+CHANGED = "it changed while other sessions were judged"
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Arrival:
     fault: str = ""
 
     def session(self) -> Session | None:
-        """The readings; None where they are no longer those that arrived."""
+        """The session; None if it has changed since it was found."""
         try:
             session = load_session(self.path)
         except (CoilcalError, OSError):
@@ -37,39 +37,39 @@ class Arrival:
 
 
 def arrivals(inbox: Path) -> tuple[list[Arrival], dict[Path, str]]:
-    """The sessions of an inbox, oldest readings first, and why others have to wait for the next time."""
-    found, waiting = [], {}
+    """The sessions of an inbox, oldest readings first, and the reasons why others must wait for the next run."""
+    arrived, waiting = [], {}
     for path in sorted(inbox.glob("*.zarr")):
         try:
             if is_growing(path):
                 waiting[path] = GROWING
                 continue
             session = load_session(path)
-            found.append(Arrival(path, _utc(datetime.fromisoformat(session.created)), session.hash))
+            arrived.append(Arrival(path, _utc(datetime.fromisoformat(session.created)), session.hash))
         except (CoilcalError, ValueError, OSError) as error:
             try:
                 if time.time() - _changed_s(path) < policy.SETTLED_S:
-                    waiting[path] = ON_ITS_WAY
+                    waiting[path] = BEING_COPIED
                 else:
                     written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-                    found.append(Arrival(path, _utc(written), _hash_of_files(path), reason(error)))
+                    arrived.append(Arrival(path, _utc(written), _hash_of_files(path), reason(error)))
             except FileNotFoundError:
                 continue  # it was taken away meanwhile
-    return sorted(found, key=lambda arrival: arrival.taken), waiting
+    return sorted(arrived, key=lambda arrival: arrival.taken), waiting
 
 
 def _utc(time: datetime) -> str:
-    """In one time zone, so that the text sorts; a time without a zone is that of the room."""
+    """ISO time in UTC, so that times sort as text; a time without a zone is local."""
     return time.astimezone(UTC).isoformat(timespec="seconds")
 
 
 def _changed_s(path: Path) -> float:
-    """When anything of it last changed here; copies that keep the time of writing change this one all the same."""
+    """Time of the last change of any file (ctime, which a copy changes even if it preserves the time of writing)."""
     return max(part.lstat().st_ctime for part in _parts(path))
 
 
 def _hash_of_files(path: Path) -> str:
-    """SHA-256 over name and content, that two different things with nothing in them are told apart."""
+    """SHA-256 over names and contents; with the name, so that two empty folders differ."""
     result = hashlib.sha256(path.name.encode())
     for part in _parts(path):
         result.update(str(part.relative_to(path)).encode())

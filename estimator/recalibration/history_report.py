@@ -1,4 +1,4 @@
-"""The page of a registry: what is current, what every session was concluded to be, and the parameters over time."""
+"""The page of a registry: the current version, the conclusion on every session, and the parameters over time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from estimator.recalibration.registry import ROLLED_BACK, Entry, Registry
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 from estimator.reporting.plots.history import SessionSummary, VersionInUse, history
 
-AFTER_THE_LAST = 0.05  # of the whole time, that the last version is shown further on
+MARGIN_SHARE = 0.05  # of the whole time, by which the last version extends beyond the last readings
 MOST_ROWS = 200
 COUNTED = ("unchanged", "updated", "drifted", "rejected")
 
 
 def history_report(registry: Registry) -> str:
-    """HTML of a registry with at least one line in its log, self-contained."""
+    """Self-contained HTML of a registry with at least one entry in its log."""
     entries = registry.entries()
     last = next((entry for entry in reversed(entries) if entry.hash), entries[-1])
     name = "a rig" if registry.current is None else registry.calibration().rig.name
@@ -29,7 +29,7 @@ def history_report(registry: Registry) -> str:
         tables=[],
         figures=[] if registry.current is None else [_picture(registry, entries, name)],
         appendix=[_table(entries)],
-        provenance={"registry": str(registry.folder), "log": f"{len(entries)} lines"},
+        provenance={"registry": str(registry.folder), "log": f"{len(entries)} entries"},
     )
     return render_report(page)
 
@@ -49,21 +49,21 @@ def _verdict(registry: Registry, entries: Sequence[Entry]) -> list[str]:
 
 
 def _warnings(registry: Registry, entries: Sequence[Entry]) -> list[str]:
-    found = []
+    warnings = []
     last = next((entry for entry in reversed(entries) if entry.conclusion == "drifted"), None)
-    if last is not None and _is_going_on(last, registry.current, entries):
-        found.append(f"Drift since {_date(last.since or last.taken)}: {_sentence(last)}")
+    if last is not None and _still_holds(last, registry.current, entries):
+        warnings.append(f"Drift since {_date(last.since or last.taken)}: {_sentence(last)}")
     if entries[-1].conclusion == "rejected":
-        found.append(f"The last session was rejected: {_sentence(entries[-1])}")
+        warnings.append(f"The last session was rejected: {_sentence(entries[-1])}")
     if registry.current is not None and not registry.calibration().summary()["is_converged"]:
-        found.append(f"Version {registry.current} did not converge; its intervals are provisional.")
+        warnings.append(f"Version {registry.current} did not converge; its intervals are provisional.")
     if entries[-1].made is None and entries[-1].checks.get(IS_CONVERGED) is False:
-        found.append("The last session's calibration did not converge and replaced nothing.")
-    return found
+        warnings.append("The last session's calibration did not converge and replaced nothing.")
+    return warnings
 
 
-def _is_going_on(drift: Entry, current: int | None, entries: Sequence[Entry]) -> bool:
-    """Whether a drift still holds: no other version took over since, and none agreed with the one that does not know of the drift."""
+def _still_holds(drift: Entry, current: int | None, entries: Sequence[Entry]) -> bool:
+    """Whether no other version took over since a drift, and no later session agreed with the version without it."""
     after = entries[entries.index(drift) + 1 :]
     has_ended = drift.made is None and any(entry.agrees and entry.taken > drift.taken for entry in after)
     return drift.version == current and not has_ended
@@ -74,22 +74,22 @@ def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture
     summaries = [_summary(entry) for entry in sessions]
     title = f"{name}, {_date(sessions[0].taken)} to {_date(sessions[-1].taken)}"
     caption = (
-        "Points are what each session says by itself, coloured by its conclusion; the blue band is the version in use. A point off its "
-        "band is a change; the band steps where a new version took over."
+        "Points are the estimates of each session by itself, coloured by its conclusion; the blue band is the version in use. A point off "
+        "the band is a change; the band steps where a new version took over."
     )
     figure = history(summaries, _in_use(registry, entries), title)
     return Picture("Parameters over time", caption, figure)
 
 
 def _summary(entry: Entry) -> SessionSummary:
-    """A session for the plot of the history; one that was rejected has no estimate."""
+    """A session in the plot of the history; a rejected one has no estimate."""
     estimate = {} if entry.conclusion == "rejected" else entry.estimate
     label = " and ".join(cause["name"].replace("_", " ") for cause in entry.causes)
     return SessionSummary(_time(entry.taken), entry.conclusion, label, estimate)
 
 
 def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[VersionInUse]:
-    """Which version was current when, by the time of the readings after which it was."""
+    """The periods of the versions in use, by the time of the readings after which they became current."""
     table = registry.history()
     table = table.sel(parameter=~table.is_derived)
     begins: list[tuple[datetime, int]] = []
@@ -98,7 +98,7 @@ def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[VersionInUse]:
         latest = max(latest, _time(entry.taken)) if entry.taken else latest
         if entry.version is not None and (not begins or begins[-1][1] != entry.version):
             begins.append((latest, entry.version))
-    margin = max((latest - begins[0][0]) * AFTER_THE_LAST, timedelta(hours=1))
+    margin = max((latest - begins[0][0]) * MARGIN_SHARE, timedelta(hours=1))
     ends = [begin for begin, _ in begins[1:]] + [latest + margin]
     return [
         VersionInUse(
@@ -106,9 +106,9 @@ def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[VersionInUse]:
             end,
             version,
             {
-                str(one.parameter.item()): (float(one.lower90), float(one["median"]), float(one.upper90))
-                for one in (table.sel(version=version, parameter=p) for p in table.parameter)
-                if bool(one["median"].notnull())
+                str(cell.parameter.item()): (float(cell.lower90), float(cell["median"]), float(cell.upper90))
+                for cell in (table.sel(version=version, parameter=p) for p in table.parameter)
+                if bool(cell["median"].notnull())
             },
         )
         for (begin, version), end in zip(begins, ends, strict=True)
@@ -127,15 +127,15 @@ def _table(entries: Sequence[Entry]) -> Table:
         for entry in reversed(entries[-MOST_ROWS:])
     ]
     caption = "Newest first" + (
-        f"; the last {MOST_ROWS} lines of the log." if len(entries) > MOST_ROWS else "."
+        f"; the last {MOST_ROWS} entries of the log." if len(entries) > MOST_ROWS else "."
     )
     return Table("Log", ["readings of", "session", "conclusion", "version after it", "reason"], rows, caption)
 
 
 def _count(entries: Sequence[Entry]) -> str:
     sessions = [entry for entry in entries if entry.conclusion != ROLLED_BACK]
-    numbers = [(sum(1 for e in sessions if e.conclusion == word), word) for word in COUNTED]
-    return f"{len(sessions)} sessions: " + ", ".join(f"{n} {word}" for n, word in numbers if n)
+    counts = [(sum(1 for e in sessions if e.conclusion == conclusion), conclusion) for conclusion in COUNTED]
+    return f"{len(sessions)} sessions: " + ", ".join(f"{n} {conclusion}" for n, conclusion in counts if n)
 
 
 def _sentence(entry: Entry) -> str:

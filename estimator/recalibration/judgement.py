@@ -1,4 +1,4 @@
-"""What one new session says of the current calibration, and the calibration that would take its place."""
+"""The conclusion on one new session beside the current calibration, and the calibration that would replace it."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ class Conclusion(StrEnum):
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a session amounts to.
+    """Conclusion on a session, with its reason and numbers.
 
     Attributes:
         conclusion: One of four.
-        reason: In one sentence, with the numbers.
-        calibration: To take the current one's place; None where that stays.
-        agrees: With the current version; None where that could not be asked.
-        causes: Of a drift, or mistakes of the record, as `diagnosis.json` holds them.
-        checks: The numbers behind the conclusion.
+        reason: Reason in one sentence, with the numbers.
+        calibration: Replaces the current one; None if that stays.
+        agrees: Whether the session agrees with the current version; None if they could not be compared.
+        causes: Causes of a drift, or mistakes of the record, as in `diagnosis.json`.
+        checks: Numbers behind the conclusion.
         estimate: Value and standard deviation of every parameter from this session within the widened prior.
     """
 
@@ -85,15 +85,15 @@ def judge(
     """Conclude on one session.
 
     Args:
-        session: The new readings. Those marked as validation judge a successor; where none is marked, a fifth is kept out in blocks.
-        rig: As the user describes it.
-        current: The calibration that is in use; None where there is none yet.
-        earlier: Evidence of the sessions right before that disagreed with the current version and led to no new one.
-        may_replace: False for readings that are older than those of the version in use: they are judged, and lead to no new one.
-        seed: Of everything random.
+        session: The new readings. Those marked as validation judge a successor; if none is marked, a fifth is kept out in blocks.
+        rig: Rig as the user describes it.
+        current: The calibration in use; None before the first.
+        earlier: Log Bayes factors of the preceding sessions that disagreed with the current version and led to no new one.
+        may_replace: False for readings older than those of the version in use: they are judged but lead to no new version.
+        seed: Seed of all random numbers.
         settings: When to stop sampling a successor.
     Raises:
-        InvalidInput: The rig or the current calibration cannot be used; what is wrong with the session is its conclusion.
+        InvalidInput: The rig or the current calibration cannot be used. Faults of the session do not raise: they lead to a rejection.
     """
     widened = None if current is None else widened_rig(current, rig)
     try:
@@ -117,12 +117,12 @@ def _with_held_out(session: Session, seed: int) -> Session:
 
 
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
-    found = diagnose(session, rig, seed=seed)
-    if found.faults:
-        return Judgement(Conclusion.REJECTED, mistake_in(found), causes=_causes(found))
-    calibration = _sampled(session, found, seed, settings)
-    named = f", with {names_of(found)} in the rig" if found.causes else ""
-    left = "; structure is left that no known cause explains" if _is_unexplained(found) else ""
+    diagnosis = diagnose(session, rig, seed=seed)
+    if diagnosis.faults:
+        return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=_causes(diagnosis))
+    calibration = _sampled(session, diagnosis, seed, settings)
+    named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""
+    left = "; structure is left that no known cause explains" if _is_unexplained(diagnosis) else ""
     unsure = (
         ""
         if calibration.summary()["is_converged"]
@@ -132,9 +132,9 @@ def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | No
         Conclusion.UPDATED,
         f"first calibration{named}{left}{unsure}",
         calibration,
-        causes=_causes(found),
-        checks={"verdict": str(found.verdict), IS_CONVERGED: calibration.summary()["is_converged"]},
-        estimate=_estimate(found.fits.final),
+        causes=_causes(diagnosis),
+        checks={"verdict": str(diagnosis.verdict), IS_CONVERGED: calibration.summary()["is_converged"]},
+        estimate=_estimate(diagnosis.fits.final),
     )
 
 
@@ -163,47 +163,49 @@ class _Comparison:
             return self._judgement(
                 Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
             )
-        found = diagnose(self.session, self.widened, seed=self.seed)
-        if found.faults:
-            return self._judgement(Conclusion.REJECTED, mistake_in(found), found)
-        if _is_unexplained(found) or not (found.causes or self.agreement.is_refit_enough):
-            if earlier and (names := named_together([*earlier, found.evidence()])):
-                return self._together(found, names, len(earlier) + 1)
-            return self._judgement(Conclusion.REJECTED, self._unexplained(), found)
-        return self._explained(found, settings, may_replace)
+        diagnosis = diagnose(self.session, self.widened, seed=self.seed)
+        if diagnosis.faults:
+            return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
+        if _is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
+            if earlier and (names := named_together([*earlier, diagnosis.evidence()])):
+                return self._together(diagnosis, names, len(earlier) + 1)
+            return self._judgement(Conclusion.REJECTED, self._unexplained(), diagnosis)
+        return self._explained(diagnosis, settings, may_replace)
 
-    def _explained(self, found: Diagnosis, settings: SamplerSettings | None, may_replace: bool) -> Judgement:
-        """Other values or a cause explain the readings; whether the current version makes way is another question."""
-        better = self._gain(found)
-        stays = Conclusion.DRIFTED if found.causes else Conclusion.UNCHANGED
+    def _explained(
+        self, diagnosis: Diagnosis, settings: SamplerSettings | None, may_replace: bool
+    ) -> Judgement:
+        """Conclusion where other values or a cause explain the readings: the current version is replaced or stays."""
+        improvement = self._improvement(diagnosis)
+        stays = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
-        if found.causes:
-            what = sizes_of(found)
-        elif better.is_there:
-            what = self._moved(found, better)
-        reason = f"{what}; {words_of(better)}"
-        if not (better.is_there and may_replace):
-            return self._judgement(stays, reason, found, better)
-        successor = _sampled(self.session, found, self.seed, settings)
-        is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_gain(successor)
+        if diagnosis.causes:
+            what = sizes_of(diagnosis)
+        elif improvement.is_there:
+            what = self._moved(diagnosis, improvement)
+        reason = f"{what}; {words_of(improvement)}"
+        if not (improvement.is_there and may_replace):
+            return self._judgement(stays, reason, diagnosis, improvement)
+        successor = _sampled(self.session, diagnosis, self.seed, settings)
+        is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_improvement(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
-            replaced = Conclusion.DRIFTED if found.causes else Conclusion.UPDATED
-            return self._judgement(replaced, reason, found, better, successor, sampled)
+            replaced = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UPDATED
+            return self._judgement(replaced, reason, diagnosis, improvement, successor, sampled)
         doubt = (
             f"its sampled posterior predicts them worse (log density {stored:+.1f})"
             if is_converged
             else _short_of(successor)
         )
         reason = f"{reason}, but {doubt}: the current version stays"
-        return self._judgement(stays, reason, found, better, None, sampled)
+        return self._judgement(stays, reason, diagnosis, improvement, None, sampled)
 
     def _judgement(
         self,
         conclusion: Conclusion,
         reason: str,
-        found: Diagnosis | None = None,
-        better: Gain | None = None,
+        diagnosis: Diagnosis | None = None,
+        improvement: Gain | None = None,
         successor: Calibration | None = None,
         sampled: Mapping[str, Any] | None = None,
     ) -> Judgement:
@@ -214,18 +216,18 @@ class _Comparison:
             "rms_sigma": self.agreement.rms_sigma,
             "striking_cause": self.agreement.striking_cause,
         }
-        if found is not None:
+        if diagnosis is not None:
             checks |= {
-                "verdict": str(found.verdict),
-                "lack_of_fit_p": found.fits.before.lack_of_fit.p_value,
+                "verdict": str(diagnosis.verdict),
+                "lack_of_fit_p": diagnosis.fits.before.lack_of_fit.p_value,
             }
-            if not found.faults:
-                checks[EVIDENCE] = found.evidence()
-        if better is not None:
+            if not diagnosis.faults:
+                checks[EVIDENCE] = diagnosis.evidence()
+        if improvement is not None:
             checks |= {
-                "elpd_difference": finite(better.elpd_difference),
-                "elpd_se": finite(better.elpd_se),
-                "moved_sd": {name: finite(value) for name, value in better.moved_sd.items()},
+                "elpd_difference": finite(improvement.elpd_difference),
+                "elpd_se": finite(improvement.elpd_se),
+                "moved_sd": {name: finite(value) for name, value in improvement.moved_sd.items()},
             }
         checks |= sampled or {}
         return Judgement(
@@ -233,40 +235,40 @@ class _Comparison:
             reason,
             successor,
             self.agreement.holds,
-            _causes(found)
-            if found is not None and (found.faults or conclusion is Conclusion.DRIFTED)
+            _causes(diagnosis)
+            if diagnosis is not None and (diagnosis.faults or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
             _estimate(self.refit),
         )
 
-    def _together(self, found: Diagnosis, names: Mapping[str, float], n: int) -> Judgement:
-        """A drift that several sessions name and none alone: its size is not known well enough for a new version."""
+    def _together(self, diagnosis: Diagnosis, names: Mapping[str, float], n: int) -> Judgement:
+        """A drift that several sessions name together and none alone: its size is too uncertain for a new version."""
         (first, probability), *others = names.items()
         words = " or ".join(names)
-        reason = (
-            f"{words} by {n} sessions in a row together, which none tells alone; the current version stays"
-        )
+        reason = f"{words}, by {n} sessions in a row together, none of which names it alone; the current version stays"
         cause = {
             "name": first,
             "probability": probability,
             "alternatives": [{"name": name, "probability": share} for name, share in others],
             "parameters": {},
         }
-        return replace(self._judgement(Conclusion.DRIFTED, reason, found), causes=(cause,))
+        return replace(self._judgement(Conclusion.DRIFTED, reason, diagnosis), causes=(cause,))
 
-    def _gain(self, found: Diagnosis) -> Gain:
-        """Of what the diagnosis ended with over the current version, on readings that neither has seen."""
-        made_from = thinned(
+    def _improvement(self, diagnosis: Diagnosis) -> Gain:
+        """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
+        fitted = thinned(
             self.current.observations.calibration, diagnosis_policy.MOST_READINGS_FITTED, self.seed
         )
-        rules = MeasurementModel.build(self.current.rig, made_from).rules
-        before = fit_rig(self.current.rig, made_from, self.current.best, rules)
-        return gain(before, found.fits.final, self._unseen())
+        rules = MeasurementModel.build(self.current.rig, fitted).rules
+        before = fit_rig(self.current.rig, fitted, self.current.best, rules)
+        return gain(before, diagnosis.fits.final, self._unseen())
 
-    def _stored_gain(self, successor: Calibration) -> float:
-        """Of a successor over the current version, both as they are stored."""
-        before, after = (stored_log_density(one, self._unseen()) for one in (self.current, successor))
+    def _stored_improvement(self, successor: Calibration) -> float:
+        """Difference of log predictive density, successor less current version, both from their stored draws."""
+        before, after = (
+            stored_log_density(calibration, self._unseen()) for calibration in (self.current, successor)
+        )
         return float((after - before).sum())
 
     def _unseen(self) -> Observations:
@@ -283,17 +285,17 @@ class _Comparison:
             f"neither a refit nor a cause that can be named explains them ({like})"
         )
 
-    def _moved(self, found: Diagnosis, better: Gain) -> str:
-        """The value that moved most."""
-        name, distance = max(better.moved_sd.items(), key=lambda item: abs(item[1]))
+    def _moved(self, diagnosis: Diagnosis, improvement: Gain) -> str:
+        """The parameter that moved most, in words."""
+        name, distance = max(improvement.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (
             displays([name])[name],
             self.current.summary()["parameters"][name],
-            found.fits.final.value_sd(name),
+            diagnosis.fits.final.value_sd(name),
         )
         before, after = (
             with_sd(value * show.factor, width * show.factor)
-            for value, width in ((old["median"], old["sd"]), (float(found.fits.final.values[name]), sd))
+            for value, width in ((old["median"], old["sd"]), (float(diagnosis.fits.final.values[name]), sd))
         )
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
@@ -301,9 +303,11 @@ class _Comparison:
         )
 
 
-def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSettings | None) -> Calibration:
-    """The rig that a diagnosis ended with, sampled; a cause in it may need more walkers than were asked for."""
-    rig = found.extended_rig
+def _sampled(
+    session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
+) -> Calibration:
+    """Sample the extended rig of a diagnosis; its causes may need more walkers than were asked for."""
+    rig = diagnosis.extended_rig
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
@@ -311,23 +315,23 @@ def _sampled(session: Session, found: Diagnosis, seed: int, settings: SamplerSet
 
 
 def _short_of(calibration: Calibration) -> str:
-    """That sampling ended before its targets, with the numbers."""
+    """How sampling fell short of its targets, in words."""
     sampling = calibration.summary()["sampling"]
     rhat = sampling["largest_rhat"]
     numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
     return f"its posterior did not converge ({numbers})"
 
 
-def _is_unexplained(found: Diagnosis) -> bool:
-    """Whether more is left than noise, by structure or by size."""
-    if found.verdict is Verdict.UNEXPLAINED:
+def _is_unexplained(diagnosis: Diagnosis) -> bool:
+    """Whether the residual exceeds noise, in structure or in size."""
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
         return True
-    return found.fits.after.lack_of_fit.p_value < policy.FALSE_ALARMS
+    return diagnosis.fits.after.lack_of_fit.p_value < policy.FALSE_ALARMS
 
 
-def _causes(found: Diagnosis) -> tuple[Mapping[str, Any], ...]:
-    """As the log and `diagnosis.json` hold them."""
-    return tuple(cause.to_json() for cause in found.sized_causes)
+def _causes(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    """Causes as in the log and `diagnosis.json`."""
+    return tuple(cause.to_json() for cause in diagnosis.sized_causes)
 
 
 def _estimate(fit: Fit) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""The periodic job: new sessions from an inbox, a conclusion on each, and the registry of calibrations they lead to."""
+"""The periodic job: takes new sessions from an inbox, concludes on each, and keeps new calibrations in a registry."""
 
 from __future__ import annotations
 
@@ -33,52 +33,52 @@ def recalibrate(
 ) -> list[Entry]:
     """Judge every new session of an inbox, oldest readings first, and keep the calibrations they lead to.
 
-    A session that is in the log is skipped, so the same call again does nothing; one that was interrupted goes on. A session that is
-    still being measured or copied is left for the next time.
+    Sessions in the log are skipped, so a repeated call does nothing, and an interrupted call is continued by the next. A session that is
+    still being measured or copied waits for the next call.
 
     Args:
-        rig: As the user describes it, with the priors of the beginning.
+        rig: Rig as the user describes it, with the first priors.
         inbox: Folder with sessions, `*.zarr`; nothing in it is changed.
-        registry: Folder for versions, log and `history.html`; made where it is missing.
-        seed: Of everything random.
+        registry: Folder for versions, log and `history.html`; created if missing.
+        seed: Seed of all random numbers.
         settings: When to stop sampling a new version.
-        again: Names of sessions in the inbox that are judged once more although they are in the log.
-        on_entry: Told of each conclusion once it is logged; of one that an interrupted call could not tell, by the next call.
-        on_waiting: Told of each session that is left for the next time, and why.
-    Returns: The lines of the log that were told.
+        again: Names of sessions in the inbox to judge once more although they are in the log.
+        on_entry: Called with each conclusion once it is logged, also with those that an interrupted call left pending.
+        on_waiting: Called with each session that waits for the next call, and the reason.
+    Returns: The log entries that `on_entry` was called with.
     Raises:
-        InvalidInput: The inbox is no folder, another job holds the registry, or it is of another rig.
+        InvalidInput: The inbox is not a folder, another job holds the registry, or the registry is of another rig.
         CorruptStore: The log or the current version is damaged.
     """
-    inbox, kept = Path(inbox), Registry(registry)
+    inbox, calibrations = Path(inbox), Registry(registry)
     if not inbox.is_dir():
         raise InvalidInput(f"inbox must be a folder of sessions; received {inbox}")
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     chosen = settings or SamplerSettings()
     chosen.for_rig(len(rig.free))  # too few walkers are a fault of the call, not of a session
-    hear, wait = on_entry or (lambda entry: None), on_waiting or (lambda path, why: None)
-    with kept.writing():
-        if kept.current is not None:
-            _check_same(rig, kept.calibration().rig, kept.folder)
-        told = kept.tell(hear)
-        found, waiting = arrivals(inbox)
-        _check_there(again, [*(arrival.path for arrival in found), *waiting])
-        done = {entry.hash for entry in kept.entries()}
-        done -= {arrival.hash for arrival in found if arrival.path.name in again}
-        for arrival in found:
-            if arrival.hash in done:
+    notify, notify_waiting = on_entry or (lambda entry: None), on_waiting or (lambda path, why: None)
+    with calibrations.writing():
+        if calibrations.current is not None:
+            _check_same_rig(rig, calibrations.calibration().rig, calibrations.folder)
+        delivered = calibrations.tell(notify)
+        arrived, waiting = arrivals(inbox)
+        _check_in_inbox(again, [*(arrival.path for arrival in arrived), *waiting])
+        concluded = {entry.hash for entry in calibrations.entries()}
+        concluded -= {arrival.hash for arrival in arrived if arrival.path.name in again}
+        for arrival in arrived:
+            if arrival.hash in concluded:
                 continue
-            done.add(arrival.hash)
-            if _concluded(arrival, rig, kept, seed, chosen):
-                told += kept.tell(hear)
+            concluded.add(arrival.hash)
+            if _conclude(arrival, rig, calibrations, seed, chosen):
+                delivered += calibrations.tell(notify)
             else:
                 waiting[arrival.path] = CHANGED
-        if kept.entries():
-            write_text(kept.folder / HISTORY, history_report(kept))
+        if calibrations.entries():
+            write_text(calibrations.folder / HISTORY, history_report(calibrations))
     for path, why in waiting.items():
-        wait(path, why)
-    return told
+        notify_waiting(path, why)
+    return delivered
 
 
 def roll_back(registry: Path | str, version: int) -> Entry:
@@ -88,41 +88,44 @@ def roll_back(registry: Path | str, version: int) -> Entry:
         InvalidInput: There is no such registry or version, or another job holds it.
         CorruptStore: The version is damaged.
     """
-    kept = Registry(registry)
-    if not kept.versions:
+    calibrations = Registry(registry)
+    if not calibrations.versions:
         raise InvalidInput(
             f"registry must be a folder that coilcal recalibrate has filled; received {registry}"
         )
-    with kept.writing():
-        entry = kept.roll_back(version)
-        write_text(kept.folder / HISTORY, history_report(kept))
+    with calibrations.writing():
+        entry = calibrations.roll_back(version)
+        write_text(calibrations.folder / HISTORY, history_report(calibrations))
     return entry
 
 
-def _check_same(rig: Rig, current: Rig, folder: Path) -> None:
-    """Refuse the rig file of another rig, for which every session would be bad data."""
-    described, kept = (
-        [one.name for one in r.coils] + [one.name for one in r.sensors] + [one.name for one in r.movers]
-        for r in (rig, current)
-    )
-    if described != kept:
+def _check_same_rig(rig: Rig, current: Rig, folder: Path) -> None:
+    """Refuse the file of another rig, under which every session would be rejected."""
+    described, registered = _names(rig), _names(current)
+    if described != registered:
         raise InvalidInput(
-            f"rig must name the coils, sensors and movers of the registry ({', '.join(kept)}); received {', '.join(described)} ({folder})"
+            f"rig must name the coils, sensors and movers of the registry ({', '.join(registered)}); "
+            f"received {', '.join(described)} ({folder})"
         )
 
 
-def _check_there(names: Collection[str], paths: list[Path]) -> None:
+def _names(rig: Rig) -> list[str]:
+    coils, sensors = [coil.name for coil in rig.coils], [sensor.name for sensor in rig.sensors]
+    return coils + sensors + [mover.name for mover in rig.movers]
+
+
+def _check_in_inbox(names: Collection[str], paths: list[Path]) -> None:
     for name in names:
         if name not in {path.name for path in paths}:
             raise InvalidInput(f"a session to be judged again must lie in the inbox; received {name!r}")
 
 
-def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: SamplerSettings) -> bool:
-    """Judge one session and log what it amounts to. Whether it could be: it may have changed since it was found."""
+def _conclude(arrival: Arrival, rig: Rig, registry: Registry, seed: int, settings: SamplerSettings) -> bool:
+    """Judge one session and log the conclusion; False if the session has changed since it was found."""
     judgement = Judgement(Conclusion.REJECTED, f"the session cannot be read: {arrival.fault}")
-    entries = kept.entries()
-    beside = None if arrival.fault else _in_use(entries, kept.current, arrival.taken)
-    is_late = beside is not None and not _is_as_young(entries, kept.current, arrival.taken)
+    entries = registry.entries()
+    reference = None if arrival.fault else _in_use(entries, registry.current, arrival.taken)
+    is_late = reference is not None and not _is_as_recent(entries, registry.current, arrival.taken)
     if not arrival.fault:
         session = arrival.session()
         if session is None:
@@ -130,7 +133,7 @@ def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: 
         judgement = judge(
             session,
             rig,
-            None if beside is None else kept.calibration(beside),
+            None if reference is None else registry.calibration(reference),
             earlier=() if is_late else _evidence(entries),
             may_replace=not is_late,
             seed=seed,
@@ -138,7 +141,7 @@ def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: 
         )
     is_drift = judgement.conclusion is Conclusion.DRIFTED
     since = (arrival.taken if is_late else _since(entries, arrival.taken)) if is_drift else None
-    late = f"comes late: its readings are older than those of version {kept.current}, which stays; beside version {beside}: "
+    late = f"comes late: its readings are older than those of version {registry.current}, which stays; compared with version {reference}: "
     entry = Entry(
         str(judgement.conclusion),
         (late if is_late else "") + judgement.reason,
@@ -148,7 +151,7 @@ def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: 
         agrees=judgement.agrees,
         causes=judgement.causes,
         since=since,
-        checks={**judgement.checks, **({LATE: beside} if is_late else {})},
+        checks={**judgement.checks, **({LATE: reference} if is_late else {})},
         estimate=judgement.estimate,
     )
     provenance = {
@@ -156,7 +159,7 @@ def _concluded(arrival: Arrival, rig: Rig, kept: Registry, seed: int, settings: 
         "settings": asdict(replace(settings, seed=seed)),
         "code": code_version(),
     }
-    kept.commit(entry, judgement.calibration, provenance)
+    registry.commit(entry, judgement.calibration, provenance)
     return True
 
 
@@ -165,22 +168,23 @@ def _taken(entries: Sequence[Entry]) -> dict[int, str]:
     return {entry.made: entry.taken for entry in entries if entry.made is not None}
 
 
-def _is_as_young(entries: Sequence[Entry], current: int | None, taken: str) -> bool:
-    """Whether readings may replace the current version: those of an earlier time say nothing of the present."""
+def _is_as_recent(entries: Sequence[Entry], current: int | None, taken: str) -> bool:
+    """Whether readings may replace the current version, which older readings may not."""
     return current is None or taken >= _taken(entries)[current]
 
 
 def _in_use(entries: Sequence[Entry], current: int | None, taken: str) -> int | None:
-    """The version that readings are compared with: the current one; for older readings the last one before them, or the first of all."""
-    if _is_as_young(entries, current, taken):
+    """The version to compare readings with: the current one, or for older readings the last before them, else the first of all."""
+    if _is_as_recent(entries, current, taken):
         return current
-    of = _taken(entries)
-    before = [version for version in of if of[version] <= taken]
-    return max(before, key=lambda v: (of[v], v)) if before else min(of, key=lambda v: (of[v], v))
+    times = _taken(entries)
+    before = [version for version in times if times[version] <= taken]
+    choose = max if before else min
+    return choose(before or times, key=lambda version: (times[version], version))
 
 
 def _since(entries: Sequence[Entry], taken: str) -> str:
-    """Time of the first session in a row that disagreed and led to no new version, this one included."""
+    """Time of the first of the disagreeing sessions in a row, up to the present one."""
     return next((entry.taken for entry in reversed(_disagreeing(entries))), taken)
 
 
@@ -189,17 +193,17 @@ def _evidence(entries: Sequence[Entry]) -> list[Mapping[str, float]]:
 
 
 def _disagreeing(entries: Sequence[Entry]) -> list[Entry]:
-    """The last sessions in a row that disagreed and led to no new version, the latest first.
+    """The last sessions in a row that disagreed and led to no new version, latest first.
 
-    Others may lie between: some that could not be asked, that came late, or whose record holds a mistake.
+    Sessions that could not be compared, came late or have a mistake in their record do not interrupt the row.
     """
-    found = []
+    disagreeing = []
     for entry in reversed(entries):
-        was_asked = entry.agrees is not None or entry.made is not None or not entry.hash
+        was_compared = entry.agrees is not None or entry.made is not None or not entry.hash
         is_mistake = entry.conclusion == Conclusion.REJECTED and bool(entry.causes)
-        if not was_asked or is_mistake or LATE in entry.checks:
+        if not was_compared or is_mistake or LATE in entry.checks:
             continue
         if entry.agrees is not False or entry.made is not None:
             break
-        found.append(entry)
-    return found
+        disagreeing.append(entry)
+    return disagreeing

@@ -1,13 +1,13 @@
-"""Every calibration of a rig with its history, in one folder that survives `kill -9` at any instant.
+"""The registry: every calibration of a rig with its history, in one folder that survives `kill -9` at any instant.
 
     versions/0001/   a whole calibration, its rig.yaml and provenance.json
-    current          a link to the version that is in use, replaced by renaming
-    log.jsonl        one line per session or rollback, in order
-    told             how many of these lines somebody was told of
+    current          a link to the version in use, replaced by renaming
+    log.jsonl        one entry per session or rollback, in order, one line each
+    told             number of entries without a pending notification
     lock             held by the job that writes
 
-Renaming a finished version into its place commits it; its log line follows from its provenance and the link from the last line, so the
-next job that opens the folder completes what an interrupted one left.
+Renaming a finished version into `versions` commits it. Its log entry follows from its provenance and the link from the last entry, so the
+next job that opens the folder completes the work of an interrupted one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from estimator.calibration.result import POSTERIOR, SUMMARY, Calibration, write_text
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.rig_files.write import rig_text
 
@@ -36,21 +36,21 @@ ROLLED_BACK = "rolled_back"
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the log.
+    """One entry of the log.
 
     Attributes:
         conclusion: unchanged, updated, drifted, rejected or rolled_back.
-        reason: In one sentence, with the numbers.
+        reason: Reason in one sentence, with the numbers.
         session: Path of the session; empty for a rollback.
-        hash: Of the session; of its files where they are damaged.
+        hash: Hash of the session, or of its files if they are damaged.
         taken: ISO time of the readings.
         concluded: ISO time of the conclusion.
-        version: Current from now on; None before the first.
-        made: The version made from this session; None where none was.
-        agrees: Whether the session agreed with the version that was current; None where that could not be asked.
-        causes: That were named, as `diagnosis.json` holds them.
-        since: Time of the first session that no longer agreed, where a drift was found.
-        checks: The numbers behind the conclusion.
+        version: Version that is current from now on; None before the first.
+        made: Version made from this session; None if none was.
+        agrees: Whether the session agreed with the version that was current; None if they could not be compared.
+        causes: Named causes, as in `diagnosis.json`.
+        since: For a drift, time of the first session that no longer agreed.
+        checks: Numbers behind the conclusion.
         estimate: Value and standard deviation of every parameter from this session, within the widened prior.
     """
 
@@ -69,7 +69,7 @@ class Entry:
     estimate: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def line(self) -> str:
-        """As JSON."""
+        """The entry as one line of JSON."""
         return json.dumps(asdict(self), allow_nan=False)
 
 
@@ -99,10 +99,10 @@ class Registry:
         return int(link.readlink().name) if link.is_symlink() else None
 
     def entries(self) -> list[Entry]:
-        """The log, oldest line first.
+        """The log, oldest entry first.
 
         Raises:
-            CorruptStore: A line is damaged; the last one may be cut off by a kill, and then does not count.
+            CorruptStore: A line is damaged. An incomplete last line, left by a kill, is ignored.
         """
         try:
             lines = (self.folder / LOG).read_text(encoding="utf-8").splitlines(keepends=True)
@@ -126,35 +126,36 @@ class Registry:
 
     def tree(self, version: int | None = None) -> xr.DataTree:
         """Posterior of one version in ArviZ's groups; by default of the current one."""
-        return xr.open_datatree(self._path(version) / POSTERIOR, engine="zarr", consolidated=False)
+        return xr.open_datatree(self._path(version) / POSTERIOR_STORE, engine="zarr", consolidated=False)
 
     def history(self) -> xr.Dataset:
-        """Median, sd and 90 % interval of every parameter of every version, in SI; NaN where a version has not got it.
+        """Median, sd and 90 % interval of every parameter of every version, in SI; NaN where a version lacks it.
 
-        Coordinates say when the readings of a version were taken, from which session, how it came about, and which parameters follow from
-        others.
+        Coordinates hold the time of the readings of each version, its session and conclusion, and which parameters are derived from others.
 
         Raises:
             CorruptStore: The summary of a version is damaged.
         """
         made = {entry.made: entry for entry in self.entries() if entry.made is not None}
-        parameters = {version: self._record(version)["parameters"] for version in made}
-        names = list(dict.fromkeys(name for own in parameters.values() for name in own))
-        first = {name: next(own[name] for own in parameters.values() if name in own) for name in names}
+        parameters = {version: self._summary(version)["parameters"] for version in made}
+        names = list(dict.fromkeys(name for numbers in parameters.values() for name in numbers))
+        first = {
+            name: next(numbers[name] for numbers in parameters.values() if name in numbers) for name in names
+        }
 
-        def table(number: Any) -> tuple[tuple[str, str], np.ndarray]:
+        def table(select: Any) -> tuple[tuple[str, str], np.ndarray]:
             rows = [
-                [number(own[name]) if name in own else np.nan for name in names]
-                for own in parameters.values()
+                [select(numbers[name]) if name in numbers else np.nan for name in names]
+                for numbers in parameters.values()
             ]
             return ("version", "parameter"), np.array(rows).reshape(len(made), len(names))
 
         return xr.Dataset(
             {
-                "median": table(lambda own: own["median"]),
-                "sd": table(lambda own: own["sd"]),
-                "lower90": table(lambda own: own["ci90"][0]),
-                "upper90": table(lambda own: own["ci90"][1]),
+                "median": table(lambda p: p["median"]),
+                "sd": table(lambda p: p["sd"]),
+                "lower90": table(lambda p: p["ci90"][0]),
+                "upper90": table(lambda p: p["ci90"][1]),
             },
             {
                 "version": list(made),
@@ -169,12 +170,12 @@ class Registry:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Hold the registry for one job, after completing what an interrupted one left.
+        """Hold the registry for one job, after completing the work of an interrupted one.
 
         Raises:
             InvalidInput: Another job holds it, or the folder cannot be written.
         """
-        import fcntl  # not there on Windows, where registries can be read
+        import fcntl  # missing on Windows, where registries can still be read
 
         try:
             (self.folder / VERSIONS).mkdir(parents=True, exist_ok=True)
@@ -199,38 +200,40 @@ class Registry:
         calibration: Calibration | None = None,
         provenance: Mapping[str, Any] | None = None,
     ) -> Entry:
-        """Log a conclusion; with a calibration, keep that as a new version and make it current. Only while writing.
+        """Log a conclusion, and make its calibration, if any, the current version. Only while writing.
 
         Args:
             entry: The conclusion.
-            calibration: To keep.
-            provenance: What else led to it, for its `provenance.json`.
-        Returns: The entry with the numbers of versions.
+            calibration: Calibration for a new version.
+            provenance: Further origins of the calibration, for its `provenance.json`.
+        Returns: The entry with its version numbers.
         """
         if calibration is None:
             entry = replace(entry, version=self.current)
         else:
             number = max(self.versions, default=0) + 1
             entry = replace(entry, version=number, made=number)
-            self._keep(entry, calibration, provenance or {})
+            self._save(entry, calibration, provenance or {})
         self._log(entry)
         self._point()
         return entry
 
     def tell(self, hear: Callable[[Entry], None]) -> list[Entry]:
-        """Have every conclusion heard of that nobody was told of; cut off meanwhile, it is told again. Only while writing.
+        """Deliver pending notifications; one that is interrupted is delivered again. Only while writing.
 
-        Returns: The conclusions.
+        Args:
+            hear: Called with each entry of a session.
+        Returns: The delivered entries.
         """
         entries = self.entries()
-        told = int((self.folder / TOLD).read_text(encoding="utf-8"))
-        new = []
-        for number, entry in enumerate(entries[told:], start=told + 1):
+        n_told = int((self.folder / TOLD).read_text(encoding="utf-8"))
+        delivered = []
+        for number, entry in enumerate(entries[n_told:], start=n_told + 1):
             if entry.hash:
                 hear(entry)
-                new.append(entry)
+                delivered.append(entry)
             write_text(self.folder / TOLD, f"{number}\n")
-        return new
+        return delivered
 
     def roll_back(self, version: int) -> Entry:
         """Make an earlier version current again. Only while writing.
@@ -250,25 +253,25 @@ class Registry:
     def _path(self, version: int | None) -> Path:
         version = self.current if version is None else version
         if version not in self.versions:
-            held = ", ".join(map(str, self.versions)) or "none"
+            existing = ", ".join(map(str, self.versions)) or "none"
             raise InvalidInput(
-                f"version must be one of the registry ({held}); received {version} ({self.folder})"
+                f"version must be one of the registry ({existing}); received {version} ({self.folder})"
             )
         return self.folder / VERSIONS / f"{version:04d}"
 
-    def _record(self, version: int) -> Mapping[str, Any]:
-        path = self._path(version) / SUMMARY
+    def _summary(self, version: int) -> Mapping[str, Any]:
+        path = self._path(version) / SUMMARY_FILE
         try:
-            record: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            summary: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
-        return record
+        return summary
 
-    def _keep(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
+    def _save(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
         partial = self.folder / VERSIONS / ".partial"
         calibration.save(partial)
         (partial / RIG).write_text(rig_text(calibration.rig), encoding="utf-8")
-        own = {
+        content = {
             "version": entry.made,
             "previous": self.current,
             "rig_hash": calibration.rig.hash,
@@ -277,7 +280,7 @@ class Registry:
             **provenance,
             "entry": asdict(entry),
         }
-        write_text(partial / PROVENANCE, json.dumps(own, indent=2, allow_nan=False) + "\n")
+        write_text(partial / PROVENANCE, json.dumps(content, indent=2, allow_nan=False) + "\n")
         partial.rename(self.folder / VERSIONS / f"{entry.made:04d}")
 
     def _log(self, entry: Entry) -> None:
@@ -287,7 +290,7 @@ class Registry:
             os.fsync(file.fileno())
 
     def _point(self) -> None:
-        """Make current what the last line of the log says."""
+        """Link `current` to the version of the last log entry."""
         version = self.entries()[-1].version
         if version is None or version == self.current:
             return
@@ -297,13 +300,13 @@ class Registry:
         link.replace(self.folder / CURRENT)
 
     def _complete(self) -> None:
-        """Take away what is unfinished, and finish what was committed."""
+        """Remove unfinished files, and complete the log and the link of committed versions."""
         shutil.rmtree(self.folder / VERSIONS / ".partial", ignore_errors=True)
         log = self.folder / LOG
         if log.exists() and not log.read_bytes().endswith(b"\n"):
             os.truncate(log, log.read_bytes().rfind(b"\n") + 1)
         entries = self.entries()
-        if not (self.folder / TOLD).exists():  # a new registry, or one from before lines were counted
+        if not (self.folder / TOLD).exists():  # a new registry, or one from before notifications were counted
             write_text(self.folder / TOLD, f"{len(entries)}\n")
         logged = {entry.made for entry in entries}
         for version in self.versions:

@@ -1,4 +1,4 @@
-"""How well calibrations predict readings as they are stored: by their draws, not by a fit that led to them."""
+"""Log predictive density of stored calibrations: from their posterior draws, not from the fit before sampling."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from estimator.rig.coordinates import Coordinates
 
 
 def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[Tensor, " reading"]:
-    """Log predictive density of readings, reading by reading: the mean over draws of the posterior.
+    """Log predictive density of each reading: the logarithm of the mean density over posterior draws.
 
     Args:
-        calibration: Made from other readings.
-        unseen: Of the same rig, whatever effects the calibration has in addition.
+        calibration: Calibration from other readings.
+        unseen: Readings of the same rig; the calibration may have additional effects.
     References: Vehtari, Gelman and Gabry, Statistics and Computing 27, 1413 (2017), eq 3.
     """
     coordinates = Coordinates(calibration.rig, integer_counts=True)

@@ -1,7 +1,7 @@
-"""Sessions in a row that disagree alike: what none of them can name alone, several may.
+"""Causes named by several disagreeing sessions in a row that none of them names alone.
 
-Each session gives every cause a Bayes factor against nothing, with a size of its own. Sessions are independent once the cause is given, so
-their factors multiply; a cause that only chance put in front of one session does not stay there in the next.
+Each session gives a Bayes factor of every cause against no cause, with its own size of the cause. Sessions are independent given the cause,
+so their Bayes factors multiply; a cause that leads in one session by chance falls behind in the next.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ NOTHING, UNEXPLAINED = "nothing", "unexplained"  # hypotheses beside the causes
 
 
 def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The causes that hold 95 % of the probability after some sessions, most probable first.
+    """The 95 % credible set of causes after some sessions, most probable first.
 
     Args:
-        sessions: Per session the log Bayes factor of each hypothesis against nothing, by name.
-    Returns: Probabilities among all causes; empty where nothing, or something that no cause explains, is not yet ruled out.
+        sessions: Log Bayes factor of each hypothesis against nothing, by name, for each session.
+    Returns: Probabilities among all causes; empty while no cause, or an unknown one, is not ruled out.
 
     Examples:
-        >>> one = {"offset_drift": 3.0, "coil_heating": -1.0, "unexplained": 1.0}
-        >>> named_together([one]), list(named_together([one, one]))
+        >>> session = {"offset_drift": 3.0, "coil_heating": -1.0, "unexplained": 1.0}
+        >>> named_together([session]), list(named_together([session, session]))
         ({}, ['offset_drift'])
     """
     if not sessions:
         return {}
-    known = set.intersection(*(set(session) for session in sessions)) - {NOTHING}
-    total = {name: sum(session[name] for session in sessions) for name in known}
+    common = set.intersection(*(set(session) for session in sessions)) - {NOTHING}
+    total = {name: sum(session[name] for session in sessions) for name in common}
     unexplained = total.pop(UNEXPLAINED, 0.0) + policy.LOG_PRIOR_UNEXPLAINED
     if not total:
         return {}

@@ -1,13 +1,13 @@
-"""The old posterior as a widened prior: what a new session starts from.
+"""The current posterior, widened, as the prior of a refit to a new session.
 
-A refit must be able to follow what may have changed since the last calibration, and nothing else: a winding stays as it is, while
-anything mounted may have been mounted anew. What no refit within these priors can follow is left for a diagnosis to name.
+A refit may follow changes that are possible since the last calibration, and no others: a winding stays as it is, but any mounted body may
+have been mounted anew. The diagnosis names what no refit within these priors can follow.
 
-Rig files know independent priors, but a posterior is not independent: it knows the field of a winding far better than its radius or its
-loops. Priors as wide as each number's own interval would leave the field free by per cents, and a supply that sags would pass for a
-winding with half a loop less. So the centre is the point that predicts best, and the widths are those of the product of normals that is
-closest to the posterior in Kullback-Leibler divergence: of each number, what the others leave open. Along what n numbers determine together
-that product is sqrt(n) times as wide as the posterior.
+Priors of rig files are independent, but the parameters of a posterior are correlated: it determines the field of a winding far better than
+its radius or its loops. Priors as wide as the marginal intervals would leave the field free by per cents, and a sagging supply would pass
+for a winding with half a loop less. So each prior is centred at the maximum of the posterior, and the widths are those of the product of
+normals closest to the posterior in Kullback-Leibler divergence: the standard deviation of each number given the others. Along a direction
+that n numbers determine together this product is sqrt(n) times as wide as the posterior.
 
 References: Bishop, Pattern Recognition and Machine Learning (2006), section 10.1.2 (factorised normals have the inverse of the precision's
 diagonal for variances).
@@ -32,13 +32,13 @@ LEAST_SHARE_LEFT = 1e-9  # of a variance: numbers that follow from others by rou
 
 
 def widened_rig(calibration: Calibration, described: Rig) -> Rig:
-    """The rig of a calibration with its posterior, widened, for a prior.
+    """The rig of a calibration with its widened posterior as the prior.
 
-    Each prior is centred at the posterior's best point, with sd = hypot(what the other numbers leave open of it, what may have changed).
+    Each prior is centred at the maximum of the posterior, with sd = hypot(sd given the other numbers, sd of possible changes).
 
     Args:
-        calibration: The version that is current.
-        described: The rig as the user describes it, with the priors of the beginning; a cause that was found later has those of its rig.
+        calibration: The current version.
+        described: The rig as the user describes it, with the first priors; causes found later keep those of their rig.
     """
     rig, left = calibration.rig, _left_sd(calibration)
     widened = rig.with_parameters(
@@ -62,8 +62,8 @@ def _widened(parameter: Parameter, described: Rig, best: float, left_sd: float) 
 
 
 def _left_sd(calibration: Calibration) -> dict[str, float]:
-    """Of each free parameter, where the others are known; poses, which may change, are not counted among these."""
-    found: dict[str, float] = {}
+    """Standard deviation of each free parameter given the others of its group: poses, which may change, or all the rest."""
+    left: dict[str, float] = {}
     groups = ([p.name for p in calibration.rig.free if _is_pose(p) == is_pose] for is_pose in (False, True))
     for names in groups:
         draws = np.array([calibration.draws[name].ravel() for name in names]).reshape(len(names), -1)
@@ -71,12 +71,12 @@ def _left_sd(calibration: Calibration) -> dict[str, float]:
         scaled = (draws - draws.mean(axis=1, keepdims=True)) / np.where(sd > 0.0, sd, 1.0)[:, None]
         correlation = scaled @ scaled.T / draws.shape[1] + LEAST_SHARE_LEFT * np.eye(len(names))
         share = 1.0 / np.sqrt(np.diag(np.linalg.inv(correlation)))
-        found |= dict(zip(names, (sd * share).tolist(), strict=True))
-    return found
+        left |= dict(zip(names, (sd * share).tolist(), strict=True))
+    return left
 
 
 def _change(parameter: Parameter, first: Prior, best: float) -> float:
-    """Standard deviation of what may have changed between two sessions; of the logarithm times the value where the prior is log-normal."""
+    """Standard deviation of possible changes between two sessions; for log-normal priors that of the logarithm times the value."""
     body, _, key = parameter.name.rpartition(".")
     if parameter.is_count:
         return policy.LOOPS

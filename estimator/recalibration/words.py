@@ -1,4 +1,4 @@
-"""What a diagnosis and a gain amount to, in the words of the log."""
+"""Causes of a diagnosis and the improvement of a new fit, in the words of the log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def names_of(diagnosis: Diagnosis) -> str:
 
 
 def mistake_in(diagnosis: Diagnosis) -> str:
-    """What is wrong with the record."""
+    """Mistakes of the record, with their sizes."""
     return f"a mistake of the record: {sizes_of(diagnosis)}"
 
 
@@ -24,12 +24,12 @@ def sizes_of(diagnosis: Diagnosis) -> str:
 
 def _size(cause: SizedCause) -> str:
     sizes = [_quantity(f"{cause.name}.{key}", interval) for key, interval in cause.quantities.items()]
-    others = "".join(f" or {name}" for name in cause.alternative_names)
-    return f"{cause.name}{others} ({', '.join(sizes)})"
+    alternatives = "".join(f" or {name}" for name in cause.alternative_names)
+    return f"{cause.name}{alternatives} ({', '.join(sizes)})"
 
 
 def _quantity(name: str, interval: Interval) -> str:
-    """A quantity as people read it; one in a unit such as T/h stays in that."""
+    """A quantity in its display unit, or in its own unit if that has none, such as T/h."""
     show, value, sd, unit = displays([name])[name], interval.median, interval.sd, interval.unit
     if show.unit or unit == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
@@ -38,9 +38,11 @@ def _quantity(name: str, interval: Interval) -> str:
     return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
 
 
-def words_of(better: Gain) -> str:
-    """Whether a new fit would be better, with the numbers."""
+def words_of(improvement: Gain) -> str:
+    """Whether a new fit predicts unseen readings better, with the numbers."""
     words = (
-        "predicts unseen readings better" if better.is_there else "does not predict unseen readings better"
+        "predicts unseen readings better"
+        if improvement.is_there
+        else "does not predict unseen readings better"
     )
-    return f"the new fit {words} than the current version (log density {better.elpd_difference:+.1f} ± {better.elpd_se:.1f})"
+    return f"the new fit {words} than the current version (log density {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f})"

@@ -1,4 +1,4 @@
-"""From what a set of coils does per ampere to the currents for what is wanted: linear algebra over any batch of points.
+"""Currents for a wanted field or force, from what each coil does per ampere: linear algebra over any batch of points.
 
 An actuation matrix has a column per coil. Its first three rows are the field per ampere; the five that may follow are the independent
 entries of the gradient, which is symmetric and traceless where there is no current (Petruska and Nelson, IEEE Trans. Robot. 31, 714
@@ -15,8 +15,8 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 
-INDEPENDENT = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))  # dB_i / dx_j kept of the nine
-RIDGE = 1e-7  # of the largest singular value: among bounded currents that do equally well, the smallest
+INDEPENDENT = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))  # (i, j) of the dB_i / dx_j that determine all nine
+RIDGE = 1e-7  # in largest singular values: picks the smallest among bounded currents that do equally well
 
 
 def independent_entries(gradient: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 5"]:
@@ -57,18 +57,18 @@ def minimum_norm_currents(
     """The smallest currents among those that come closest to a target; differentiable where the matrix has full rank.
 
     Args:
-        matrix: What each coil does per ampere; rows of different units must be weighted before.
-        target: What is wanted.
-    Returns: Currents in ampere; NaN where the matrix is, inside a winding.
+        matrix: What each coil does per ampere; rows of different units must be weighted first.
+        target: Field or force that is wanted.
+    Returns: Currents in ampere; NaN where the matrix is NaN, inside a winding.
     Examples:
         >>> two_alike = torch.tensor([[1e-3, 1e-3]], dtype=torch.float64)
         >>> [round(i, 9) for i in minimum_norm_currents(two_alike, torch.tensor([4e-3], dtype=torch.float64)).tolist()]
         [2.0, 2.0]
     """
-    known = torch.isfinite(matrix).all(-1).all(-1)
-    inverse = torch.linalg.pinv(torch.where(known[..., None, None], matrix, 0.0))
+    is_finite = torch.isfinite(matrix).all(-1).all(-1)
+    inverse = torch.linalg.pinv(torch.where(is_finite[..., None, None], matrix, 0.0))
     currents_A = (inverse @ target[..., None])[..., 0]
-    return torch.where(known[..., None], currents_A, torch.nan)
+    return torch.where(is_finite[..., None], currents_A, torch.nan)
 
 
 def bounded_currents(
@@ -76,17 +76,17 @@ def bounded_currents(
     target: Float[Tensor, "*#batch row"],
     most_A: Float[Tensor, " coil"],
 ) -> Float[Tensor, "*batch coil"]:
-    """The currents within bounds that come closest to a target, solved point by point; carries no derivatives.
+    """The currents within bounds that come closest to a target, solved point by point, without derivatives.
 
-    Where the minimum-norm currents lie within the bounds they are the answer.
+    Minimum-norm currents within the bounds are the answer.
 
     Args:
         matrix, target: As in `minimum_norm_currents`.
         most_A: Largest magnitude of each current.
-    Returns: Currents in ampere; NaN where the matrix is.
+    Returns: Currents in ampere; NaN where the matrix is NaN.
     Raises:
         InvalidInput: A bound that is not positive.
-    References: Stark and Parker, Comput. Stat. 10, 129 (1995), as scipy.optimize.lsq_linear does it.
+    References: Stark and Parker, Comput. Stat. 10, 129 (1995), as in scipy.optimize.lsq_linear.
     Examples:
         >>> two_alike = torch.tensor([[1e-3, 1e-3]], dtype=torch.float64)
         >>> wanted = torch.tensor([4e-3], dtype=torch.float64)
@@ -100,15 +100,15 @@ def bounded_currents(
     n_rows, n_coils = matrix.shape[-2:]
     matrices = matrix.detach().expand(*currents_A.shape[:-1], n_rows, n_coils)[exceeds].numpy()
     targets = target.detach().expand(*currents_A.shape[:-1], n_rows)[exceeds].numpy()
-    found = [_bounded(one, wanted, most_A.numpy()) for one, wanted in zip(matrices, targets, strict=True)]
-    if found:
-        currents_A[exceeds] = torch.from_numpy(np.stack(found)).to(currents_A.dtype)
+    bounded_A = [_bounded_at_point(*point, most_A.numpy()) for point in zip(matrices, targets, strict=True)]
+    if bounded_A:
+        currents_A[exceeds] = torch.from_numpy(np.stack(bounded_A)).to(currents_A.dtype)
     return currents_A
 
 
-def _bounded(matrix: np.ndarray, target: np.ndarray, most_A: np.ndarray) -> np.ndarray:
-    """One point; the ridge makes the answer unique where there are more coils than rows."""
-    size = np.linalg.norm(matrix, 2)
-    ridge = RIDGE * np.eye(len(most_A))
-    whole, wanted = np.vstack((matrix / size, ridge)), np.concatenate((target / size, np.zeros(len(most_A))))
-    return np.asarray(lsq_linear(whole, wanted, (-most_A, most_A), method="bvls").x)
+def _bounded_at_point(matrix: np.ndarray, target: np.ndarray, most_A: np.ndarray) -> np.ndarray:
+    """Bounded currents at one point; the ridge makes them unique where there are more coils than rows."""
+    norm = np.linalg.norm(matrix, 2)
+    matrix_and_ridge = np.vstack((matrix / norm, RIDGE * np.eye(len(most_A))))
+    target_and_zeros = np.concatenate((target / norm, np.zeros(len(most_A))))
+    return np.asarray(lsq_linear(matrix_and_ridge, target_and_zeros, (-most_A, most_A), method="bvls").x)

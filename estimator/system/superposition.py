@@ -1,8 +1,8 @@
-"""Do separately calibrated coils add up? Readings with all coils on decide: coupling and leakage are looked for and bounded.
+"""Tests on readings with all coils on whether separately calibrated coils add up, and bounds coupling and leakage between them.
 
-The readings of the calibrations, one coil on at a time, and those with all on are diagnosed as one session, so that nothing of what the
-calibrations know is lost. `neighbour_coil` competes with every other cause there; a wrong flange_from_coil is among them (`mount_tilt`).
-Whatever is found, each coil's share of its neighbours' currents is then estimated beside it.
+The readings of the calibrations, with one coil on at a time, and those with all coils on are diagnosed as one session, so that everything
+the calibrations know is used. `neighbour_coil` competes there with every other cause, a wrong flange_from_coil (`mount_tilt`) among them.
+Each coil's share of its neighbours' currents is then estimated together with the causes that were named.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from estimator.system.system import System
 
-BETWEEN_S = 60.0  # put between sessions whose clocks are not the same
+GAP_S = 60.0  # between joined sessions, whose clocks have nothing in common
 TWO_SIDED_95 = 1.959964
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a coil carries of its neighbours' currents.
+    """Share of its neighbours' currents that a coil carries.
 
     Attributes:
-        share: Of the summed current of the others; 0 where nothing couples.
-        sd: Its standard deviation.
-        most_T: Largest field at a reading that a share at the far end of its 95 % interval makes.
+        share: Share of the summed current of the other coils; 0 without coupling.
+        sd: Standard deviation of the share.
+        most_T: Largest field that the share makes at a reading, at the far end of its 95 % interval.
     """
 
     share: float
@@ -48,7 +48,7 @@ class Share:
 
     @property
     def largest(self) -> float:
-        """Magnitude that the share exceeds with a probability of 5 % at most."""
+        """Magnitude that the share exceeds with a probability of at most 5 %."""
         return abs(self.share) + TWO_SIDED_95 * self.sd
 
 
@@ -57,9 +57,9 @@ class Superposition:
     """Whether coils that were calibrated one at a time add up.
 
     Attributes:
-        errors: Of the sum of the separate calibrations, on the readings with several coils on; nothing is fitted to them.
-        diagnosis: Of all readings together.
-        shares: By coil, beside whatever the diagnosis named.
+        errors: Errors of the sum of the separate calibrations on the readings with several coils on, to which nothing is fitted.
+        diagnosis: Diagnosis of all readings together.
+        shares: Share of each coil, estimated together with the causes that the diagnosis named.
     """
 
     errors: ErrorMetrics
@@ -68,21 +68,21 @@ class Superposition:
 
     @property
     def is_coupled(self) -> bool:
-        """Whether `neighbour_coil` is among the causes named, or among those that cannot be told from them."""
-        named = [
-            c
-            for one in self.diagnosis.causes
-            for c in (one.cause, *(other.cause for other in one.alternatives))
+        """Whether `neighbour_coil` is among the named causes, or among those that cannot be told from them."""
+        causes = [
+            cause
+            for named in self.diagnosis.causes
+            for cause in (named.cause, *(alternative.cause for alternative in named.alternatives))
         ]
-        return any(cause.name == COUPLING.name for cause in named)
+        return any(cause.name == COUPLING.name for cause in causes)
 
     def words(self) -> str:
         """The finding in one sentence per coil."""
         head = "coils couple" if self.is_coupled else "no coupling found"
         bounds = [
-            f"{coil} carries {100 * one.share:+.2f} ± {100 * one.sd:.2f} % of its neighbours' current "
-            f"(at most {100 * one.largest:.2f} %, {1e6 * one.most_T:.1f} µT)"
-            for coil, one in self.shares.items()
+            f"{coil} carries {100 * share.share:+.2f} ± {100 * share.sd:.2f} % of its neighbours' current "
+            f"(at most {100 * share.largest:.2f} %, {1e6 * share.most_T:.1f} µT)"
+            for coil, share in self.shares.items()
         ]
         return f"{head}: {'; '.join(bounds)}"
 
@@ -90,14 +90,14 @@ class Superposition:
 def superposition(
     system: System, session: Session, *, seed: int = 0, on_stage: Callable[[str], None] | None = None
 ) -> Superposition:
-    """Test that separately calibrated coils add up.
+    """Test whether separately calibrated coils add up.
 
     Args:
         system: Calibrations whose rigs describe all coils, each made with its own coil on.
-        session: Readings of the same rig with several coils on. Where their currents keep one ratio, coupling and a wrong current look
-            alike and the bounds are wide: vary the signs.
+        session: Readings of the same rig with several coils on. Vary the signs of the currents: at a constant ratio, coupling looks like a
+            wrong current and the bounds are wide.
         seed, on_stage: As in `diagnose`.
-    Returns: Errors of the plain sum, the diagnosis, and how much of its neighbours' currents each coil carries.
+    Returns: Errors of the plain sum, the diagnosis, and each coil's share of its neighbours' currents.
     Raises:
         InvalidInput: A calibration is of another rig, or no reading has two coils on.
     References: Osinde et al., eq 14-17.
@@ -107,12 +107,12 @@ def superposition(
         raise InvalidInput(
             f"readings must have two coils on at once to test superposition ({session.source})"
         )
-    calibrations = {id(one): one for one in system.calibrations.values()}.values()
+    calibrations = {id(calibration): calibration for calibration in system.calibrations.values()}.values()
     for calibration in calibrations:
         session.check_rig(calibration.rig)
-    together = joined([*(one.observations for one in calibrations), session.observations])
-    everything = Session(session.rig, together, f"calibrations and {session.source}")
-    diagnosis = diagnose(everything, seed=seed, on_stage=on_stage)
+    observations = joined([*(calibration.observations for calibration in calibrations), session.observations])
+    joint_session = Session(session.rig, observations, f"calibrations and {session.source}")
+    diagnosis = diagnose(joint_session, seed=seed, on_stage=on_stage)
     checked = session.observations.rows(several)
     measured_T, predicted_T = checked.field_sensor_T, predicted_readings_T(system, session, checked)
     return Superposition(
@@ -123,44 +123,44 @@ def superposition(
 def predicted_readings_T(
     system: System, session: Session, observations: Observations
 ) -> Float[Tensor, "reading 3"]:
-    """What the sensors should read if the separate calibrations add up, in the frame of each sensor."""
+    """Readings in the frame of each sensor if the separate calibrations add up."""
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in session.rig.nominal_values().items()}
     for calibration in system.calibrations.values():
         best = calibration.best_values()
         values |= {name: best[name] for name in values if name in best}
     model = MeasurementModel.unruled(session.rig, observations)
-    every_place = torch.arange(len(model.sensor))
-    world_from_sensor = model.world_from_sensor(every_place, values)
-    points_m = world_from_sensor.translation_m.expand(len(every_place), 3)[model.pose_row]
-    here = system.at(points_m, observations.motion)
+    pose_rows = torch.arange(len(model.sensor))
+    world_from_sensor = model.world_from_sensor(pose_rows, values)
+    points_m = world_from_sensor.translation_m.expand(len(pose_rows), 3)[model.pose_row]
+    system_field = system.at(points_m, observations.motion)
     order = [[coil.name for coil in session.rig.coils].index(name) for name in system.coils]
     currents_A = observations.current_A[:, order]
-    driven_T = (here.actuation(has_gradient=False) @ currents_A[..., None])[..., 0]
-    field_T = here.field_T(torch.zeros(len(order), dtype=torch.float64)) + driven_T
+    driven_T = (system_field.actuation(has_gradient=False) @ currents_A[..., None])[..., 0]
+    field_T = system_field.field_T(torch.zeros(len(order), dtype=torch.float64)) + driven_T
     return world_from_sensor.rows(model.pose_row).unrotate(field_T)
 
 
 def joined(sessions: list[Observations]) -> Observations:
-    """Sessions of one rig as one, each after the one before; temperatures only where all recorded them."""
+    """Sessions of one rig in a row as one; a temperature is kept if all sessions have it."""
     times_s, end_s = [], 0.0
-    for one in sessions:
-        times_s.append(one.time_s - one.time_s.min() + end_s)
-        end_s = float(times_s[-1].max()) + BETWEEN_S
-    recorded = set.intersection(*(set(one.temperature_C) for one in sessions))
+    for session in sessions:
+        times_s.append(session.time_s - session.time_s.min() + end_s)
+        end_s = float(times_s[-1].max()) + GAP_S
+    common = set.intersection(*(set(session.temperature_C) for session in sessions))
     return Observations(
         torch.cat(times_s),
-        torch.cat([one.sensor for one in sessions]),
-        torch.cat([one.current_A for one in sessions]),
-        {name: torch.cat([one.motion[name] for one in sessions]) for name in sessions[0].motion},
-        torch.cat([one.field_sensor_T for one in sessions]),
-        torch.cat([one.is_validation for one in sessions]),
-        torch.cat([one.repeat for one in sessions]),
-        {name: torch.cat([one.temperature_C[name] for one in sessions]) for name in sorted(recorded)},
+        torch.cat([session.sensor for session in sessions]),
+        torch.cat([session.current_A for session in sessions]),
+        {name: torch.cat([session.motion[name] for session in sessions]) for name in sessions[0].motion},
+        torch.cat([session.field_sensor_T for session in sessions]),
+        torch.cat([session.is_validation for session in sessions]),
+        torch.cat([session.repeat for session in sessions]),
+        {name: torch.cat([session.temperature_C[name] for session in sessions]) for name in sorted(common)},
     )
 
 
 def _shares(fit: Fit) -> dict[str, Share]:
-    """Share of every coil, all free at once beside the causes that were named."""
+    """Share of every coil, all free at once together with the causes that were named."""
     rig, observations = fit.rig, fit.observations
     causes = {place: Cause(COUPLING.name, place) for place in COUPLING.places(rig)}
     for cause in causes.values():
@@ -168,17 +168,17 @@ def _shares(fit: Fit) -> dict[str, Share]:
             rig = with_effect(rig, cause, observations, {})
     model = fit.posterior.model
     coupled = fit_rig(rig, observations, fit.start_with(rig), model.rules)
-    found = {}
+    shares = {}
     for coil, cause in causes.items():
         name = f"{cause.label}.share"
         share, sd = float(coupled.values[name]), coupled.value_sd(name)
-        far = math.copysign(abs(share) + TWO_SIDED_95 * sd, share)
+        far_end = math.copysign(abs(share) + TWO_SIDED_95 * sd, share)
         with torch.no_grad():
             bound_T, none_T = (
                 coupled.posterior.model.predict(
-                    {**coupled.values, name: torch.tensor(s, dtype=torch.float64)}
+                    {**coupled.values, name: torch.tensor(value, dtype=torch.float64)}
                 )
-                for s in (far, 0.0)
+                for value in (far_end, 0.0)
             )
-        found[coil] = Share(share, sd, float((bound_T - none_T).norm(dim=-1).max()))
-    return found
+        shares[coil] = Share(share, sd, float((bound_T - none_T).norm(dim=-1).max()))
+    return shares

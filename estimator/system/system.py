@@ -1,7 +1,7 @@
-"""Several calibrated coils on several arms as one magnet: field, gradient, force, intervals, and the currents for what is wanted.
+"""Several calibrated coils on several arms as one magnet: field, gradient, force, their intervals, and currents for a wanted field.
 
-Each coil's model comes from the calibration that measured it, so arms that were calibrated one coil at a time are combined (paper, eq
-14-17, 22). Adding them up supposes that no coil drives another; `estimator.system.superposition` tests that on readings with all coils on.
+Each coil's model comes from the calibration that measured it, so arms may be calibrated one coil at a time (paper, eq 14-17, 22). The sum
+assumes that no coil drives another; `estimator.system.superposition` tests this on readings with all coils on.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ Motion = Mapping[str, Float[Tensor, "... 6"]]
 
 @dataclass(frozen=True)
 class System:
-    """Coils of one room, each as a calibration found it.
+    """Coils of one room, each with the model of its calibration.
 
-    All calibrations must give their poses in the same world frame, such as that of the sensor they share. A constant field of the room
-    is taken from the first calibration that has one.
+    All calibrations must give poses in the same world frame, such as that of a shared sensor. A constant field of the room is taken from
+    the first calibration that has one.
 
     Attributes:
-        calibrations: By name of the coil; the order is that of the currents.
+        calibrations: Calibration of each coil, by its name; their order is that of the currents.
 
     Examples:
         >>> from estimator import calibrate, load_session
@@ -53,28 +53,28 @@ class System:
         if not self.calibrations:
             raise InvalidInput("system must have at least one coil; received none")
         for name, calibration in self.calibrations.items():
-            known = [coil.name for coil in calibration.rig.coils]
-            if name not in known:
+            coil_names = [coil.name for coil in calibration.rig.coils]
+            if name not in coil_names:
                 raise InvalidInput(
-                    f"system must name coils of their calibrations; rig {calibration.rig.name!r} has {', '.join(known)}, not {name!r}"
+                    f"system must name coils of their calibrations; rig {calibration.rig.name!r} has {', '.join(coil_names)}, not {name!r}"
                 )
 
     @classmethod
     def of(cls, *calibrations: Calibration) -> System:
-        """The coils that were on while each calibration's readings were taken.
+        """The system of all coils that were on, each from the calibration in whose readings it was on.
 
         Raises:
-            InvalidInput: A coil was on in two calibrations; then `System` must be told whose model to use.
+            InvalidInput: A coil was on in two calibrations; call `System` with the one to use.
         """
-        chosen: dict[str, Calibration] = {}
+        by_coil: dict[str, Calibration] = {}
         for calibration in calibrations:
             was_on = (calibration.observations.current_A != 0.0).any(dim=0).tolist()
             for coil, on in zip(calibration.rig.coils, was_on, strict=True):
-                if on and coil.name in chosen:
+                if on and coil.name in by_coil:
                     raise InvalidInput(f"system: {coil.name} must be on in one calibration; received two")
                 if on:
-                    chosen[coil.name] = calibration
-        return cls(chosen)
+                    by_coil[coil.name] = calibration
+        return cls(by_coil)
 
     @property
     def coils(self) -> tuple[str, ...]:
@@ -83,26 +83,28 @@ class System:
 
     @cached_property
     def parts(self) -> tuple[Calibration, ...]:
-        """Each calibration once, without the coils that another one describes."""
+        """Each calibration once, without the coils that come from another one."""
         parts: list[Calibration] = []
         has_background = False
-        for whole in {id(calibration): calibration for calibration in self.calibrations.values()}.values():
-            coils = tuple(c for c in whole.rig.coils if self.calibrations.get(c.name) is whole)
-            left_out = {coil.name for coil in whole.rig.coils} - {coil.name for coil in coils}
-            effects = [cause for cause in whole.rig.effects if cause.place not in left_out]
-            background = [use.cause for use in uses_of(whole.rig, RoomEffect) if use.effect.is_background]
+        for calibration in {id(c): c for c in self.calibrations.values()}.values():
+            coils = tuple(c for c in calibration.rig.coils if self.calibrations.get(c.name) is calibration)
+            left_out = {coil.name for coil in calibration.rig.coils} - {coil.name for coil in coils}
+            effects = [cause for cause in calibration.rig.effects if cause.place not in left_out]
+            background = [
+                use.cause for use in uses_of(calibration.rig, RoomEffect) if use.effect.is_background
+            ]
             if has_background:
                 effects = [cause for cause in effects if cause not in background]
-            rig = replace(whole.rig, coils=coils, effects=tuple(effects))
+            rig = replace(calibration.rig, coils=coils, effects=tuple(effects))
             has_background = has_background or bool(background)
-            parts.append(replace(whole, rig=rig))
+            parts.append(replace(calibration, rig=rig))
         return tuple(parts)
 
     def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
         """Currents by name as a vector; coils that are not named are off.
 
         Raises:
-            InvalidInput: A name is no coil of the system.
+            InvalidInput: A name is not a coil of the system.
         """
         for name in currents_A:
             if name not in self.calibrations:
@@ -112,49 +114,51 @@ class System:
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in self.coils], dtype=torch.float64)
 
     def at(self, points_m: Float[Tensor, "point 3"], motion: Motion | None = None) -> SystemField:
-        """The system with its arms where they are said to be.
+        """The system with its movers in given poses; results can be differentiated in points and motion.
 
         Args:
             points_m: Points in the world frame.
-            motion: Per mover its joint values or displacement, six numbers or six for each point. What is computed from the result may be
-                differentiated in points and motion. A mover that reports displacements stands at zero where it is not named.
+            motion: Joint values or displacement of each mover: six numbers, or six per point. A mover that reports displacements defaults
+                to zero.
         Raises:
-            InvalidInput: An unknown mover, or one that carries a coil and whose stand is not said.
+            InvalidInput: An unknown mover, or a mover that carries a coil and has no motion.
         """
         motion = motion or {}
-        known = {mover.name for part in self.parts for mover in part.rig.movers}
+        mover_names = {mover.name for part in self.parts for mover in part.rig.movers}
         for name in motion:
-            if name not in known:
+            if name not in mover_names:
                 raise InvalidInput(
-                    f"motion must name movers of the system ({', '.join(sorted(known)) or 'none'}); received {name!r}"
+                    f"motion must name movers of the system ({', '.join(sorted(mover_names)) or 'none'}); received {name!r}"
                 )
         rooms = []
         for part in self.parts:
-            own = {mover.name: motion[mover.name] for mover in part.rig.movers if mover.name in motion}
-            rooms.append(part.room(points_m, own))
+            part_motion = {
+                mover.name: motion[mover.name] for mover in part.rig.movers if mover.name in motion
+            }
+            rooms.append(part.room(points_m, part_motion))
         return SystemField(self, tuple(rooms))
 
     def draws(self) -> tuple[Values, ...]:
-        """Draws of the posterior of each part, equally many.
+        """Posterior draws of each part, equally many.
 
-        Calibrations that were run with the same seed share their random numbers, so the draws of each part are shuffled.
+        Calibrations with the same seed share their random numbers, so the draws of each part are shuffled.
         """
         n = min(INTERVAL_DRAWS, *(part.log_prob.size for part in self.parts))
-        found = []
+        draws = []
         for i, part in enumerate(self.parts):
             order = torch.randperm(n, generator=torch.Generator().manual_seed(i))
             values = part.draw_values(n)
-            found.append({name: value[order] if value.ndim else value for name, value in values.items()})
-        return tuple(found)
+            draws.append({name: value[order] if value.ndim else value for name, value in values.items()})
+        return tuple(draws)
 
 
 @dataclass(frozen=True)
 class SystemField:
-    """A system at fixed points, its arms at rest; made by `System.at`. Numbers are NaN at points inside a winding.
+    """A system at fixed points with its movers at rest, made by `System.at`. Results are NaN at points inside a winding.
 
     Attributes:
         system: The calibrated coils.
-        rooms: Where they stand, part by part.
+        rooms: Its parts with their movers in the given poses.
     """
 
     system: System
@@ -171,7 +175,7 @@ class SystemField:
     def field_interval_T(
         self, current_A: Float[Tensor, "*batch coil"], level: float = 0.9
     ) -> tuple[Float[Tensor, "*batch point 3"], Float[Tensor, "*batch point 3"]]:
-        """Lower and upper end of the credible interval of each component; calibrations err independently of each other.
+        """Lower and upper end of the credible interval of each component, with independent errors of the calibrations.
 
         Raises:
             InvalidInput: Level outside (0, 1).
@@ -190,8 +194,8 @@ class SystemField:
         """Force on a dipole of constant moment: the gradient of m.B (Jackson, 3rd ed., eq 5.69).
 
         Args:
-            moment_A_m2: Moment in the world frame, one or one for each point.
-            current_A: Currents.
+            moment_A_m2: Moment in the world frame, one for all points or one each.
+            current_A: Currents of the coils.
         """
         return (moment_A_m2[..., None, :] @ self.gradient_T_per_m(current_A))[..., 0, :]
 
@@ -199,14 +203,14 @@ class SystemField:
         """Field and gradient per ampere of each coil: rows Bx, By, Bz, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz.
 
         Args:
-            has_gradient: False leaves the last five rows out and costs a third.
+            has_gradient: False leaves out the last five rows, at a third of the cost.
         Raises:
-            InvalidInput: A core saturates, so that the field is not proportional to the current.
+            InvalidInput: A core saturates, so the field is not proportional to the current.
         """
         for part in self.system.parts:
             for use in (use for use in uses_of(part.rig, Effect) if not use.effect.is_linear):
                 raise InvalidInput(
-                    f"actuation needs a field proportional to the currents; {use.label} makes that of {use.place} another"
+                    f"actuation needs a field proportional to the currents; with {use.label} that of {use.place} is not"
                 )
         n = len(self.system.coils)
         steps_A = torch.cat((torch.zeros(1, n), torch.eye(n))).to(torch.float64)
@@ -220,13 +224,12 @@ class SystemField:
     def currents_for_field(
         self, field_T: Float[Tensor, "*batch point 3"], most_A: Float[Tensor, " coil"] | float | None = None
     ) -> Float[Tensor, "*batch point coil"]:
-        """Currents that make a field, point by point: each row is for its point alone.
+        """Currents that make a field; each row is for its point alone.
 
         Args:
-            field_T: Wanted field; what is there without current is made up for.
-            most_A: Largest magnitude of the currents, of all or of each; then nothing can be differentiated. Without it the currents are
-                those of minimum norm.
-        Returns: Currents that come closest, in ampere; `actuation` says what they make.
+            field_T: Wanted total field, with what is there without current.
+            most_A: Largest magnitude of all currents or of each; the result then has no derivatives. None gives currents of minimum norm.
+        Returns: Currents that come closest, in ampere; `actuation` tells the field they make.
         """
         wanted_T = field_T - self.field_T(self._off())
         return self._currents(self.actuation(has_gradient=False), wanted_T, most_A)
@@ -237,7 +240,7 @@ class SystemField:
         force_N: Float[Tensor, "*batch point 3"],
         most_A: Float[Tensor, " coil"] | float | None = None,
     ) -> Float[Tensor, "*batch point coil"]:
-        """Currents that pull a dipole of constant moment with a force, point by point; arguments as in `currents_for_field`."""
+        """Currents that exert a force on a dipole of constant moment, point by point; arguments as in `currents_for_field`."""
         wanted_N = force_N - self.force_N(moment_A_m2, self._off())
         return self._currents(force_matrix(self.actuation(), moment_A_m2), wanted_N, most_A)
 
@@ -254,11 +257,11 @@ class SystemField:
         values: tuple[Values, ...],
         current_A: Tensor,
     ) -> Tensor:
-        """A quantity of the field, added over the parts."""
+        """Sum of a quantity of the field over the parts."""
         total = torch.zeros((), dtype=torch.float64)
-        for room, own in zip(self.rooms, values, strict=True):
+        for room, part_values in zip(self.rooms, values, strict=True):
             columns = [self.system.coils.index(coil.name) for coil in room.rig.coils]
-            total = total + quantity(room, own, current_A[..., columns])
+            total = total + quantity(room, part_values, current_A[..., columns])
         return total
 
     def _interval(
@@ -271,11 +274,11 @@ class SystemField:
         if not 0.0 < level < 1.0:
             raise InvalidInput(f"level must lie between 0 and 1; received {level}")
         draws = self.system.draws()
-        found = self._sum(quantity, draws, current_A[..., None, :])
-        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=found.dtype)
-        batch, rest = current_A.shape[:-1], found.shape[-n_axes:]
-        n = max((value.shape[0] for own in draws for value in own.values() if value.ndim), default=1)
-        lower, upper = torch.quantile(found.expand(*batch, n, *rest), tails, dim=-n_axes - 1)
+        sampled = self._sum(quantity, draws, current_A[..., None, :])
+        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=sampled.dtype)
+        batch, rest = current_A.shape[:-1], sampled.shape[-n_axes:]
+        n = max((value.shape[0] for values in draws for value in values.values() if value.ndim), default=1)
+        lower, upper = torch.quantile(sampled.expand(*batch, n, *rest), tails, dim=-n_axes - 1)
         return lower, upper
 
     def _currents(

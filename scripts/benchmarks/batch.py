@@ -1,6 +1,6 @@
-"""Fits per second: stacked on the batch axis against one by one, in one process and over workers; `make bench-batch` runs it.
+"""Fits per second, stacked on the batch axis and one by one, in one process and over workers; `make bench-batch` runs it.
 
-Times are processor seconds of the process (one by one, stacked) and wall seconds of the cluster, without its start.
+Times are processor seconds of the process (one by one, stacked) and wall-clock seconds of the cluster without its start.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main() -> None:
 
 def show_stacking(rig: Rig, sessions: list[Observations]) -> None:
     alone = processor_seconds(
-        lambda: [stacked_fits(rig, [one], [i], policy.MORE_STARTS) for i, one in enumerate(sessions)]
+        lambda: [stacked_fits(rig, [session], [i], policy.MORE_STARTS) for i, session in enumerate(sessions)]
     )
     together = processor_seconds(
         lambda: stacked_fits(rig, sessions, list(range(len(sessions))), policy.MORE_STARTS)
@@ -59,7 +59,7 @@ def show_stacking(rig: Rig, sessions: list[Observations]) -> None:
 
 
 def show_workers(rig: Rig, sessions: list[Observations], numbers: list[int]) -> None:
-    """Wall seconds over processes, and from processor seconds what more of them would do."""
+    """Fits per second over processes, and an extrapolation to more of them from processor seconds."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{i}.zarr" for i in range(len(sessions))]
         for path, observations in zip(paths, sessions, strict=True):
@@ -67,19 +67,19 @@ def show_workers(rig: Rig, sessions: list[Observations], numbers: list[int]) -> 
         for n in numbers:
             out = Path(folder) / f"workers{n}"
             out.mkdir()
-            with cluster(n, None) as where:
-                own_s = throughput(where, [str(path) for path in paths], n, out)
+            with cluster(n, None) as workers:
+                per_fit_s = throughput(workers, [str(path) for path in paths], n, out)
         if numbers:
-            extrapolate(*own_s)
+            extrapolate(*per_fit_s)
 
 
-def throughput(where: Cluster, paths: list[str], n: int, out: Path) -> tuple[float, float]:
-    """Processor seconds of a fit in a worker, and in the client with its scheduler."""
+def throughput(workers: Cluster, paths: list[str], n: int, out: Path) -> tuple[float, float]:
+    """Processor seconds per fit in a worker, and in the client with its scheduler."""
     arguments = ("", ("plain",), False, 0)
     warm = jobs_of(paths[0], *arguments)[0]
     (out / "warm").mkdir()
-    where.run({i: (fit, (warm, str(out / "warm"))) for i in range(n)}, lambda name, result: None)
-    begin_s, own_s = time.perf_counter(), time.process_time()
+    workers.run({i: (fit, (warm, str(out / "warm"))) for i in range(n)}, lambda name, result: None)
+    begin_s, begin_client_s = time.perf_counter(), time.process_time()
     in_workers_s: list[float] = []
     jobs: list[Job] = []
 
@@ -87,17 +87,17 @@ def throughput(where: Cluster, paths: list[str], n: int, out: Path) -> tuple[flo
         in_workers_s.append(result[0])
         jobs.extend(result[1][0])
 
-    where.run({path: (timed, (jobs_of, path, *arguments)) for path in paths}, described)
+    workers.run({path: (timed, (jobs_of, path, *arguments)) for path in paths}, described)
     stacks = [jobs[i : i + 4] for i in range(0, len(jobs), 4)]
     calls = {i: (timed, (fit, stack, str(out))) for i, stack in enumerate(stacks)}
-    where.run(calls, lambda _, result: in_workers_s.append(result[0]))
-    seconds, own_s = time.perf_counter() - begin_s, time.process_time() - own_s
-    per_fit, in_client = sum(in_workers_s) / len(jobs), own_s / len(jobs)
+    workers.run(calls, lambda _, result: in_workers_s.append(result[0]))
+    seconds, client_s = time.perf_counter() - begin_s, time.process_time() - begin_client_s
+    in_worker, in_client = sum(in_workers_s) / len(jobs), client_s / len(jobs)
     print(
         f"{n} workers, stacks of 4, sessions read twice: {len(jobs) / seconds:.2f} fits per second; processor seconds per fit: "
-        f"{per_fit:.2f} in workers, {in_client:.3f} in the client with its scheduler"
+        f"{in_worker:.2f} in workers, {in_client:.3f} in the client with its scheduler"
     )
-    return per_fit, in_client
+    return in_worker, in_client
 
 
 def extrapolate(in_worker: float, in_client: float) -> None:
@@ -108,7 +108,9 @@ def extrapolate(in_worker: float, in_client: float) -> None:
 def show_single(rig: Rig, sessions: list[Observations]) -> None:
     """`coilcal calibrate` of one session: search from many starts, loop counts, posterior of 2000 effective samples."""
     seconds = processor_seconds(
-        lambda: [calibrate(Session(rig, one, "simulated"), seed=i) for i, one in enumerate(sessions)]
+        lambda: [
+            calibrate(Session(rig, readings, "simulated"), seed=i) for i, readings in enumerate(sessions)
+        ]
     )
     print(
         f"one posterior, by calibrate or by the second stage of a batch: {seconds / len(sessions):.1f} processor seconds"

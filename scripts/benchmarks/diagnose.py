@@ -1,4 +1,4 @@
-"""Time of a diagnosis of 512 readings with all causes in the race, without the final sampling; `make bench-diagnose` runs it."""
+"""Time of a diagnosis of 512 readings with all causes as candidates, without the final sampling; `make bench-diagnose` runs it."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def main() -> None:
     print(f"{options.threads} threads, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
     for seed, hidden in enumerate(HIDDEN):
         truth = draw_truth(rig, seed)
-        readings, others = (simulate(rig, plan, truth, seed=s, hidden=hidden) for s in (seed, 100 + seed))
+        readings, validation = (simulate(rig, plan, truth, seed=s, hidden=hidden) for s in (seed, 100 + seed))
         begin, processor = time.perf_counter(), time.process_time()
-        found = diagnose(
-            Session(rig, readings, "simulated"), validation=Session(rig, others, "again"), seed=seed
+        diagnosis = diagnose(
+            Session(rig, readings, "simulated"), validation=Session(rig, validation, "again"), seed=seed
         )
         print(
-            f"{len(readings)} readings, hidden {', '.join(hidden) or 'nothing'}: {found.verdict} "
-            f"{', '.join(found.label(one.cause) for one in found.causes)} in {time.perf_counter() - begin:.1f} s "
+            f"{len(readings)} readings, hidden {', '.join(hidden) or 'nothing'}: {diagnosis.verdict} "
+            f"{', '.join(diagnosis.label(named.cause) for named in diagnosis.causes)} in {time.perf_counter() - begin:.1f} s "
             f"({time.process_time() - processor:.1f} processor seconds)",
             flush=True,
         )

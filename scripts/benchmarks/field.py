@@ -1,4 +1,4 @@
-"""Loop and winding fields a second at the same points: coilcal, SciPy, magpylib; how far the results differ stands beside each."""
+"""Loop and winding fields per second at the same points by coilcal, SciPy and magpylib, each with its largest difference."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def fields(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def compared(methods: dict[str, Field], points_m: np.ndarray, options: argparse.Namespace) -> dict[str, Any]:
-    """Median, slowest and fastest number of fields a second, and the largest difference from the first method, relative to |B|."""
+    """Median, smallest and largest number of fields per second, and the largest difference from the first method relative to |B|."""
     parts = np.array_split(points_m, options.threads)
     reference = next(iter(methods.values()))(points_m)
     times: dict[str, list[float]] = {name: [] for name in methods}
@@ -61,7 +61,7 @@ def compared(methods: dict[str, Field], points_m: np.ndarray, options: argparse.
             field = np.concatenate(list(pool.map(method, parts)))
             difference = np.linalg.norm(field - reference, axis=1) / np.linalg.norm(reference, axis=1)
             rows[name] = {"largest_difference": float(difference.max())}
-        for _ in range(options.repeats):  # in turn, so that a busy moment of the machine hits all alike
+        for _ in range(options.repeats):  # in turn, so that a busy moment of the machine affects all methods
             for name, method in methods.items():
                 begin = time.perf_counter()
                 list(pool.map(method, parts))
@@ -76,9 +76,8 @@ def compared(methods: dict[str, Field], points_m: np.ndarray, options: argparse.
 def loop_methods(has_compiled: bool) -> dict[str, Field]:
     circle = magpylib.current.Circle(diameter=2.0 * RADIUS_M, current=1.0)
     one = torch.ones((), dtype=torch.float64)
-    lone = Winding(
-        (RADIUS_M + 0.5 * PITCH_M) * one, one, one, PITCH_M * one, PITCH_M * one
-    )  # lies at -PITCH_M / 2
+    # A winding of one loop, which lies at z = -PITCH_M / 2.
+    single_loop = Winding((RADIUS_M + 0.5 * PITCH_M) * one, one, one, PITCH_M * one, PITCH_M * one)
 
     def eager(points_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -87,7 +86,9 @@ def loop_methods(has_compiled: bool) -> dict[str, Field]:
     def compiled(points_m: np.ndarray) -> np.ndarray:
         lowered = torch.from_numpy(points_m - [0.0, 0.0, 0.5 * PITCH_M])
         with torch.no_grad():
-            return winding_field_per_ampere(lowered, lone, exact_rule(lone, lowered), True).numpy()
+            return winding_field_per_ampere(
+                lowered, single_loop, exact_rule(single_loop, lowered), True
+            ).numpy()
 
     return {
         "coilcal, eager": eager,
@@ -99,7 +100,7 @@ def loop_methods(has_compiled: bool) -> dict[str, Field]:
 
 
 def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compiled: bool) -> dict[str, Field]:
-    """Every way to sum the same loops; `near_m` are points of the same region, to choose the rules at."""
+    """Every method for the same winding; the rules are chosen for the region of the points `near_m`."""
     one = torch.ones((), dtype=torch.float64)
     winding = Winding(RADIUS_M * one, n_axial * one, n_radial * one, PITCH_M * one, PITCH_M * one)
     heights_m = np.repeat(-PITCH_M * (np.arange(n_axial) + 0.5), n_radial)
@@ -132,8 +133,8 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
 
     def summed(loops: Callable[[np.ndarray, np.ndarray], np.ndarray], piece: np.ndarray) -> np.ndarray:
         relative = piece[:, None, :] - np.stack((0.0 * heights_m, 0.0 * heights_m, heights_m), axis=-1)
-        at = loops(relative.reshape(-1, 3), np.tile(radii_m, len(piece)))
-        return at.reshape(len(piece), -1, 3).sum(axis=1)
+        by_loop = loops(relative.reshape(-1, 3), np.tile(radii_m, len(piece)))
+        return by_loop.reshape(len(piece), -1, 3).sum(axis=1)
 
     methods = {}
     for name, rule in rules.items():
@@ -148,7 +149,7 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
 
 
 def scipy_loops(points_m: np.ndarray, a_m: np.ndarray | float) -> np.ndarray:
-    """Osinde et al., eq 4, as it stands."""
+    """Osinde et al., eq 4, as printed."""
     x, y, z = points_m.T
     rho = np.hypot(x, y)
     alpha2, beta2 = (a_m - rho) ** 2 + z**2, (a_m + rho) ** 2 + z**2

@@ -1,4 +1,4 @@
-"""Time from a stop on the disk to the estimate that holds it, at the other end of the journal, in a session of 500 readings."""
+"""Delay from writing a stop to the journal until the estimate holds it, over a session of 500 readings."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ RIG, PLAN = "configs/paper_simulation.yaml", "configs/plans/recommended.yaml"
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--readings", type=int, default=500)
-    arguments.add_argument("--pause-s", type=float, default=0.2, help="between two stops")
-    arguments.add_argument("--seed", type=int, default=1)
-    chosen = arguments.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--readings", type=int, default=500)
+    parser.add_argument("--pause-s", type=float, default=0.2, help="between two stops")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
     torch.set_num_threads(1)
     rig = load_rig(RIG)
     plan = load_plan(PLAN, rig)
-    truth = draw_truth(rig, chosen.seed)
+    truth = draw_truth(rig, options.seed)
     parts = [
-        simulate(rig, plan, truth, seed=chosen.seed + i).alone for i in range(1 + chosen.readings // 200)
+        simulate(rig, plan, truth, seed=options.seed + i).alone for i in range(1 + options.readings // 200)
     ]
     readings = parts[0]
     for part in parts[1:]:
         readings = readings.followed_by(part)
-    readings = readings.rows(torch.arange(chosen.readings)).with_validation(
-        torch.zeros(chosen.readings, dtype=torch.bool)
+    readings = readings.rows(torch.arange(options.readings)).with_validation(
+        torch.zeros(options.readings, dtype=torch.bool)
     )
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder) / "session.zarr"
-        writing = multiprocessing.get_context("spawn").Process(
-            target=write, args=(session, readings, chosen.pause_s)
+        writer = multiprocessing.get_context("spawn").Process(
+            target=write, args=(session, readings, options.pause_s)
         )
-        writing.start()
-        delays_s = follow(session, chosen.readings)
-        writing.join()
+        writer.start()
+        delays_s = follow(session, options.readings)
+        writer.join()
     print(f"{'readings':>12} {'median':>9} {'90 %':>9} {'longest':>9}   from the disk to the estimate")
-    for first in range(0, chosen.readings, 100):
-        some = sorted(delays_s[first : first + 100])
-        values = (statistics.median(some), some[int(0.9 * len(some))], some[-1])
-        print(f"{first + 1:>5} to {first + len(some):>3} " + " ".join(f"{1e3 * v:6.0f} ms" for v in values))
+    for first in range(0, options.readings, 100):
+        part_s = sorted(delays_s[first : first + 100])
+        values = (statistics.median(part_s), part_s[int(0.9 * len(part_s))], part_s[-1])
+        print(f"{first + 1:>5} to {first + len(part_s):>3} " + " ".join(f"{1e3 * v:6.0f} ms" for v in values))
 
 
 def write(session: Path, readings: Observations, pause_s: float) -> None:
-    """Body of the process that measures: the time of a record is that at which it was acknowledged before."""
+    """Body of the process that measures; the time of each stop is taken before it is written."""
     rig = load_rig(RIG)
     with Journal.create(session, new_header(rig, "benchmark", "plan", {}, len(readings))) as journal:
         for row in range(len(readings)):
@@ -69,7 +69,7 @@ def write(session: Path, readings: Observations, pause_s: float) -> None:
 
 
 def follow(session: Path, n_readings: int) -> list[float]:
-    """Delay of each reading, from the moment at which its writing began."""
+    """Delay of each reading since its writing began."""
     while not session.exists():
         time.sleep(POLL_S)
     follower = Follower(session)

@@ -1,4 +1,4 @@
-"""The machine a benchmark runs on: its processor, the cores that it may use, and the memory that was needed."""
+"""The machine of a benchmark: processor, usable cores and peak memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def use_cores(number: int) -> int:
-    """Keep this process and all its threads on so many cores, where the system can."""
+    """Restrict this process and its threads to a number of cores, if the system can; returns the number it may use."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:number])
         return len(os.sched_getaffinity(0))
@@ -25,5 +25,7 @@ def processor() -> str:
 
 
 def peak_memory_GB() -> float:
-    unit = 1e9 if sys.platform == "darwin" else 1e6  # ru_maxrss counts bytes there and kilobytes elsewhere
+    unit = (
+        1e9 if sys.platform == "darwin" else 1e6
+    )  # ru_maxrss is in bytes on macOS and in kilobytes elsewhere
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

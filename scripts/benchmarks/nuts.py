@@ -1,7 +1,7 @@
 """The same readings, priors and field under NumPyro's NUTS, written in jax; real-valued loop counts.
 
 Its coordinates are the logarithms of turns, length, thickness and noise, the mean radius and the pose, whitened by the Laplace
-approximation, so that NUTS starts with what coilcal's moves know.
+approximation, so that NUTS starts with the same knowledge as coilcal's moves.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Nuts:
     """NUTS on the paper's rig: one coil that is displaced without turning, one sensor at the origin."""
 
     def __init__(
-        self, rig: Rig, readings: Observations, judge: LogPosterior, best: torch.Tensor, rule: Rule
+        self, rig: Rig, readings: Observations, reference: LogPosterior, best: torch.Tensor, rule: Rule
     ) -> None:
         self.priors = [rig.parameters[name].prior for name in NAMES]
         self.displacement_m = jnp.asarray(readings.motion["arm1"][:, :3].numpy())
@@ -49,9 +49,9 @@ class Nuts:
         self.measured_T = jnp.asarray(readings.field_sensor_T.numpy())
         self.rule = rule
         with torch.no_grad():
-            values = judge.coordinates.values(best)
+            values = reference.coordinates.values(best)
             start = np.array([values[name].item() for name in NAMES])
-            expected = judge.log_likelihood(best).item()
+            expected = reference.log_likelihood(best).item()
         self.mode = from_values(start)
         if not math.isclose(float(self.log_likelihood(start)), expected, abs_tol=1e-3):
             raise RuntimeError("the likelihood in jax is not that of coilcal")
@@ -62,7 +62,7 @@ class Nuts:
         self.compilation_s = time.perf_counter() - begin
 
     def run(self, seed: int) -> tuple[int, Convergence]:
-        """Gradients computed in all, and how good the sample is."""
+        """Total number of gradients, and the convergence of the sample."""
         mcmc = self._mcmc(N_WARM_UP, N_SAMPLES)
         start = 0.1 * jax.random.normal(jax.random.PRNGKey(seed), (N_CHAINS, len(NAMES)))
         mcmc.warmup(
@@ -86,15 +86,15 @@ class Nuts:
             progress_bar=False,
         )
 
-    def log_posterior(self, own: jax.Array) -> jax.Array:
-        """Log posterior of this class's coordinates."""
-        values = to_values(own)
+    def log_posterior(self, vector: jax.Array) -> jax.Array:
+        """Log posterior density in the coordinates of this class."""
+        values = to_values(vector)
         log_prior = sum(log_density(prior, value) for prior, value in zip(self.priors, values, strict=True))
         log_jacobian = jnp.log(values[jnp.array([1, 2, 3, 9])]).sum()
         return log_prior + log_jacobian + self.log_likelihood(values)
 
     def log_likelihood(self, values: jax.Array) -> jax.Array:
-        """Log likelihood of the values that are reported."""
+        """Log likelihood of the reported values."""
         radius_m, wire_m, n_axial, n_radial, *pose, noise_T = values
         rotation = Rotation.from_rotvec(jnp.array([pose[3], pose[4], 0.0])).as_matrix()
         points_m = -self.displacement_m - jnp.array(pose[:3]) @ rotation
@@ -104,12 +104,14 @@ class Nuts:
         return -0.5 * (whitened**2).sum() - whitened.size * (jnp.log(noise_T) + 0.5 * math.log(2.0 * math.pi))
 
 
-def to_values(own: jax.Array) -> jax.Array:
-    thickness, turns, length = own[1:4]
-    wire_m = jnp.exp(0.5 * (thickness + length - turns))
-    n_axial, n_radial = jnp.exp(length) / wire_m, jnp.exp(thickness) / wire_m
-    outer_m = own[0] + wire_m * n_radial
-    return jnp.concatenate((jnp.stack((outer_m, wire_m, n_axial, n_radial)), own[4:9], jnp.exp(own[9:])))
+def to_values(vector: jax.Array) -> jax.Array:
+    log_thickness, log_turns, log_length = vector[1:4]
+    wire_m = jnp.exp(0.5 * (log_thickness + log_length - log_turns))
+    n_axial, n_radial = jnp.exp(log_length) / wire_m, jnp.exp(log_thickness) / wire_m
+    outer_m = vector[0] + wire_m * n_radial
+    return jnp.concatenate(
+        (jnp.stack((outer_m, wire_m, n_axial, n_radial)), vector[4:9], jnp.exp(vector[9:]))
+    )
 
 
 def from_values(values: np.ndarray) -> jax.Array:

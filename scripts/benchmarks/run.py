@@ -1,8 +1,8 @@
 """Speed beside magpylib, SciPy, plain emcee and NumPyro, in one run on one machine; `make bench` runs it.
 
-Two questions: how many loop and winding fields a second (`field`), and how many effective samples a second of the slowest
-parameter (`sampling`). Numbers are medians over repeats with the extremes beside them. Look at the ratios: absolute
-numbers belong to the machine that is printed with them.
+It measures loop and winding fields per second (`field`), and effective samples per second of the slowest parameter
+(`sampling`). Numbers are medians over repeats with their extremes. Compare the ratios: absolute numbers belong to the
+machine that is printed with them.
 """
 
 from __future__ import annotations
@@ -66,7 +66,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--numpyro", action="store_true", help="NUTS as well (pip install '.[bench]')")
     parser.add_argument("--no-compile", action="store_true", help="leave out the compiled sums")
     parser.add_argument("--only", choices=("fields", "sampling"))
-    parser.add_argument("--tiny", action="store_true", help="seconds in all, to see that it runs; no timings")
+    parser.add_argument(
+        "--tiny",
+        action="store_true",
+        help="run for a few seconds to see that it works; the timings mean nothing",
+    )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.tiny:
@@ -102,7 +106,9 @@ def show_sampling(result: dict[str, Any], target_ess: float) -> None:
             f"{name:46} {row['evaluations']:11d} {row['smallest_ess']:12.0f} {row['largest_rhat']:6.3f} "
             f"{spread(rate, '.3g'):>25} {rate[0] / plain['ess_per_s'][0]:6.1f} {reached:>12}"
         )
-    print("ESS is the smaller of bulk and tail of the slowest parameter; R-hat above 1.01 makes it a guess.")
+    print(
+        "ESS is the smaller of bulk and tail of the slowest parameter; with R-hat above 1.01 it is a guess."
+    )
 
 
 def goal(result: dict[str, Any], target_ess: float, cores: int) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Effective samples a second of the slowest parameter on the paper's simulated session: 125 readings, 10 parameters, 20 uT.
+"""Effective samples per second of the slowest parameter on the paper's simulated session: 125 readings, 10 parameters, 20 uT.
 
-coilcal samples whole loop counts. emcee's stretch move and NUTS cannot, so they, and coilcal once more for comparison, sample the same
-readings and priors with real-valued counts.
+coilcal samples whole loop counts. emcee's stretch move and NUTS cannot: they sample the same readings and priors with real-valued counts,
+as does coilcal a second time for comparison.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
     kernel = "eager"
     if not options.no_compile:
         kernel = "compiled"
-        quick = model.with_mode(SumMode.COMPILED)
-        lattice, continuous = (LogPosterior(p.coordinates, quick, readings) for p in (lattice, continuous))
+        compiled = model.with_mode(SumMode.COMPILED)
+        lattice, continuous = (LogPosterior(p.coordinates, compiled, readings) for p in (lattice, continuous))
         begin = time.perf_counter()
         with torch.no_grad():
             continuous(fit.vector.expand(N_WALKERS, -1))
@@ -119,12 +119,12 @@ def stretch(posterior: LogPosterior, fit: Optimum, steps: int, seed: int) -> tup
     sampler = emcee.EnsembleSampler(N_WALKERS, start.shape[1], log_prob, vectorize=True)
     state = emcee.State(start, random_state=random.get_state())
     sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-    kept = sampler.get_chain(discard=int(BURN_IN_SHARE * steps))
-    return steps * N_WALKERS, convergence(reported_parameters(posterior.coordinates, kept))
+    chain = sampler.get_chain(discard=int(BURN_IN_SHARE * steps))
+    return steps * N_WALKERS, convergence(reported_parameters(posterior.coordinates, chain))
 
 
 def repeated(run: Callable[[int], tuple[int, Convergence]], options: argparse.Namespace) -> dict[str, Any]:
-    """The row of a sampler over seeded repeats; all of its time counts, burn-in and diagnostics too."""
+    """The row of a sampler over seeded repeats; its time includes burn-in and diagnostics."""
     seconds, ess, rhat, evaluations = [], [], [], []
     for i in range(options.repeats):
         begin = time.perf_counter()

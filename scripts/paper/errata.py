@@ -1,4 +1,4 @@
-"""A number for each erratum of the paper that has one; `docs/paper.md` tells what they mean.
+"""A number for each quantitative erratum of the paper; `docs/paper.md` explains them.
 
 Run `python -m scripts.paper.errata`. It takes seconds and needs no data.
 """
@@ -69,7 +69,7 @@ def literal_sum() -> str:
 
 
 def arccos() -> str:
-    """Eq 11, 12: what a distance from the axis loses on its way through the arc cosine of z / r."""
+    """Eq 11, 12: relative error of a distance from the axis computed through the arc cosine of z / r."""
     rows = []
     for share in (1e-3, 1e-6):
         cells = [f"{share:g}"]
@@ -82,7 +82,7 @@ def arccos() -> str:
 
 
 def zero_start() -> str:
-    """Table 8: fminsearch steps what starts at 0 by 0.00025, everything else by 5 %; beside it steps as wide as the prior."""
+    """Table 8: fminsearch's first step, 0.00025 for a parameter at 0 and 5 % for others, beside steps as wide as the prior."""
     rig = load_rig(ROOT / "configs/paper_simulation.yaml").with_values(TRUTH)
     readings = observations_of(
         load_plan(ROOT / "configs/plans/paper_grid.yaml", rig), rig, np.random.default_rng(0)
@@ -114,13 +114,13 @@ def zero_start() -> str:
                 "maxfev": most,
                 "maxiter": most,
             }
-            found = minimize(cost_mT, start, method="Nelder-Mead", options=options)
+            minimum = minimize(cost_mT, start, method="Nelder-Mead", options=options)
             rows.append(
                 (
                     words,
-                    f"{found.nfev}",
-                    *(f"{1e3 * found.x[i]:.1f}" for i in (-2, -1)),
-                    f"{1e3 * found.fun:.2g}",
+                    f"{minimum.nfev}",
+                    *(f"{1e3 * minimum.x[i]:.1f}" for i in (-2, -1)),
+                    f"{1e3 * minimum.fun:.2g}",
                 )
             )
     header = ("first steps", "evaluations", "tilt x (mrad), truth 20", "tilt y, truth -10", "RMSE left (uT)")
@@ -128,7 +128,7 @@ def zero_start() -> str:
 
 
 def study() -> str:
-    """All of them."""
+    """All tables of this file."""
     return "\n".join((small_modulus(), arccos(), literal_sum(), zero_start()))
 
 

@@ -1,9 +1,8 @@
-"""A twin of the paper's experiment (Tables 8 to 10, Figs 12 and 13): what eq 13, taken literally, would do to a calibration.
+"""A twin of the paper's experiment (Tables 8 to 10, Figs 12 and 13): the effect of eq 13, taken literally, on a calibration.
 
-`python -m scripts.paper.experiment_twin` runs it. The paper's readings are not published, so this says nothing of them:
-it is a hypothesis about what
-they would show. Nature is magpylib's loops, added as vectors; the arm misses its targets as a UR3 may, the sensor is as noisy as a THM1176
-(seed 3). The readings are explained by the literal simulation, by the right one, and by what `diagnose` makes of the literal one
+`python -m scripts.paper.experiment_twin` runs it. The paper's readings are not published: the twin is a hypothesis about what they would
+show. The true field is the vector sum of magpylib's loops; the arm misses its targets as a UR3 may, and the sensor is as noisy as a THM1176
+(seed 3). The readings are fitted with the literal sum, with the right sum, and with the extension of the literal sum that `diagnose` finds
 without being told.
 """
 
@@ -31,24 +30,24 @@ from tests.independent.readings import perfect_readings_T
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 3
-REPEATABILITY_M = (
-    0.1e-3 / 3.0
-)  # one sigma of each axis: the UR3's data sheet says +-0.1 mm, ISO 9283 means three sigma
-DISTORTION = 2e-3  # scale and shear of the arm's axes, one sigma; no data sheet says: ours, 0.1 mm over 50 mm
+# One sigma of each axis: the UR3's data sheet says +-0.1 mm, which in ISO 9283 means three sigma.
+REPEATABILITY_M = 0.1e-3 / 3.0
+# Scale and shear of the arm's axes, one sigma: our choice, 0.1 mm over 50 mm; not in the data sheet.
+DISTORTION = 2e-3
 NOISE_T = 0.1e-3  # THM1176, averaged over 100 samples: 0.06 to 0.13 mT in recordings
 
 
 def experiment(rig_text: str) -> Session:
-    """What the laboratory writes down: commanded displacements, measured fields."""
+    """The record of the laboratory: commanded displacements and measured fields."""
     rig = rig_from_text(rig_text, "configs/paper_twin.yaml")
     truth = json.loads((ROOT / "configs/truth/paper_twin.json").read_text(encoding="utf-8"))
     plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
     planned = observations_of(plan, rig, np.random.default_rng(0))
     commanded_m = planned.motion["arm1"][:, :3].numpy()
     rng = np.random.default_rng(SEED)
-    went_m = commanded_m @ (np.eye(3) + DISTORTION * rng.normal(size=(3, 3))).T
-    went_m = went_m + REPEATABILITY_M * rng.normal(size=went_m.shape)
-    field_T = perfect_readings_T(truth, went_m, CURRENT_A)
+    reached_m = commanded_m @ (np.eye(3) + DISTORTION * rng.normal(size=(3, 3))).T
+    reached_m = reached_m + REPEATABILITY_M * rng.normal(size=reached_m.shape)
+    field_T = perfect_readings_T(truth, reached_m, CURRENT_A)
     measured_T = field_T + NOISE_T * rng.normal(size=field_T.shape)
     return Session(rig, planned.with_field(torch.from_numpy(measured_T)), source="twin", truth=truth)
 
@@ -58,17 +57,17 @@ def parameters(session: Session, fits: dict[str, Fit]) -> str:
     rows = []
     for name, show in displays(list(session.truth)).items():
         values = (float(session.rig.parameters[name].value), session.truth[name])
-        found = (
-            with_sd(show.factor * float(f.values[name]), show.factor * f.value_sd(name))
-            for f in fits.values()
+        estimates = (
+            with_sd(show.factor * float(fit.values[name]), show.factor * fit.value_sd(name))
+            for fit in fits.values()
         )
-        rows.append((show.label, NOT_AT_HAND, *(f"{show.factor * value:g}" for value in values), *found))
+        rows.append((show.label, NOT_AT_HAND, *(f"{show.factor * value:g}" for value in values), *estimates))
     title = "Table 8: parameters, with one standard deviation"
     return table(title, ("parameter", "paper", "start", "truth", *fits), rows)
 
 
 def residuals(session: Session, fits: dict[str, Fit]) -> str:
-    """Tables 9 and 10: what each model leaves of the readings it was fitted to, and of others."""
+    """Tables 9 and 10: residuals of each model, for the readings it was fitted to and for others."""
     rows = []
     parts = {
         "5 x 5 x 5": session.observations.calibration,
@@ -76,9 +75,11 @@ def residuals(session: Session, fits: dict[str, Fit]) -> str:
     }
     for grid, part in parts.items():
         for words, fit in fits.items():
-            e = error_metrics(part.field_sensor_T.numpy(), predicted_T(fit, part))
-            sizes = (f"{1e3 * size_T:.3f}" for size_T in (e.paper_metric_T, e.vector_T, e.max_T))
-            shares = (f"{100 * e.relative:.1f} %", f"{1e3 * e.angular_deviation_rad:.0f}")
+            metrics = error_metrics(part.field_sensor_T.numpy(), predicted_T(fit, part))
+            sizes = (
+                f"{1e3 * size_T:.3f}" for size_T in (metrics.paper_metric_T, metrics.vector_T, metrics.max_T)
+            )
+            shares = (f"{100 * metrics.relative:.1f} %", f"{1e3 * metrics.angular_deviation_rad:.0f}")
             rows.append((f"{grid}, {words}", NOT_AT_HAND, *sizes, *shares))
     sizes = ("paper's metric (mT)", "vector rms (mT)", "largest (mT)")
     title = (
@@ -88,13 +89,13 @@ def residuals(session: Session, fits: dict[str, Fit]) -> str:
 
 
 def predicted_T(fit: Fit, part: Observations) -> np.ndarray:
-    """What a fitted model says of other readings."""
+    """Prediction of a fitted model for readings, in tesla."""
     with torch.no_grad():
         return MeasurementModel.build(fit.rig, part).predict(fit.values).numpy()
 
 
 def verdict(diagnosis: Diagnosis) -> str:
-    """What the diagnosis says, and what its extension is worth."""
+    """The verdict, its causes, and the improvement on readings that were not fitted."""
     lines = [f"diagnose, not told: {diagnosis.verdict}"]
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
@@ -104,8 +105,9 @@ def verdict(diagnosis: Diagnosis) -> str:
     assert diagnosis.gain is not None
     before, after = diagnosis.gain.before, diagnosis.gain.after
     lines.append(
-        f"- gain on readings not used for fitting: vector rms {1e3 * before.errors.vector_T:.3f} -> {1e3 * after.errors.vector_T:.3f} mT, "
-        f"log predictive density {diagnosis.gain.elpd_difference:+.0f} +- {diagnosis.gain.elpd_se:.0f}, "
+        f"- improvement on readings not used for fitting: vector rms {1e3 * before.errors.vector_T:.3f} -> "
+        f"{1e3 * after.errors.vector_T:.3f} mT, log predictive density {diagnosis.gain.elpd_difference:+.0f} +- "
+        f"{diagnosis.gain.elpd_se:.0f}, "
         f"90 % intervals hold {100 * before.coverage90:.0f} -> {100 * after.coverage90:.0f} % of the components"
     )
     return "\n".join((*lines, ""))
@@ -118,12 +120,12 @@ def study(out: Path) -> str:
     session = experiment(printed)
     diagnosis = diagnose(session, seed=1)
     right = rig_from_text(printed.replace("field_sum: spherical_components", "field_sum: vectors"))
-    seen = session.observations.calibration
-    rules = MeasurementModel.build(right, seen).rules
+    fitted = session.observations.calibration
+    rules = MeasurementModel.build(right, fitted).rules
     fits = {
         "literal sum": diagnosis.fits.plain,
         "extended by diagnose": diagnosis.fits.extended,
-        "right sum": fit_rig(right, seen, {}, rules, more_starts=3),
+        "right sum": fit_rig(right, fitted, {}, rules, more_starts=3),
     }
     for name, title in {
         "residual": "Residual around coil1, before and after",
@@ -132,9 +134,9 @@ def study(out: Path) -> str:
         drawn = next(picture.figure for picture in pictures(diagnosis) if picture.title == title)
         drawn.savefig(out / f"twin_{name}.png", dpi=90, bbox_inches="tight")
     for name, words in {"literal": "literal sum", "extended": "extended by diagnose"}.items():
-        measured_T = seen.field_sensor_T.numpy()
+        measured_T = fitted.field_sensor_T.numpy()
         ax = predicted_against_measured(
-            measured_T, predicted_T(fits[words], seen), NOISE_T, title=f"twin, {words}"
+            measured_T, predicted_T(fits[words], fitted), NOISE_T, title=f"twin, {words}"
         )
         ax.figure.savefig(out / f"twin_predicted_{name}.png", dpi=90, bbox_inches="tight")
     return "\n".join((parameters(session, fits), residuals(session, fits), verdict(diagnosis)))

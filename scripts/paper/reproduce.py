@@ -1,7 +1,7 @@
-"""Every study of the paper in one run: its tables with our numbers beside the few of its own that are at hand, and the figures.
+"""Every study of the paper in one run: tables with our numbers beside those of the paper that are at hand, and figures.
 
-`make paper` runs it, on two cores in some minutes; `docs/paper.md` tells the story. The studies also run one by one: `sensitivity.py`,
-`solvers.py`, `simulation_study.py`, `experiment_twin.py` and `errata.py` beside this file.
+`make paper` runs it, in some minutes on two cores; `docs/paper.md` discusses the results. The studies `sensitivity.py`, `solvers.py`,
+`simulation_study.py`, `experiment_twin.py` and `errata.py` in this folder also run one by one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ silent, the choice is ours: 3 A, and a workspace of 100 x 100 x 50 mm whose midd
 
 
 def studies(out: Path) -> dict[str, Callable[[], str]]:
-    """Title and work of each, in the order of the paper."""
+    """Title and function of each study, in the order of the paper."""
     return {
         "Sensitivity (section 4.2)": lambda: sensitivity.study(out),
         "Solvers (section 4.3)": solvers.study,

@@ -1,8 +1,8 @@
-"""Section 4.2 of the paper (Table 1, Fig 8): what radius, wire radius, axial and radial loops change, and which are worth fitting.
+"""Section 4.2 of the paper (Table 1, Fig 8): effects of radius, wire radius, axial and radial loops, and which are worth fitting.
 
-Run `python -m scripts.paper.sensitivity`; it prints the shares of every parameter and pair, Sobol indices and the Fisher information,
-and writes
-the figures. The paper's levels are not at hand: seven levels each, one prior standard deviation about its simulated coil.
+Run `python -m scripts.paper.sensitivity`; it prints the shares of every parameter and pair, Sobol indices and the Fisher information, and
+writes the figures. The paper's levels are not at hand: here each parameter has seven within one prior standard deviation of its simulated
+coil.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from estimator.reporting.plots import interactions, main_effects
 from scripts.paper.tables import NAMES, NOT_AT_HAND, TRUTH, table
 
 ROOT = Path(__file__).resolve().parents[2]
-SHOWN_WEIGHT = 0.15  # of a parameter in a direction
+SHOWN_WEIGHT = 0.15  # least weight of a parameter that is shown in a direction
 
 
 def study(out: Path, n_levels: int = 7) -> str:
-    """Table 1 and what goes beyond it, and the figures as files."""
+    """Table 1, Sobol indices and Fisher information, and the figures as files."""
     out.mkdir(parents=True, exist_ok=True)
     rig = load_rig(ROOT / "configs/paper_simulation.yaml").with_values(TRUTH)
     plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
@@ -66,21 +66,28 @@ def effects(runs: Factorial, indices: Sobol) -> str:
 
 
 def fisher(rig: Rig, readings: Observations) -> str:
-    """What the readings can tell apart, with the pose known and with it free."""
+    """Fisher information of the readings, with the pose known and with it free."""
     pose = tuple(p.name for p in rig.free if p.name not in NAMES and not p.name.endswith("noise_T"))
     parts = []
     for title, names in (("pose known", NAMES), ("pose free", NAMES + pose)):
-        found = information(rig, readings, names)
-        rows = [(f"{sd:.2g}", _combination(found, i)) for i, sd in enumerate(found.sd_by_direction)]
+        fisher_information = information(rig, readings, names)
+        rows = [
+            (f"{sd:.2g}", _combination(fisher_information, i))
+            for i, sd in enumerate(fisher_information.sd_by_direction)
+        ]
         header = ("sd over that of the prior", "direction in units of the prior")
-        parts += [table(f"Fisher information, {title}: eigenvectors", header, rows), found.words(), ""]
+        parts += [
+            table(f"Fisher information, {title}: eigenvectors", header, rows),
+            fisher_information.words(),
+            "",
+        ]
     return "\n".join(parts)
 
 
-def _combination(found: Information, direction: int) -> str:
-    weight = found.directions[:, direction]
+def _combination(fisher_information: Information, direction: int) -> str:
+    weight = fisher_information.directions[:, direction]
     large = [i for i in np.argsort(-np.abs(weight)) if abs(weight[i]) > SHOWN_WEIGHT]
-    return ", ".join(f"{weight[i]:+.2f} {found.names[i].rpartition('.')[2]}" for i in large)
+    return ", ".join(f"{weight[i]:+.2f} {fisher_information.names[i].rpartition('.')[2]}" for i in large)
 
 
 def main() -> None:

@@ -1,9 +1,9 @@
-"""The paper's simulation study (Tables 3 to 7, Figs 9 and 10): a known winding recovered on 5 x 5 x 5 places, judged on 20 x 20 x 20.
+"""The paper's simulation study (Tables 3 to 7, Figs 9 and 10): a known winding fitted at 5 x 5 x 5 points, judged at 20 x 20 x 20.
 
-Run `python -m scripts.paper.simulation_study`. First as in the paper: readings without noise, pose known, four parameters free, searched as
-MATLAB's fminsearch would (first simplex 5 % of each value, tolerances 1e-4) and by coilcal. Then as in a laboratory: 20 uT of noise
-(seed 2) and the pose free as well. Last, why four parameters are more than readings hold: the number of radial loops is held at wrong
-values and the others follow. Readings come from magpylib's loops.
+Run `python -m scripts.paper.simulation_study`. First as in the paper: readings without noise, pose known, four parameters free, estimated
+as by MATLAB's fminsearch (first simplex 5 % of each value, tolerances 1e-4) and by coilcal. Then as in a laboratory: 20 uT of noise (seed
+2) and a free pose. Last, the number of radial loops is fixed at wrong values and the others are fitted: the readings determine fewer than
+four parameters. Readings come from magpylib's loops.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class Study:
     def __init__(self, rig: Rig, truth: dict[str, float], distance_m: float | None, noise_T: float) -> None:
         plan = load_plan(ROOT / "configs/plans/paper_study.yaml", rig)
         observations = observations_of(plan, rig, np.random.default_rng(0))
-        places_m = observations.motion["arm1"][:, :3].numpy()
-        true_T = perfect_readings_T(truth, places_m, CURRENT_A, distance_m)
+        positions_m = observations.motion["arm1"][:, :3].numpy()
+        true_T = perfect_readings_T(truth, positions_m, CURRENT_A, distance_m)
         self.rig = rig
         self.judged = observations.with_field(torch.from_numpy(true_T))
         noisy_T = true_T + noise_T * np.random.default_rng(SEED).normal(size=true_T.shape)
@@ -70,7 +70,7 @@ class Study:
         return self.coordinates.values(point_estimate(posterior, self.calibration, seed=1).vector)
 
     def fminsearch(self) -> dict[str, torch.Tensor]:
-        """As the paper searched, by SciPy's Nelder-Mead with MATLAB's first simplex and tolerances."""
+        """The paper's search: SciPy's Nelder-Mead with MATLAB's first simplex and tolerances."""
         model = MeasurementModel.build(self.rig, self.calibration)
         start = np.array([START[name] for name in NAMES])
 
@@ -87,26 +87,26 @@ class Study:
         options = {**FMINSEARCH, "initial_simplex": simplex}
         return values_of(minimize(cost_mT, start, method="Nelder-Mead", options=options).x)
 
-    def held(self, radial_loops: float) -> dict[str, torch.Tensor]:
-        """Best fit of the others where the number of radial loops is wrong."""
+    def with_fixed_loops(self, radial_loops: float) -> dict[str, torch.Tensor]:
+        """Best fit of the other parameters with a fixed, wrong number of radial loops."""
         rig = self.rig.with_values({**TRUTH, NAMES[3]: radial_loops}).with_fixed([NAMES[3]])
         return fit_rig(rig, self.calibration, {}, MeasurementModel.build(rig, self.calibration).rules).values
 
     def errors(self, values: dict[str, torch.Tensor], part: Observations) -> ErrorMetrics:
-        """Of the predictions against the true field."""
+        """Errors of the predictions against the true field."""
         return error_metrics(part.field_sensor_T.numpy(), predicted_T(self.rig, part, values))
 
     def maps(self, values: dict[str, torch.Tensor], title: str) -> dict[str, Figure]:
-        """Relative error and angle over the 20 x 20 x 20 places, in the frame of the coil at the truth of this study."""
+        """Relative error and angle at the 20 x 20 x 20 points, in the frame of the coil."""
         part = self.judged.validation
         model = MeasurementModel.build(self.rig, part)
         rows = torch.arange(len(model.sensor))
-        places_m = model.sensor_in_coil(self.rig.coils[0], rows, values)[0][model.pose_row].numpy()
-        measured_T, found_T = part.field_sensor_T.numpy(), predicted_T(self.rig, part, values)
+        points_m = model.sensor_in_coil(self.rig.coils[0], rows, values)[0][model.pose_row].numpy()
+        measured_T, predicted = part.field_sensor_T.numpy(), predicted_T(self.rig, part, values)
         winding = winding_of(self.rig, self.rig.coils[0], values)
         return {
-            "relative_error": relative_error_map(places_m, measured_T, found_T, winding, title),
-            "angle": angular_deviation_map(places_m, measured_T, found_T, winding, title),
+            "relative_error": relative_error_map(points_m, measured_T, predicted, winding, title),
+            "angle": angular_deviation_map(points_m, measured_T, predicted, winding, title),
         }
 
 
@@ -116,7 +116,7 @@ def predicted_T(rig: Rig, part: Observations, values: dict[str, torch.Tensor]) -
 
 
 def recovered(columns: dict[str, dict], title: str) -> str:
-    """Table 3: the four parameters, and what the readings determine of them."""
+    """Table 3: the four parameters, and the turns and length that the readings determine."""
     quantities = {
         "external radius (mm)": lambda radius, wire, axial, radial: 1e3 * radius,
         "wire radius (mm)": lambda radius, wire, axial, radial: 1e3 * wire,
@@ -141,20 +141,22 @@ def error_table(title: str, study: Study, fits: dict[str, dict[str, torch.Tensor
     rows = []
     for grid, part in (("5 x 5 x 5", study.judged.calibration), ("20 x 20 x 20", study.judged.validation)):
         for words, values in fits.items():
-            e = study.errors(values, part)
-            sizes = (f"{1e6 * size_T:.3g}" for size_T in (e.paper_metric_T, e.vector_T, e.max_T))
-            shares = (f"{100 * e.relative:.2g} %", f"{1e3 * e.angular_deviation_rad:.2g}")
+            metrics = study.errors(values, part)
+            sizes = (
+                f"{1e6 * size_T:.3g}" for size_T in (metrics.paper_metric_T, metrics.vector_T, metrics.max_T)
+            )
+            shares = (f"{100 * metrics.relative:.2g} %", f"{1e3 * metrics.angular_deviation_rad:.2g}")
             rows.append((f"{grid}, {words}", NOT_AT_HAND, *sizes, *shares))
     sizes = ("paper's metric (uT)", "vector rms (uT)", "largest (uT)")
     return table(title, ("grid and model", "paper", *sizes, "relative", "angle (mrad)"), rows)
 
 
 def valley(plain: Study) -> tuple[str, Figure]:
-    """What a wrong number of radial loops costs once the others have followed: less than a sensor sees."""
-    made = figure(8.0, 3.2, "one parameter held at a wrong value, the others fitted")
-    left, right = made.subplots(1, 2)
+    """Residual after a fit with a wrong number of radial loops: below the noise of a sensor."""
+    drawn = figure(8.0, 3.2, "one parameter held at a wrong value, the others fitted")
+    left, right = drawn.subplots(1, 2)
     loops = TRUTH[NAMES[3]] + np.arange(-3.0, 4.0)
-    fits = [{name: float(value) for name, value in plain.held(n).items()} for n in loops]
+    fits = [{name: float(value) for name, value in plain.with_fixed_loops(n).items()} for n in loops]
     residual_uT = [
         1e6 * plain.errors({n: torch.tensor(v).double() for n, v in fit.items()}, plain.judged.calibration).vector_T
         for fit in fits
@@ -191,7 +193,7 @@ def valley(plain: Study) -> tuple[str, Figure]:
         for i, (n, r) in enumerate(zip(loops, residual_uT, strict=True))
     ]
     header = ("radial loops held", "vector rms (uT)", *lines)
-    return table("The valley behind Table 3, of 8.3 mT rms", header, rows), made
+    return table("The valley behind Table 3, of 8.3 mT rms", header, rows), drawn
 
 
 def study(out: Path) -> str:
@@ -207,8 +209,10 @@ def study(out: Path) -> str:
             drawn.savefig(out / f"{kind}_{when}.png", dpi=90, bbox_inches="tight")
     trade, drawn = valley(perfect)
     drawn.savefig(out / "valley.png", dpi=90, bbox_inches="tight")
-    found = {words: v for words, v in {**as_paper, **in_laboratory}.items() if not words.startswith("start")}
-    columns = {"start": START, "truth": TRUTH, **found}
+    fits = {
+        words: fit for words, fit in {**as_paper, **in_laboratory}.items() if not words.startswith("start")
+    }
+    columns = {"start": START, "truth": TRUTH, **fits}
     return "\n".join((
         recovered(columns, "Table 3: what was recovered"),
         trade,

@@ -1,9 +1,9 @@
 """Section 4.3 of the paper (Table 2): which solver recovers a simulated winding, from 50 starts on the same noise-free readings.
 
-Run `python -m scripts.paper.solvers`. Radius, wire radius, axial and radial loops are free, the pose is known; the starts are the paper's
+Run `python -m scripts.paper.solvers`. Radius, wire radius, axial and radial loops are free, the pose is known. The starts are the paper's
 and draws (seed 0) from the box that the rig file allows. SciPy's SLSQP and differential evolution stand for the paper's SQP and genetic
-algorithm. Parameters are in SI units, in units of their prior width, or coilcal's natural coordinates, as the table says: it matters as
-much as the solver. The readings come from magpylib's loops, not from coilcal's quadrature.
+algorithm. The table gives the units of the parameters, SI, prior widths or coilcal's natural coordinates, which matter as much as the
+solver. The readings come from magpylib's loops, not from coilcal's quadrature.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ RECOVERED = 1e-3  # largest relative error of the four parameters
 
 @dataclass(frozen=True)
 class Ends:
-    """Where a solver's starts ended, one row each.
+    """End points of a solver, one row for each start.
 
     Attributes:
         values: Radius, wire radius, axial and radial loops.
-        evaluations: Of all readings; a Jacobian counts as one for each of its columns.
-        seconds: Of all starts together.
+        evaluations: Number of predictions of all readings; a Jacobian counts as one for each of its columns.
+        seconds: Time of all starts together.
     """
 
     solver: str
@@ -51,14 +51,14 @@ class Ends:
 
 
 class Problem:
-    """The readings, and their root mean square error as the paper counts it (eq 2, 3) for any number of parameter sets."""
+    """The readings, and their root mean square error by the paper's definition (eq 2, 3) for any number of parameter sets."""
 
     def __init__(self) -> None:
         rig = load_rig(ROOT / "configs/paper_noise_free.yaml")
         plan = load_plan(ROOT / "configs/plans/paper_grid.yaml", rig)
         readings = observations_of(plan, rig, np.random.default_rng(0)).calibration
-        places_m = readings.motion["arm1"][:, :3].numpy()
-        field_T = perfect_readings_T(TRUTH, places_m, CURRENT_A, DISTANCE_M)
+        positions_m = readings.motion["arm1"][:, :3].numpy()
+        field_T = perfect_readings_T(TRUTH, positions_m, CURRENT_A, DISTANCE_M)
         self.readings = readings.with_field(torch.from_numpy(field_T))
         self.coordinates = Coordinates(rig)
         self.model = MeasurementModel.build(rig, self.readings)
@@ -72,7 +72,7 @@ class Problem:
         return np.concatenate((np.array([[START[name] for name in NAMES]]), drawn))
 
     def error_T(self, values: Tensor) -> Tensor:
-        """Half the rms length of the error vectors, at the nearest place inside the box."""
+        """Half the rms length of the error vectors, at the nearest parameters inside the box."""
         inside = values.clamp(torch.from_numpy(self.lower), torch.from_numpy(self.upper))
         self.n_evaluated += len(values)
         with torch.no_grad():
@@ -89,7 +89,7 @@ class Problem:
         return torch.stack([resolved[name] for name in NAMES], dim=-1)
 
     def walled_T(self, values: Tensor) -> Tensor:
-        """The same inside the box, +inf outside, for solvers that know no bounds."""
+        """`error_T` inside the box and +inf outside, for solvers without bounds."""
         is_inside = (values >= torch.from_numpy(self.lower)) & (values <= torch.from_numpy(self.upper))
         return torch.where(is_inside.all(-1), self.error_T(values), torch.inf)
 
@@ -101,7 +101,7 @@ def slsqp(problem: Problem, starts: np.ndarray, unit: np.ndarray, words: str) ->
         options = {"ftol": 1e-9, "maxiter": 50}
         return minimize(cost, start, method="SLSQP", bounds=box, options=options).x
 
-    return _one_by_one(f"SLSQP (SciPy), {words}", problem, starts, unit, run)
+    return _start_by_start(f"SLSQP (SciPy), {words}", problem, starts, unit, run)
 
 
 def evolution(problem: Problem, starts: np.ndarray) -> Ends:
@@ -113,11 +113,13 @@ def evolution(problem: Problem, starts: np.ndarray) -> Ends:
             maxiter=GENERATIONS, tol=0.0, polish=False, vectorized=True, updating="deferred", seed=number,
         ).x  # fmt: skip
 
-    return _one_by_one("differential evolution (SciPy)", problem, starts, problem.width, run)
+    return _start_by_start("differential evolution (SciPy)", problem, starts, problem.width, run)
 
 
-def _one_by_one(solver: str, problem: Problem, starts: np.ndarray, unit: np.ndarray, run: Callable) -> Ends:
-    """Start by start, parameters in their unit, the error in mT."""
+def _start_by_start(
+    solver: str, problem: Problem, starts: np.ndarray, unit: np.ndarray, run: Callable
+) -> Ends:
+    """Run a solver from each start, with parameters in multiples of `unit` and the error in mT."""
     box = list(zip(problem.lower / unit, problem.upper / unit, strict=True))
 
     def cost(scaled: np.ndarray) -> np.ndarray | float:
@@ -133,36 +135,36 @@ def _one_by_one(solver: str, problem: Problem, starts: np.ndarray, unit: np.ndar
 
 
 def nelder_mead(problem: Problem, starts: np.ndarray, is_natural: bool) -> Ends:
-    """All starts in one batch, in the paper's parameters or in natural coordinates."""
+    """Nelder-Mead from all starts in one batch, in the paper's parameters or in natural coordinates."""
     begin = time.perf_counter()
-    at, scale = torch.from_numpy(starts), torch.from_numpy(problem.width)
+    first, scale = torch.from_numpy(starts), torch.from_numpy(problem.width)
     if is_natural:
-        at, scale = problem.vector(at), problem.coordinates.scale
-    found = minimise(
+        first, scale = problem.vector(first), problem.coordinates.scale
+    minimum = minimise(
         (lambda vector: problem.walled_T(problem.values(vector))) if is_natural else problem.walled_T,
-        initial_simplex(at, -0.25 * scale),
+        initial_simplex(first, -0.25 * scale),
         x_tolerance=1e-9 * scale,
         f_tolerance=1e-15,
         max_iterations=2000,
         n_restarts=1,
     )
-    values = problem.values(found.points) if is_natural else found.points
+    values = problem.values(minimum.points) if is_natural else minimum.points
     solver = f"Nelder-Mead, {'natural coordinates' if is_natural else 'prior widths'}"
-    return Ends(solver, values.numpy(), found.n_evaluations.numpy(), time.perf_counter() - begin)
+    return Ends(solver, values.numpy(), minimum.n_evaluations.numpy(), time.perf_counter() - begin)
 
 
 def from_many_starts(problem: Problem, starts: np.ndarray) -> Ends:
-    """All starts in one batch, in natural coordinates with exact Jacobians."""
+    """Levenberg-Marquardt from all starts in one batch, in natural coordinates with exact Jacobians."""
     begin = time.perf_counter()
     posterior = LogPosterior(problem.coordinates, problem.model, problem.readings)
-    found = levenberg_marquardt(posterior, problem.vector(torch.from_numpy(starts)), max_iterations=200)
-    most = np.full(len(starts), found.n_iterations * (1 + len(NAMES)))
-    values = problem.values(found.vector).numpy()
-    return Ends("Levenberg-Marquardt, natural coordinates", values, most, time.perf_counter() - begin)
+    optimum = levenberg_marquardt(posterior, problem.vector(torch.from_numpy(starts)), max_iterations=200)
+    evaluations = np.full(len(starts), optimum.n_iterations * (1 + len(NAMES)))  # at most
+    values = problem.values(optimum.vector).numpy()
+    return Ends("Levenberg-Marquardt, natural coordinates", values, evaluations, time.perf_counter() - begin)
 
 
 def study(n_starts: int = 50) -> str:
-    """Table 2: what became of the paper's start, and of all starts."""
+    """Table 2: results from the paper's start and from all starts."""
     problem = Problem()
     starts = problem.starts(n_starts)
     truth = np.array([TRUTH[name] for name in NAMES])
@@ -191,7 +193,7 @@ def study(n_starts: int = 50) -> str:
         ))  # fmt: skip
     header = ("solver", "paper", "paper's start: RMSE less by", "distance to truth", f"{n_starts} starts: RMSE less by (median, least)",
               "distance (median, worst)", "recovered", "evaluations", "time per start")  # fmt: skip
-    return table("Table 2: solvers on noise-free readings, 5 x 5 x 5 places", header, rows)
+    return table("Table 2: solvers on noise-free readings at 5 x 5 x 5 points", header, rows)
 
 
 def main() -> None:

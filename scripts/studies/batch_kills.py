@@ -1,8 +1,8 @@
-"""A batch whose workers, and then whose client, are killed with SIGKILL: is it the batch that was let alone? `make batch-kills` runs it.
+"""A batch whose workers or client are killed with SIGKILL gives the same files as one left undisturbed; `make batch-kills` runs it.
 
-200 simulated sessions, three of them damaged, go through `coilcal batch` three times: let alone; with a worker killed at each of
-several shares of the work; with the client, which holds the scheduler, killed there and the same command given again. All files of results
-are compared byte by byte. Then the same command is given once more, and must do nothing and say so.
+200 simulated sessions, three of them damaged, go through `coilcal batch` three times: undisturbed; with a worker killed at each of
+several shares of the work; and with the client, which holds the scheduler, killed there and the same command repeated. All result files
+are compared byte by byte. Then the same command is repeated once more, and must do nothing and say so.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ sensors:
 """
 PLAN = """\
 schema_version: 1
-name: 27 places
+name: 27 points
 poses:
   calibration:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 3}, z_mm: {from: -20, to: 20, count: 3}}
 currents_A: [{coil1: 3}]
 """
 N_DAMAGED = 3
-KILLED_AT = (0.02, 0.2, 0.4, 0.6, 0.8)  # shares of fits and posteriors that are there
+KILLED_AT = (0.02, 0.2, 0.4, 0.6, 0.8)  # shares of finished fits and posteriors
 LOOK_EVERY_S = 0.1
 
 
@@ -65,29 +65,31 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     paths = sessions(options.out, options.sessions, options.seed)
     call = ["batch", *map(str, paths), "--workers", str(options.workers), "--ess", "100", "--json"]
-    study = {"alone": let_alone, "worker_killed": with_workers_killed, "client_killed": with_client_killed}
+    study = {"alone": undisturbed, "worker_killed": with_workers_killed, "client_killed": with_client_killed}
     for name, run in study.items():
         folder = options.out / name
-        if not (folder / "summary.csv").exists():  # the last thing that a batch writes
+        if not (folder / "summary.csv").exists():  # written last by a batch
             shutil.rmtree(folder, ignore_errors=True)
             run(call, folder, len(paths) - N_DAMAGED)
-    wanted = digests(options.out / "alone")
+    expected = digests(options.out / "alone")
     for name in study:
         folder = options.out / name
-        found, before = digests(folder), times(folder)
-        different = [file for file in wanted.keys() | found.keys() if wanted.get(file) != found.get(file)]
-        print(f"{name}: {len(found)} files of results, {len(different)} of them not as in alone")
+        received, before = digests(folder), times(folder)
+        different = [
+            file for file in expected.keys() | received.keys() if expected.get(file) != received.get(file)
+        ]
+        print(f"{name}: {len(received)} result files, {len(different)} of them differ from those in alone")
         ended(started(call, folder), "the same command again", len(paths) - N_DAMAGED)
         written = [file for file, time_ns in times(folder).items() if before.get(file) != time_ns]
-        print(f"  files of results written: {len(written)}", flush=True)
+        print(f"  result files written: {len(written)}", flush=True)
         if different or written:
             sys.exit(
-                f"batch_kill_study: {name} must be as alone, and stay as it is; {(different + written)[:5]}"
+                f"batch_kills: files of {name} must equal those of alone and stay unchanged; received {(different + written)[:5]}"
             )
 
 
-def let_alone(call: Sequence[str], folder: Path, n_good: int) -> None:
-    for path, why in ended(started(call, folder), "let alone", n_good).items():
+def undisturbed(call: Sequence[str], folder: Path, n_good: int) -> None:
+    for path, why in ended(started(call, folder), "undisturbed", n_good).items():
         print(f"  {Path(path).name}: {why.replace(str(Path(path).parent), '...')}", flush=True)
 
 
@@ -96,7 +98,7 @@ def with_workers_killed(call: Sequence[str], folder: Path, n_good: int) -> None:
     for share in KILLED_AT:
         wait_for(running, folder, share * 2 * n_good)
         os.kill(workers_of(running.pid)[0], signal.SIGKILL)
-        print(f"  killed a worker with {n_done(folder)} of {2 * n_good} results there", flush=True)
+        print(f"  killed a worker after {n_done(folder)} of {2 * n_good} results", flush=True)
     ended(running, "workers killed", n_good)
 
 
@@ -106,7 +108,7 @@ def with_client_killed(call: Sequence[str], folder: Path, n_good: int) -> None:
         wait_for(running, folder, share * 2 * n_good)
         running.kill()
         running.communicate()
-        print(f"  killed the client with {n_done(folder)} of {2 * n_good} results there", flush=True)
+        print(f"  killed the client after {n_done(folder)} of {2 * n_good} results", flush=True)
     ended(started(call, folder), "client killed", n_good)
 
 
@@ -149,47 +151,47 @@ def started(call: Sequence[str], out: Path) -> subprocess.Popen[str]:
 def wait_for(running: subprocess.Popen[str], out: Path, results: float) -> None:
     while n_done(out) < results or not workers_of(running.pid):
         if running.poll() is not None:
-            sys.exit(f"batch_kill_study: the batch ended before it was to be killed ({n_done(out)} results)")
+            sys.exit(f"batch_kills: the batch ended before the kill ({n_done(out)} results)")
         time.sleep(LOOK_EVERY_S)
 
 
 def n_done(out: Path) -> int:
-    """Fits and posteriors that are there."""
+    """Number of finished fits and posteriors."""
     jobs = list((out / "jobs").glob("[!.]*"))
     return len(jobs) + sum((path / "calibration").exists() for path in jobs)
 
 
 def workers_of(client: int) -> list[int]:
     """Processes of the local cluster: children of the client that multiprocessing spawned."""
-    found = []
+    pids = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             if parent == client and b"spawn_main" in (folder / "cmdline").read_bytes():
-                found.append(int(folder.name))
+                pids.append(int(folder.name))
         except OSError:
             continue  # it ended meanwhile
-    return sorted(found)
+    return sorted(pids)
 
 
 def ended(running: subprocess.Popen[str], what: str, n_good: int) -> dict[str, str]:
     begin_s = time.monotonic()
-    said: dict[str, Any] = json.loads(running.communicate()[0])
+    output: dict[str, Any] = json.loads(running.communicate()[0])
     print(
-        f"{what}: exit code {running.returncode}, {said['fits']} fits, {said['sampled']} sampled, {said['new']} of both new, "
-        f"{len(said['failed'])} failed, {time.monotonic() - begin_s:.0f} s",
+        f"{what}: exit code {running.returncode}, {output['fits']} fits, {output['sampled']} sampled, {output['new']} of both new, "
+        f"{len(output['failed'])} failed, {time.monotonic() - begin_s:.0f} s",
         flush=True,
     )
-    failed: dict[str, str] = said["failed"]
+    failed: dict[str, str] = output["failed"]
     if running.returncode == 0 or len(failed) != N_DAMAGED:
-        sys.exit("batch_kill_study: the damaged sessions must be reported")
-    if said["fits"] != n_good or said["sampled"] != n_good:
-        sys.exit("batch_kill_study: every good session must have its posterior")
+        sys.exit("batch_kills: the damaged sessions must be reported")
+    if output["fits"] != n_good or output["sampled"] != n_good:
+        sys.exit("batch_kills: every good session must have its posterior")
     return failed
 
 
 def digests(out: Path) -> dict[str, str]:
-    """Of the table, of every fit and of every byte of the posteriors."""
+    """SHA-256 of the table, every fit and every file of the posteriors."""
     return {
         str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest() for path in results(out)
     }

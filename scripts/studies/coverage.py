@@ -1,7 +1,7 @@
 """Simulation-based calibration of posteriors over many seeded repeats; `make coverage` runs it.
 
-Every repeat is appended to a file as it ends, so an interrupted study continues. Afterwards it prints, per parameter, the coverage of 90 %
-intervals and the uniformity of ranks, and for loop counts the stated against the true frequency.
+Every repeat is appended to a file as it ends, so an interrupted study continues. At the end it prints the coverage of 90 % intervals and
+the uniformity of ranks of each parameter, and for loop counts the stated probability beside the true frequency.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def show(repeats: list[dict[str, Any]]) -> None:
     coverage, p_value = coverage90(repeats), uniformity(repeats)
     for name, share in coverage.items():
         print(f"{name:38} {share:17.1%} {p_value[name]:8.3f}")
-    print("loop counts: stated probability against how often they were true")
+    print("loop counts: stated probability beside the frequency with which they were true")
     for row in count_calibration(repeats):
         print(
             f"  {row['from']:.1f} to {row['to']:.1f}: {row['cases']:5d} cases, stated {row['stated']:.3f}, "

@@ -1,4 +1,4 @@
-"""What the simulation gets wrong on measured coils: causes in the order they were found, the gain of each, and what is left.
+"""Diagnoses of measured coils: the causes in order, the log evidence of each, and what remains unexplained.
 
 `make diagnose-real` runs it; it needs the maps of public repositories in the folder named by COILCAL_DATA (see the README).
 """
@@ -26,7 +26,7 @@ from estimator.store.importers import IMPORTERS
 from estimator.store.session import Session
 from scripts.studies.real_data import DATA_SETS, DataSet
 
-OF_THE_DAY = {"step_T"}  # may differ from run to run
+PER_RUN = {"step_T"}  # may differ from run to run
 OFF = {"M1": 0.0, "M2": 0.0, "E1": 0.0, "CC": 0.0, "E2": 0.0}
 POWERED = {"run01": (), "run07": ("M1",), "run05": ("M2",), "run03": ("E1", "CC", "E2")}
 MICE = tuple(
@@ -56,17 +56,17 @@ def main() -> None:
     parser.add_argument("--most-causes", type=int, default=policy.MOST_CAUSES, help="where each search ends")
     parser.add_argument(
         "--carry",
-        help="FOLDER/CAUSE: one that an earlier run, which left this folder, has named is known, at its values there; only the step of the "
-        "room's own field across a plate is of each run",
+        help="FOLDER/CAUSE: take a cause as known, with the values that an earlier run in FOLDER gave it; only the step of the "
+        "room's field across a plate stays free",
     )
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
     if not data:
         sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
     torch.set_num_threads(1)
-    data_sets = (*(one for one in DATA_SETS if one.importer != "mice"), *MORE, *MICE)
+    data_sets = (*(data_set for data_set in DATA_SETS if data_set.importer != "mice"), *MORE, *MICE)
     for name in set(options.names) - {data_set.name for data_set in data_sets}:
-        sys.exit(f"diagnose_real: names must be of its data sets; received {name}")
+        sys.exit(f"diagnose_real: names must be data sets of this study; received {name}")
     for data_set in data_sets:
         if not options.names or data_set.name in options.names:
             run(data_set, Path(data), options.out, options.seed, options.most_causes, options.carry)
@@ -116,7 +116,7 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, c
 
 
 def session_of(data_set: DataSet, data: Path) -> Session:
-    """The readings; what is free of coils that were off is fixed."""
+    """The readings, with the free parameters of idle coils fixed."""
     rig = load_rig(Path(__file__).resolve().parents[2] / f"configs/{data_set.rig}.yaml")
     idle = [coil.name for coil in rig.coils if data_set.currents_A.get(coil.name) == 0.0]
     rig = rig.with_fixed(p.name for p in rig.free if p.name.partition(".")[0] in idle)
@@ -124,27 +124,29 @@ def session_of(data_set: DataSet, data: Path) -> Session:
 
 
 def with_known(session: Session, carry: str) -> Session:
-    """The session of a rig that has a cause already, fixed as an earlier diagnosis left it."""
+    """The session with a cause of an earlier diagnosis in its rig, fixed at the values found there."""
     earlier, _, label = carry.rpartition("/")
-    known = load_rig(Path(earlier) / "rig_extended.yaml")
-    cause = next((cause for cause in known.effects if cause.label == label), None)
+    earlier_rig = load_rig(Path(earlier) / "rig_extended.yaml")
+    cause = next((cause for cause in earlier_rig.effects if cause.label == label), None)
     if cause is None:
         sys.exit(f"--carry must name a cause of {earlier}/rig_extended.yaml; received {label}")
-    own = {
+    values = {
         key.rpartition(".")[2]: value
-        for key, value in known.nominal_values().items()
+        for key, value in earlier_rig.nominal_values().items()
         if key.startswith(f"{label}.")
     }
-    rig = with_effect(session.rig, cause, session.observations, own)
-    fixed = [f"{label}.{key}" for key in own if key not in OF_THE_DAY]
+    rig = with_effect(session.rig, cause, session.observations, values)
+    fixed = [f"{label}.{key}" for key in values if key not in PER_RUN]
     return replace(session, rig=rig.with_fixed(fixed))
 
 
 def against_prior(fit: Fit) -> dict[str, float]:
-    """Free numbers of the coils by how many widths of the prior they are off its centre."""
+    """Distance of the coils' free parameters from the centre of their priors, in standard deviations of the prior."""
     coils = {coil.name for coil in fit.rig.coils}
-    own = [p for p in fit.rig.free if p.name.partition(".")[0] in coils]
-    return {p.name: round(p.prior.distance(float(fit.values[p.name])), 2) for p in own if p.prior is not None}
+    of_coils = [p for p in fit.rig.free if p.name.partition(".")[0] in coils]
+    return {
+        p.name: round(p.prior.distance(float(fit.values[p.name])), 2) for p in of_coils if p.prior is not None
+    }
 
 
 if __name__ == "__main__":

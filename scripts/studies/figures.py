@@ -1,4 +1,4 @@
-"""Pictures in docs/figures, from what `make` left behind: demo, real, diagnose-real, mice-filaments and paper."""
+"""Copies figures of `make demo`, `real`, `diagnose-real`, `mice-filaments` and `paper` to docs/figures."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def main() -> None:
         if not (ROOT / source / "summary.json").exists():
             print(f"{source} holds no calibration; its figures stay as they are", file=sys.stderr)
             continue
-        drawn = {picture.title: picture.figure for picture in pictures(Calibration.load(ROOT / source))}
+        by_title = {picture.title: picture.figure for picture in pictures(Calibration.load(ROOT / source))}
         for file, title in names.items():
-            drawn[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
+            by_title[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
             print(folder / f"{file}.png")
     copies = {f"paper_{name}": f"out/paper/{name}.png" for name in PAPER}
     copies |= {f"mice_{name}": path for name, path in DIAGNOSED.items()}
@@ -66,7 +66,7 @@ def main() -> None:
         if (ROOT / path).exists():
             print(shutil.copyfile(ROOT / path, folder / f"{name}.png"))
         else:
-            print(f"{path} is not there; its copy stays as it is", file=sys.stderr)
+            print(f"{path} is missing; its copy stays as it is", file=sys.stderr)
 
 
 if __name__ == "__main__":

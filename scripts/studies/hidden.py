@@ -1,7 +1,7 @@
-"""Hide effects in sessions of independent code and count how often the diagnosis finds them; `make hidden` runs it.
+"""Hides effects in sessions made by independent code and counts how often the diagnosis finds them; `make hidden` runs it.
 
-Every case is appended to a file as it ends, so an interrupted study continues. Afterwards it prints the shares that matter and the
-confusion matrix.
+Every case is appended to a file as it ends, so an interrupted study continues. At the end it prints shares of right and wrong verdicts,
+coverage and the confusion matrix.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LUCKY_SD = 3.09  # standard deviations that a normal number exceeds once in a th
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=300, help="of each kind")
+    parser.add_argument("--cases", type=int, default=300, help="number of cases of each kind")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--first-seed", type=int, default=30_000)
     parser.add_argument("--workers", type=int, default=2)
@@ -41,8 +41,8 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = read(options.out)
     seeds = range(options.first_seed, options.first_seed + options.cases)
-    wanted = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
-    missing = [case for case in wanted if case not in rows]
+    cases = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
+    missing = [case for case in cases if case not in rows]
     with (
         multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool,
         options.out.open("a") as file,
@@ -52,11 +52,11 @@ def main() -> None:
             file.flush()
             rows[row["kind"], row["seed"]] = row
             print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
-    failed = [rows[case] for case in wanted if "error" in rows[case]]
+    failed = [rows[case] for case in cases if "error" in rows[case]]
     for row in failed:
         print(line(row))
-    print(f"{len(failed)} of {len(wanted)} diagnoses failed; they are in no share below")
-    show([rows[case] for case in wanted if "error" not in rows[case]])
+    print(f"{len(failed)} of {len(cases)} diagnoses failed; they are in no share below")
+    show([rows[case] for case in cases if "error" not in rows[case]])
 
 
 def one_thread() -> None:
@@ -74,7 +74,7 @@ def worker(case: tuple[str, int]) -> Row:
 
 
 def run_case(kind: str, seed: int) -> dict[str, Any]:
-    """Hide, diagnose, and say what came out; the diagnosis sees the rig file and the table of readings only."""
+    """Hide effects and diagnose; the diagnosis sees only the rig file and the table of readings."""
     hidden = draw_case(kind, seed)
     with tempfile.TemporaryDirectory() as folder:
         hidden.write(Path(folder))
@@ -83,7 +83,7 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
     begin = time.perf_counter()
     diagnosis = diagnose(session, seed=seed)
     seconds = time.perf_counter() - begin
-    found, truth = diagnosis.to_json(), hidden.truth()
+    record, truth = diagnosis.to_json(), hidden.truth()
     unflawed = fit_without_flaws(hidden, diagnosis.fits.plain) if kind == "single" else None
     noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
     return {
@@ -92,15 +92,15 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
         "protocol": truth["protocol"],
         "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
         "noise_T": noise_T,
-        "verdict": found["verdict"],
-        "causes": found["causes"],
-        "twins": found["indistinguishable"],
-        "unexplained": found["unexplained"],
+        "verdict": record["verdict"],
+        "causes": record["causes"],
+        "twins": record["indistinguishable"],
+        "unexplained": record["unexplained"],
         "steps": [
             [(c["name"], c["log_bayes_factor"], c["probability"]) for c in step["considered"][:6]]
-            for step in found["steps"]
+            for step in record["steps"]
         ],
-        "gain": found.get("gain"),
+        "gain": record.get("gain"),
         "coil": {
             name: {
                 "truth": value,
@@ -119,7 +119,7 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
 
 
 def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
-    """What the rig as described would have been fitted to, had nothing been wrong: the same readings and noise without the flaw."""
+    """Fit of the rig as described to the same readings and noise without the flaw."""
     with tempfile.TemporaryDirectory() as folder:
         hidden.without_flaws().write(Path(folder))
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
@@ -137,8 +137,8 @@ def line(row: Row) -> str:
     if "error" in row:
         return f"{row['kind']} {row['seed']}: {row['error']}"
     truth = " + ".join(cause["label"] for cause in row["truth"]) or "nothing"
-    found = " + ".join(" or ".join(names) for names in credible_sets(row)) or "-"
-    return f"{row['kind']} {row['seed']} {row['protocol']}: {truth} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
+    sets = " + ".join(" or ".join(names) for names in credible_sets(row)) or "-"
+    return f"{row['kind']} {row['seed']} {row['protocol']}: {truth} -> {row['verdict']}: {sets} ({row['seconds']:.1f} s)"
 
 
 def show(rows: list[Row]) -> None:
@@ -152,7 +152,7 @@ def show(rows: list[Row]) -> None:
             f"clean: {len(by_kind['clean'])} sessions, false alarm in {share(len(alarms), len(by_kind['clean']))}"
         )
     if by_kind["pair"]:
-        both = sum(found_all(row) for row in by_kind["pair"])
+        both = sum(has_found_all(row) for row in by_kind["pair"])
         print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
         show_coverage(by_kind["pair"])
     if by_kind["outside"]:
@@ -162,10 +162,10 @@ def show(rows: list[Row]) -> None:
         print(f"time of a diagnosis: median {seconds[len(seconds) // 2]:.1f} s, longest {seconds[-1]:.1f} s")
     print("confusion, truth -> first set of causes")
     confusion = Counter(
-        (truth_of(row), found_of(row)) for row in rows if row["kind"] in ("single", "discrete", "outside")
+        (truth_of(row), named_in(row)) for row in rows if row["kind"] in ("single", "discrete", "outside")
     )
-    for (truth, found), number in sorted(confusion.items()):
-        print(f"  {truth:24} {found:60} {number}")
+    for (truth, named), number in sorted(confusion.items()):
+        print(f"  {truth:24} {named:60} {number}")
 
 
 def show_single(kind: str, rows: list[Row]) -> None:
@@ -184,7 +184,7 @@ def show_single(kind: str, rows: list[Row]) -> None:
     if several:
         explained = sum(is_explained(row["causes"][0]) for row in several)
         print(
-            f"  sets of several causes that what the readings can tell apart explains: {share(explained, len(several))}"
+            f"  sets of several causes as the expected log evidence predicts: {share(explained, len(several))}"
         )
     if kind == "single":
         show_sizes(rows)
@@ -192,27 +192,27 @@ def show_single(kind: str, rows: list[Row]) -> None:
 
 
 def is_explained(cause: dict[str, Any]) -> bool:
-    """Whether every other member had a chance of one in a thousand, at least, to stay in the credible set: some are lucky in 300 sessions.
+    """Whether every other member had at least a chance of one in a thousand to stay in the credible set: in 300 sessions some do.
 
     The log evidence of one hypothesis against another scatters by the root of twice its expected value. The answer is no
     where nothing was computed for a member: it was not fitted in full, or is a mistake of the record.
     """
-    expected = [other.get("expected_log_evidence") for other in cause["alternatives"]]
+    expected = [alternative.get("expected_log_evidence") for alternative in cause["alternatives"]]
     return all(e is not None and e - LUCKY_SD * math.sqrt(2.0 * e) < math.log(20.0) for e in expected)
 
 
 def show_sizes(rows: list[Row]) -> None:
-    """True sizes inside 90 % intervals, unseen readings against the noise, and the coil's numbers, where one right cause was found."""
+    """Sessions with one right cause: coverage of true sizes, error on unseen readings over the noise, and the coil's parameters."""
     inside = []
     ratio, coils = [], []
     for row in rows:
         sets = credible_sets(row)
         if len(sets) != 1 or sets[0][0] != truth_of(row):
             continue
-        found = row["causes"][0]["parameters"]
+        sized = row["causes"][0]["parameters"]
         for key, value in true_quantities(row["truth"][0]).items():
-            if key in found:
-                low, high = found[key]["ci90"]
+            if key in sized:
+                low, high = sized[key]["ci90"]
                 inside.append(low <= value <= high)
         if row["gain"]:
             noise_T = math.sqrt(3.0 * sum(v**2 for v in row["noise_T"].values()) / len(row["noise_T"]))
@@ -227,7 +227,7 @@ def show_sizes(rows: list[Row]) -> None:
 
 
 def in_sd(numbers: dict[str, float]) -> tuple[float, float, float]:
-    """Error of one parameter of the coil before and after the extension and without the flaw, in sd of the fit before."""
+    """Error of a coil parameter before and after the extension and without the flaw, in standard deviations of the fit before."""
     before, after, unflawed = (
         (numbers[k] - numbers["truth"]) / numbers["sd_before"] for k in ("before", "after", "unflawed")
     )
@@ -235,7 +235,7 @@ def in_sd(numbers: dict[str, float]) -> tuple[float, float, float]:
 
 
 def show_coils(coils: list[list[tuple[float, float, float]]]) -> None:
-    """How often the extension brings the coil closer to the truth, by how far the flaw had moved it, and how often no flaw would."""
+    """How often the extension, or a fit without the flaw, is closer to the true coil, by the distance that the flaw had moved it."""
     for least_sd in (1.0, 2.0, 3.0, 4.0):
         biased = [c for c in coils if max(abs(before - unflawed) for before, _, unflawed in c) > least_sd]
         norms = [tuple(math.hypot(*errors) for errors in zip(*c, strict=True)) for c in biased]
@@ -248,10 +248,10 @@ def show_coils(coils: list[list[tuple[float, float, float]]]) -> None:
 
 
 def show_coverage(rows: list[Row]) -> None:
-    """How many of the coil's true numbers lie in the 90 % intervals of the extended rig."""
-    numbers = [one for row in rows for one in row["coil"].values() if "sd_after" in one]
-    inside = sum(abs(one["after"] - one["truth"]) < HALF_WIDTH_90 * one["sd_after"] for one in numbers)
-    print(f"  the coil's true numbers inside their 90 % intervals: {share(inside, len(numbers))}")
+    """Coverage of the coil's true parameters by the 90 % intervals of the extended rig."""
+    parameters = [numbers for row in rows for numbers in row["coil"].values() if "sd_after" in numbers]
+    inside = sum(abs(p["after"] - p["truth"]) < HALF_WIDTH_90 * p["sd_after"] for p in parameters)
+    print(f"  the coil's true parameters inside their 90 % intervals: {share(inside, len(parameters))}")
 
 
 def show_outside(rows: list[Row]) -> None:
@@ -264,8 +264,8 @@ def show_outside(rows: list[Row]) -> None:
     show_coverage(rows)
 
 
-def found_all(row: Row) -> bool:
-    """Whether every true cause stands in a set of its own."""
+def has_found_all(row: Row) -> bool:
+    """Whether every true cause is in a credible set of its own."""
     sets, true = credible_sets(row), [cause["label"] for cause in row["truth"]]
     return any(
         all(name in names for name, names in zip(true, chosen, strict=True))
@@ -277,7 +277,7 @@ def truth_of(row: Row) -> str:
     return " + ".join(cause["label"] for cause in row["truth"])
 
 
-def found_of(row: Row) -> str:
+def named_in(row: Row) -> str:
     names = " or ".join(credible_sets(row)[0]) if row["causes"] else "-"
     return f"{row['verdict']}: {names}"
 

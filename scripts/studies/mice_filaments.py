@@ -1,7 +1,7 @@
-"""What the filaments of a superconducting magnet do to its maps: everything fitted at once, without them and with them.
+"""Effect of superconducting filaments on the maps of a magnet: all causes fitted at once, without the filaments and with them.
 
-The search of `diagnose` takes cause after cause; here all that the probes may have wrong is free from the start, the steel plate is
-known, and the question is one: are the windings magnetised? `make mice-filaments` runs it; it needs the folder named by COILCAL_DATA.
+`diagnose` adds one cause after another. Here all causes of the probes are free from the start, the steel plate is known, and the only
+question is whether the windings are magnetised. `make mice-filaments` runs it; it needs the folder named by COILCAL_DATA.
 """
 
 from __future__ import annotations
@@ -32,16 +32,18 @@ MAPS = ("mice-run05", "mice-run07")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [data_set.name for data_set in MICE]
+    known_names = [data_set.name for data_set in MICE]
     parser.add_argument(
-        "names", nargs="*", help=f"of {', '.join(known)}; by default run05 (M2) and run07 (M1)"
+        "names", nargs="*", help=f"of {', '.join(known_names)}; by default run05 (M2) and run07 (M1)"
     )
-    parser.add_argument("--readings", type=int, default=900, help="to fit; drawn from four blocks in five")
+    parser.add_argument(
+        "--readings", type=int, default=900, help="number of readings to fit, drawn from four blocks in five"
+    )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/mice_filaments"), help="of the picture")
+    parser.add_argument("--out", type=Path, default=Path("out/mice_filaments"), help="folder for the picture")
     options = parser.parse_args()
-    for name in set(options.names) - set(known):
-        sys.exit(f"mice_filaments: names must be of {', '.join(known)}; received {name}")
+    for name in set(options.names) - set(known_names):
+        sys.exit(f"mice_filaments: names must be of {', '.join(known_names)}; received {name}")
     data = os.environ.get("COILCAL_DATA")
     if not data:
         sys.exit("mice_filaments: COILCAL_DATA must name the folder with the measured maps; it is not set")
@@ -70,7 +72,7 @@ def main() -> None:
 
 
 def with_all(rig: Rig, seen: Observations, causes: list[Cause]) -> Rig:
-    """The rig with causes at their nulls, free."""
+    """The rig with the causes and a background field free, starting at their nulls."""
     for cause in [*causes, Cause("background_field", "room")]:
         if cause not in rig.effects:
             rig = with_effect(rig, cause, seen, {})
@@ -96,8 +98,8 @@ def vector_rms_T(fit: Fit, observations: Observations) -> float:
 
 
 def draw_without_current(data: Path, file: Path) -> None:
-    """Field along the axis in run01, each probe less its own mean, and where the windings are."""
-    session = session_of(next(one for one in MICE if one.name == "mice-run01"), data)
+    """Field along the axis in run01 less the mean of each probe, with the positions of the windings."""
+    session = session_of(next(data_set for data_set in MICE if data_set.name == "mice-run01"), data)
     observations, nominal = session.observations, session.rig.nominal_values()
     height_m = observations.motion["mapper"][:, 2]
     axial_mT = 1e3 * observations.field_sensor_T[:, 2]
@@ -111,12 +113,17 @@ def draw_without_current(data: Path, file: Path) -> None:
     axes.axvline(plate_m, color="0.5", ls="--", lw=1)
     axes.text(plate_m, 0.72, "plate ", ha="right")
     for i, sensor in enumerate(session.rig.sensors):
-        mine = observations.sensor == i
+        is_own = observations.sensor == i
         axes.plot(
-            height_m[mine], axial_mT[mine] - axial_mT[mine].mean(), ".-", lw=0.5, ms=4, label=sensor.name
+            height_m[is_own],
+            axial_mT[is_own] - axial_mT[is_own].mean(),
+            ".-",
+            lw=0.5,
+            ms=4,
+            label=sensor.name,
         )
     axes.set(xlabel="along the magnet, z / m", ylabel="axial field / mT", ylim=(-0.65, 0.8))
-    axes.set_title("No current: what the five windings hold on to, in six probes (grey: windings)")
+    axes.set_title("No current: remanent field of the five windings in six probes (grey: windings)")
     axes.legend(ncols=6, fontsize="small", loc="lower center")
     figure.savefig(file, dpi=90)
 

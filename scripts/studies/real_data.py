@@ -1,4 +1,4 @@
-"""Calibrations of measured coils: residuals of the nominal geometry, after pose and current, after the posterior.
+"""Calibrations of measured coils: residuals of the nominal geometry, of fitted pose and current, and of the posterior.
 
 `make real` runs it; it needs the maps of public repositories in the folder named by COILCAL_DATA (see the README) and writes tables to
 standard output and, per data set, a calibration with its report below --out.
@@ -93,30 +93,30 @@ def run(data_set: DataSet, data: Path, out: Path, ess: float, seed: int) -> None
     print(f"\n{data_set.name}: {len(observations)} readings, {int(split.sum())} of them for validation")
     show("nominal", session, rig, values(rig.nominal_values()))
     winding = [p.name for p in rig.free if p.name.endswith(WINDING)]
-    pose = rig.with_fixed(winding)
-    show("pose, current and noise", session, pose, fit(session, pose, seed))
+    winding_fixed = rig.with_fixed(winding)
+    show("pose, current and noise", session, winding_fixed, fit(session, winding_fixed, seed))
     settings = SamplerSettings(target_ess=ess)
     calibration = calibrate(session, out=out, overwrite=True, seed=seed, settings=settings)
     show("posterior, winding too", session, rig, values(calibration.best), by_sensor=True)
-    record = calibration.summary()
+    summary = calibration.summary()
     write_text(
         out / "report.html",
         calibration_report(calibration, f"python -m scripts.studies.real_data {data_set.name}"),
     )
     print(f"  {'parameter':36} {'median':>12} {'sd':>10}  {'prior':>22}")
     for parameter in rig.free:
-        p, prior = record["parameters"][parameter.name], parameter.prior
+        numbers, prior = summary["parameters"][parameter.name], parameter.prior
         assert prior is not None
         print(
-            f"  {parameter.name:36} {p['median']:12.6g} {p['sd']:10.2g}  {prior.centre:12.6g} +- {prior.sd:.2g}"
+            f"  {parameter.name:36} {numbers['median']:12.6g} {numbers['sd']:10.2g}  {prior.centre:12.6g} +- {prior.sd:.2g}"
         )
-    for name, distance in record["prior_tension"].items():
-        print(f"  {name} lies {distance:+.1f} prior standard deviations from its prior's centre")
-    for direction in record["undetermined"]:
+    for name, distance in summary["prior_tension"].items():
+        print(f"  {name} lies {distance:+.1f} prior standard deviations from the centre of its prior")
+    for direction in summary["undetermined"]:
         print(f"  not determined by the data: {direction['words']}")
-    state = "converged" if record["is_converged"] else "NOT CONVERGED"
+    state = "converged" if summary["is_converged"] else "NOT CONVERGED"
     print(
-        f"  coverage of 90 % intervals: {record['coverage90']}; sampling {state}: {record['sampling']}; "
+        f"  coverage of 90 % intervals: {summary['coverage90']}; sampling {state}: {summary['sampling']}; "
         f"{time.perf_counter() - begin:.0f} s"
     )
 
@@ -133,25 +133,25 @@ def values(numbers: dict[str, float]) -> dict[str, torch.Tensor]:
 
 
 def show(
-    label: str, session: Session, rig: Rig, at: dict[str, torch.Tensor], by_sensor: bool = False
+    label: str, session: Session, rig: Rig, values: dict[str, torch.Tensor], by_sensor: bool = False
 ) -> None:
     observations = session.observations
     measured = observations.field_sensor_T.numpy()
-    predicted = MeasurementModel.build(rig, observations).predict(at).numpy()
+    predicted = MeasurementModel.build(rig, observations).predict(values).numpy()
     is_validation = observations.is_validation.numpy()
     parts = {"all": np.ones_like(is_validation), "calibration": ~is_validation, "validation": is_validation}
     text = []
-    for role, mine in parts.items():
-        if mine.any():
-            e = error_metrics(measured[mine], predicted[mine])
-            text.append(f"{role} {e.vector_T * 1e3:.4f} mT ({e.relative:.2%})")
+    for role, is_part in parts.items():
+        if is_part.any():
+            metrics = error_metrics(measured[is_part], predicted[is_part])
+            text.append(f"{role} {metrics.vector_T * 1e3:.4f} mT ({metrics.relative:.2%})")
     print(f"  {label:24} vector rms: {', '.join(text)}")
     if by_sensor and len(rig.sensors) > 1:
         for i, sensor in enumerate(rig.sensors):
-            mine = observations.sensor.numpy() == i
-            e = error_metrics(measured[mine], predicted[mine])
+            is_own = observations.sensor.numpy() == i
+            metrics = error_metrics(measured[is_own], predicted[is_own])
             print(
-                f"    {sensor.name}: {e.vector_T * 1e3:.4f} mT ({e.relative:.2%}), largest {e.max_T * 1e3:.2f} mT"
+                f"    {sensor.name}: {metrics.vector_T * 1e3:.4f} mT ({metrics.relative:.2%}), largest {metrics.max_T * 1e3:.2f} mT"
             )
 
 

@@ -1,8 +1,8 @@
-"""A real repeat: MICE run06, a quick look at coil M1, then run07, its full map, through `recalibrate`; what it concludes, and why.
+"""A repeat on measured data: MICE run06, a quick look at coil M1, then run07, its full map, through `recalibrate`.
 
-`make recalibrate-mice` runs it; it needs the maps of a public repository in the folder named by COILCAL_DATA (see the README). Of the full
-map it takes some of the readings, drawn at random, for a diagnosis of all 11514 takes long; `--readings 0` takes all. Run again after an
-interruption, it goes on with the run that was not concluded.
+`make recalibrate-mice` runs it and prints each conclusion with its reason; it needs the maps of a public repository in the folder named by
+COILCAL_DATA (see the README). It takes a random part of the full map, because a diagnosis of all 11514 readings takes long; `--readings 0`
+takes all. After an interruption it continues with the run that has no conclusion yet.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from estimator.recalibration.registry import Entry
 from estimator.store.importers import IMPORTERS
 
 RIG = Path(__file__).resolve().parents[2] / "configs/mice_ssu_m1.yaml"
-RUNS = {"run06": "2018-03-21T10:58:36", "run07": "2018-03-21T11:18:55"}  # when they began
+RUNS = {"run06": "2018-03-21T10:58:36", "run07": "2018-03-21T11:18:55"}  # start of each
 
 
 def main() -> None:
@@ -40,9 +40,11 @@ def main() -> None:
         if not path.exists():
             files = sorted((Path(data) / "mice-ssu-solenoids").glob(f"{run}*.dat"))
             session = IMPORTERS["mice"](files, rig, {"M1": 30.0})
-            few = thinned(session.observations, options.readings or len(session.observations), options.seed)
-            print(f"{run}: {len(few)} of {len(session.observations)} readings")
-            replace(session, observations=few, created=created).save(path)
+            readings = thinned(
+                session.observations, options.readings or len(session.observations), options.seed
+            )
+            print(f"{run}: {len(readings)} of {len(session.observations)} readings")
+            replace(session, observations=readings, created=created).save(path)
     registry = Registry(options.out / "registry")
     recalibrate(rig, options.out / "inbox", registry.folder, seed=options.seed)
     for entry in registry.entries():
@@ -56,11 +58,12 @@ def show(entry: Entry) -> None:
     print(f"{Path(entry.session).stem}: {entry.conclusion}, version {entry.version}; {entry.reason}")
     for cause in entry.causes:
         sizes = [
-            f"{key} {p['median']:.4g} ± {p['sd']:.1g} {p['unit']}" for key, p in cause["parameters"].items()
+            f"{key} {numbers['median']:.4g} ± {numbers['sd']:.1g} {numbers['unit']}"
+            for key, numbers in cause["parameters"].items()
         ]
-        others = [other["name"] for other in cause["alternatives"]]
+        alternatives = [alternative["name"] for alternative in cause["alternatives"]]
         print(
-            f"  {' or '.join([cause['name'], *others])} ({cause['log_bayes_factor']:+.0f}): {', '.join(sizes)}"
+            f"  {' or '.join([cause['name'], *alternatives])} ({cause['log_bayes_factor']:+.0f}): {', '.join(sizes)}"
         )
     for name, value in entry.checks.items():
         print(f"  {name}: {value}")

@@ -1,8 +1,8 @@
-"""A simulated year of monthly sessions: one coil mounted anew in May, and a cause that begins in September. Prints every conclusion.
+"""A simulated year of monthly sessions: one coil mounted anew in May, and a cause that begins in September; prints every conclusion.
 
     python -m scripts.studies.recalibrate_year --cause coil_heating.loss_per_A2=2e-3 --out out/year
 
-What it printed, by cause and seed, is in docs/results.md.
+Its output by cause and seed is in docs/results.md.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ def main() -> None:
     parser.add_argument("--cause", default="offset_drift.x_T_per_h=1e-4", metavar="CAUSE=SIZE")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/year"), help="folder for inbox and registry")
-    arguments = parser.parse_args()
-    rig = load_rig(arguments.rig)
-    plan = load_plan(arguments.plan, rig)
-    name, _, size = arguments.cause.partition("=")
-    truth = draw_truth(rig, arguments.seed)
+    options = parser.parse_args()
+    rig = load_rig(options.rig)
+    plan = load_plan(options.plan, rig)
+    name, _, size = options.cause.partition("=")
+    truth = draw_truth(rig, options.seed)
     pose = next(name for name in truth if name.endswith(".z_m"))
-    inbox = arguments.out / "inbox"
+    inbox = options.out / "inbox"
     for month in range(1, 13):
-        now = dict(truth)
-        now[pose] += SHIFT_M if month >= REMOUNTED else 0.0
+        truth_now = dict(truth)
+        truth_now[pose] += SHIFT_M if month >= REMOUNTED else 0.0
         hidden = {name: float(size)} if month >= BEGINS else {}
-        readings = simulate(rig, plan, now, 100 * arguments.seed + month, hidden)
+        readings = simulate(rig, plan, truth_now, 100 * options.seed + month, hidden)
         taken = datetime(2026, month, 1, 9, tzinfo=UTC).isoformat()
         source = f"simulated, month {month}, " + json.dumps(hidden)
         Session(rig, readings, source, taken).save(inbox / f"{month:02d}.zarr", overwrite=True)
     recalibrate(
         rig,
         inbox,
-        arguments.out / "registry",
-        seed=arguments.seed,
+        options.out / "registry",
+        seed=options.seed,
         on_entry=lambda entry: print(
             f"{entry.taken[:7]}  {entry.conclusion:9}  version {entry.version}  {entry.reason}"
             + (f"; since {entry.since[:7]}" if entry.since else ""),

@@ -1,8 +1,8 @@
-"""Simulated years of weekly sessions, in each of which one cause begins in week 20: is it told within two weeks, by its name?
+"""Simulated years of weekly sessions with one cause that begins in week 20: is it named within two weeks?
 
-`make recalibrate-years` runs it. The cause is drawn from ten, its size between half and all of the largest, its direction in space by
-chance. `right` says that the true name stands in the set with its sensor or coil, `place` that it does at another one. A year that was
-cut off goes on, and one that ended is a line of `years.jsonl`; the table at the end is of the seeds that were asked for.
+`make recalibrate-years` runs it. The cause is one of ten, with a random direction and a size between half and all of the largest. `right`
+means that the credible set holds the true name with its sensor or coil, `place` that it holds the name at another one. An interrupted year
+continues; a finished one is a line of `years.jsonl`. The table at the end covers the seeds that were asked for.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SECOND_SENSOR = """\
 """
 PLAN = """\
 schema_version: 1
-name: weekly check, two sensors, both signs of the current and none, places in random order
+name: weekly check, two sensors, both signs of the current and none, positions in random order
 poses:
   calibration:
     arm1: {x_mm: {from: -50, to: 50}, y_mm: {from: -50, to: 50}, z_mm: {from: -25, to: 25}}
@@ -54,14 +54,16 @@ currents_A: [{coil1: 3}, {coil1: -3}, {}]
 order: random
 settle_s: 10
 """
-SETTINGS = SamplerSettings(target_ess=400.0, max_steps=2000)  # of new versions: this study is not about these
+SETTINGS = SamplerSettings(
+    target_ess=400.0, max_steps=2000
+)  # of new versions, which this study does not test
 ALARMS = ("drifted", "rejected")
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What may begin: quantities of one cause and their largest size; `is_growing` adds the size again each week.
+    """A cause that may begin: its quantities and their largest size; `is_growing` adds the size again each week.
 
     A single quantity has the sign of `largest`.
     """
@@ -72,7 +74,7 @@ class Kind:
     is_growing: bool = False
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
-        """A direction over the quantities, times a size between half and all of the largest."""
+        """A random direction of the quantities, times a size between half and all of the largest."""
         direction = rng.normal(size=len(self.keys)) if len(self.keys) > 1 else np.ones(1)
         size = self.largest * rng.uniform(0.5, 1.0)
         values = size * direction / np.linalg.norm(direction)
@@ -122,11 +124,11 @@ def main() -> None:
 
 
 def year(seed: int, weeks: int, folder: Path) -> Row:
-    """One year through `recalibrate`, and that all its versions can be opened and made current again."""
+    """Run one year through `recalibrate`, and check that each of its versions can be made current again."""
     begin_s = time.process_time()
     rng = np.random.default_rng([20, seed])
-    words = list(KINDS)[int(rng.integers(len(KINDS)))]
-    size = KINDS[words].drawn(rng)
+    title = list(KINDS)[int(rng.integers(len(KINDS)))]
+    size = KINDS[title].drawn(rng)
     folder.mkdir(exist_ok=True)
     (folder / "rig.yaml").write_text((CONFIGS / "paper_simulation.yaml").read_text() + SECOND_SENSOR)
     (folder / "plan.yaml").write_text(PLAN)
@@ -135,7 +137,7 @@ def year(seed: int, weeks: int, folder: Path) -> Row:
     for week in range(1, weeks + 1):
         path = folder / "inbox" / f"{week:02d}.zarr"
         if not path.exists():
-            readings = simulate(rig, plan, truth, 100 * seed + week, hidden(KINDS[words], size, week))
+            readings = simulate(rig, plan, truth, 100 * seed + week, hidden(KINDS[title], size, week))
             taken = datetime(2026, 1, 5, 9, tzinfo=UTC) + timedelta(weeks=week - 1)
             Session(rig, readings, f"simulated, week {week}", taken.isoformat()).save(path)
     registry = Registry(folder / "registry")
@@ -144,8 +146,8 @@ def year(seed: int, weeks: int, folder: Path) -> Row:
     check_versions(registry)
     return {
         "seed": seed,
-        "words": words,
-        "cause": KINDS[words].cause,
+        "words": title,
+        "cause": KINDS[title].cause,
         "size": size,
         "seconds": time.process_time() - begin_s,
         "weeks": [
@@ -154,7 +156,10 @@ def year(seed: int, weeks: int, folder: Path) -> Row:
                 "version": entry.version,
                 "p_value": entry.checks.get("p_value"),
                 "since": entry.since,
-                "named": [[c["name"], *(o["name"] for o in c["alternatives"])] for c in entry.causes],
+                "named": [
+                    [cause["name"], *(other["name"] for other in cause["alternatives"])]
+                    for cause in entry.causes
+                ],
                 "reason": entry.reason,
             }
             for entry in entries
@@ -163,10 +168,10 @@ def year(seed: int, weeks: int, folder: Path) -> Row:
 
 
 def check_versions(registry: Registry) -> None:
-    """Every version can be made current again, whole; in the end that is the one that was."""
-    last = registry.current
-    assert last is not None
-    for version in (*registry.versions, last):
+    """Make every version current again, undamaged, the last time the one that is current now."""
+    current = registry.current
+    assert current is not None
+    for version in (*registry.versions, current):
         with registry.writing():
             registry.roll_back(version)
         if (
@@ -177,7 +182,7 @@ def check_versions(registry: Registry) -> None:
 
 
 def hidden(kind: Kind, size: Mapping[str, float], week: int) -> dict[str, float]:
-    """What a week's session holds of the cause."""
+    """Quantities of the cause in a week's session."""
     since = week - BEGINS + 1
     if since < 1:
         return {}
@@ -185,13 +190,13 @@ def hidden(kind: Kind, size: Mapping[str, float], week: int) -> dict[str, float]
 
 
 def alarms(row: Row) -> list[int]:
-    """Weeks before the cause begins in which something was told."""
+    """Weeks with an alarm before the cause begins."""
     early = row["weeks"][: BEGINS - 1]
     return [i for i, week in enumerate(early, start=1) if week["conclusion"] in ALARMS]
 
 
 def drift(row: Row) -> tuple[int, list[list[str]]] | None:
-    """Week of the first drift after the cause began, and the sets of names."""
+    """Week of the first drift after the cause began, and the credible sets of names."""
     for number, week in enumerate(row["weeks"][BEGINS - 1 :], start=BEGINS):
         if week["conclusion"] == "drifted":
             return number, week["named"]
@@ -199,31 +204,31 @@ def drift(row: Row) -> tuple[int, list[list[str]]] | None:
 
 
 def is_right(row: Row) -> bool:
-    """Whether `drifted` came within two weeks with one cause whose set of names holds the true one, at whatever place."""
-    found = drift(row)
-    if found is None or found[0] >= BEGINS + WITHIN or len(found[1]) != 1:
+    """Whether `drifted` came within two weeks with one cause whose credible set holds the true name, at any place."""
+    first = drift(row)
+    if first is None or first[0] >= BEGINS + WITHIN or len(first[1]) != 1:
         return False
-    return without_place(row["cause"]) in map(without_place, found[1][0])
+    return without_place(row["cause"]) in map(without_place, first[1][0])
 
 
 def is_strict(row: Row) -> bool:
-    """The same, with the place of the cause too: the sensor that was touched; where there is only one place, names leave it out."""
-    found = drift(row)
-    names = () if found is None else found[1][0]
+    """Whether the place is right too: the sensor or coil that changed. Names leave it out where there is only one."""
+    first = drift(row)
+    names = () if first is None else first[1][0]
     return is_right(row) and (row["cause"] in names or without_place(row["cause"]) in names)
 
 
 def needless(row: Row) -> list[int]:
-    """Weeks before the cause begins that led to a new version, which nothing called for."""
+    """Weeks before the cause begins that led to a needless new version."""
     early = row["weeks"][1 : BEGINS - 1]
     return [i for i, week in enumerate(early, start=2) if week["conclusion"] == "updated"]
 
 
 def is_first(row: Row) -> bool:
-    """The same, with the true name in front."""
-    found = drift(row)
+    """Whether the true name is also the most probable one."""
+    first = drift(row)
     return (
-        is_right(row) and found is not None and without_place(found[1][0][0]) == without_place(row["cause"])
+        is_right(row) and first is not None and without_place(first[1][0][0]) == without_place(row["cause"])
     )
 
 
@@ -232,8 +237,12 @@ def without_place(name: str) -> str:
 
 
 def line(row: Row) -> str:
-    found = drift(row)
-    told = "never" if found is None else f"week {found[0]}: " + " and ".join(" or ".join(s) for s in found[1])
+    first = drift(row)
+    told = (
+        "never"
+        if first is None
+        else f"week {first[0]}: " + " and ".join(" or ".join(names) for names in first[1])
+    )
     size = math.sqrt(sum(value**2 for value in row["size"].values()))
     early = "; before: " + ", ".join(f"week {week}" for week in alarms(row)) if alarms(row) else ""
     judged = "right" if is_strict(row) else "place" if is_right(row) else "WRONG"
@@ -244,7 +253,7 @@ def show(rows: list[Row]) -> None:
     for row in rows:
         print(line(row))
         counts = Counter(week["conclusion"] for week in row["weeks"])
-        print("  " + ", ".join(f"{number} {words}" for words, number in counts.items()))
+        print("  " + ", ".join(f"{number} {conclusion}" for conclusion, number in counts.items()))
         for number, week in enumerate(row["weeks"][1:], start=2):
             if week["conclusion"] != "unchanged":
                 print(f"  week {number}: {week['conclusion']}, {week['reason']}")
@@ -253,10 +262,10 @@ def show(rows: list[Row]) -> None:
     print(f"no alarm before week {BEGINS}: {quiet} of {n}")
     strict, updates = sum(map(is_strict, rows)), sum(len(needless(row)) for row in rows)
     print(
-        f"drifted within {WITHIN} weeks with the true name in the one set that is named: {right} of {n}, in front: {first}"
+        f"drifted within {WITHIN} weeks, the true name in the only credible set: {right} of {n}, most probable: {first}"
     )
-    print(f"  the true sensor or coil beside it too: {strict} of {n} (`place` where it is another one)")
-    print(f"new versions before week {BEGINS} that nothing called for: {updates}")
+    print(f"  with the true sensor or coil: {strict} of {n} (otherwise marked `place`)")
+    print(f"needless new versions before week {BEGINS}: {updates}")
 
 
 if __name__ == "__main__":

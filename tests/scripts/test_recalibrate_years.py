@@ -1,4 +1,4 @@
-"""How a year is counted: by name, by name and place, by needless updates; and every version is made current again."""
+"""How a year is counted: by name, by name and place, and by needless updates; every version is made current again."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_cause_at_another_sensor_is_not_strictly_right(
     assert (years.is_right(row), years.is_strict(row)) == (is_right, is_strict)
 
 
-def test_updates_that_nothing_called_for_are_counted_and_the_first_calibration_is_none() -> None:
+def test_needless_updates_are_counted_but_not_the_first_calibration() -> None:
     assert years.needless(year("robot_scale", "robot_scale", updates=(8, 12))) == [8, 12]
     assert years.needless(year("robot_scale", "robot_scale")) == []
     assert not years.alarms(year("robot_scale", "robot_scale", updates=(8,)))
@@ -46,7 +46,7 @@ def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(
 ) -> None:
     current: list[int] = [2]
 
-    class Kept(Registry):
+    class TwoVersions(Registry):
         versions = (1, 2)
 
         def writing(self) -> Any:
@@ -62,8 +62,8 @@ def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(
         def calibration(self, version: int | None = None) -> Any:
             return type("Whole", (), {"record": {"version": version or self.current}})
 
-    years.check_versions(Kept(tmp_path))
+    years.check_versions(TwoVersions(tmp_path))
     assert current == [2, 1, 2, 2]
-    monkeypatch.setattr(Kept, "roll_back", lambda *_: None)
+    monkeypatch.setattr(TwoVersions, "roll_back", lambda *_: None)
     with pytest.raises(RuntimeError, match="version 1 must be current again"):
-        years.check_versions(Kept(tmp_path))
+        years.check_versions(TwoVersions(tmp_path))

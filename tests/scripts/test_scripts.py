@@ -32,6 +32,9 @@ def run(name: str, *arguments: str) -> None:
     """As from the command line."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sys, "argv", [name, *arguments])
+        patched.delitem(
+            sys.modules, f"scripts.{name}", raising=False
+        )  # runpy warns of a module imported before
         runpy.run_module(f"scripts.{name}", run_name="__main__")
 
 

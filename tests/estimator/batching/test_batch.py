@@ -48,7 +48,7 @@ def address() -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def found(sessions: list[Path], address: str, tmp_path_factory) -> BatchResult:
+def fitted(sessions: list[Path], address: str, tmp_path_factory) -> BatchResult:
     out = tmp_path_factory.mktemp("batch")
     bad = out / "bad.zarr"
     bad.mkdir()
@@ -61,17 +61,17 @@ def found(sessions: list[Path], address: str, tmp_path_factory) -> BatchResult:
     )
 
 
-def test_all_sessions_are_fitted_under_all_hypotheses_and_the_bad_one_is_told(found, sessions):
-    table = found.table()
+def test_all_sessions_are_fitted_under_all_hypotheses_and_the_bad_one_is_told(fitted, sessions):
+    table = fitted.table()
     assert len(table) == 6
     assert set(table["session"]) == {str(path) for path in sessions}
-    assert next(iter(found.failed.values())).startswith("session must be a folder that coilcal import")
+    assert next(iter(fitted.failed.values())).startswith("session must be a folder that coilcal import")
     assert table.groupby("session")["probability"].sum().to_numpy() == pytest.approx(np.ones(3))
     assert table["is_converged"].any()
 
 
-def test_clean_sessions_prefer_the_plain_rig(found):
-    table = found.table()
+def test_clean_sessions_prefer_the_plain_rig(fitted):
+    table = fitted.table()
     assert (table[table["hypothesis"] == "plain"]["probability"] > 0.5).all()
 
 
@@ -213,8 +213,8 @@ def test_coils_are_told_apart_in_the_data_set(tmp_path, address):
     assert result.dataset()["coil"].to_numpy().tolist() == ["coil1", "coil2"]
 
 
-def test_truth_lies_within_four_standard_deviations(found, small_truth):
-    arrays = found.dataset()
+def test_truth_lies_within_four_standard_deviations(fitted, small_truth):
+    arrays = fitted.dataset()
     plain = arrays.sel(job=arrays["hypothesis"] == "plain")
     for name, value in small_truth.items():
         if name in plain["parameter"]:
@@ -222,12 +222,12 @@ def test_truth_lies_within_four_standard_deviations(found, small_truth):
             assert (abs(one["median"] - value) < 4.0 * one["sd"]).all(), name
 
 
-def test_what_is_finished_is_not_done_again(found, sessions, address):
-    before = {name: (found.folder / name / "result.json").stat().st_mtime_ns for name in found.names}
+def test_what_is_finished_is_not_done_again(fitted, sessions, address):
+    before = {name: (fitted.folder / name / "result.json").stat().st_mtime_ns for name in fitted.names}
     told: list[str] = []
     again = batch(
         sessions,
-        out=found.folder.parent,
+        out=fitted.folder.parent,
         hypotheses=HYPOTHESES,
         has_posterior=False,
         scheduler=address,
@@ -237,9 +237,9 @@ def test_what_is_finished_is_not_done_again(found, sessions, address):
     assert {name: (again.folder / name / "result.json").stat().st_mtime_ns for name in again.names} == before
 
 
-def test_unfinished_rest_of_a_stack_gets_the_same_numbers(found, sessions, tmp_path):
+def test_unfinished_rest_of_a_stack_gets_the_same_numbers(fitted, sessions, tmp_path):
     jobs = [job for path in sessions for job in jobs_of(str(path), None, HYPOTHESES, False, 0)[0]]
-    assert {job.name for job in jobs} == set(found.names)
+    assert {job.name for job in jobs} == set(fitted.names)
     stack = next(iter(stacks(jobs, 8000, 64)))
     assert len(stack) == 3
     (tmp_path / stack[0].name).mkdir()
@@ -248,16 +248,16 @@ def test_unfinished_rest_of_a_stack_gets_the_same_numbers(found, sessions, tmp_p
     assert (tmp_path / stack[0].name / "result.json").read_text() == "{}"
     for job in stack[1:]:
         old, new = (
-            json.loads((where / job.name / "result.json").read_text()) for where in (found.folder, tmp_path)
+            json.loads((where / job.name / "result.json").read_text()) for where in (fitted.folder, tmp_path)
         )
         assert old == new
 
 
-def test_a_session_fitted_alone_agrees_with_the_stack(found, sessions, tmp_path):
+def test_a_session_fitted_alone_agrees_with_the_stack(fitted, sessions, tmp_path):
     (job,), _ = jobs_of(str(sessions[1]), None, ("plain",), False, 0)
     fit([job], str(tmp_path))
     old, new = (
-        json.loads((where / job.name / "result.json").read_text()) for where in (found.folder, tmp_path)
+        json.loads((where / job.name / "result.json").read_text()) for where in (fitted.folder, tmp_path)
     )
     assert new["log_evidence"] == pytest.approx(old["log_evidence"], abs=1e-3)
     for name, p in new["parameters"].items():
@@ -284,18 +284,18 @@ def test_each_coil_is_calibrated_from_readings_in_which_it_alone_has_current(tmp
     }
 
 
-def test_page_says_how_many_fits_and_what_failed(found):
-    page = overview(found, "coilcal batch")
+def test_page_says_how_many_fits_and_what_failed(fitted):
+    page = overview(fitted, "coilcal batch")
     assert "6 fits, 0 of them sampled, 1 failed" in page
     assert "session must be a folder" in page
     assert "Parameters, session by session" in page
 
 
-def test_table_is_written_with_all_digits(found, tmp_path):
+def test_table_is_written_with_all_digits(fitted, tmp_path):
     import pandas as pd
 
-    found.save_table(tmp_path)
-    table = found.table()
+    fitted.save_table(tmp_path)
+    table = fitted.table()
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "summary.parquet"), table)
     read = pd.read_csv(tmp_path / "summary.csv")
     assert read["coil1.radius_m"].to_numpy() == pytest.approx(table["coil1.radius_m"].to_numpy(), rel=1e-15)

@@ -15,9 +15,9 @@ from tests.estimator.batching.schedulers import free_address, started, stop
 
 
 def results(where: Cluster, calls) -> dict[object, object]:
-    found: dict[object, object] = {}
-    where.run(calls, found.__setitem__)
-    return found
+    received: dict[object, object] = {}
+    where.run(calls, received.__setitem__)
+    return received
 
 
 def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
@@ -25,10 +25,10 @@ def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
         LocalCluster(n_workers=1, processes=False, dashboard_address="127.0.0.1:0") as local,
         cluster(None, local.scheduler_address) as where,
     ):
-        found = results(where, {"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))})
-    assert found["a"] == 4
-    assert found["c"] == 8
-    assert str(found["b"]) == "ValueError: 3 is refused"
+        received = results(where, {"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))})
+    assert received["a"] == 4
+    assert received["c"] == 8
+    assert str(received["b"]) == "ValueError: 3 is refused"
 
 
 def test_a_fault_in_whoever_hears_of_results_is_no_lost_scheduler():

@@ -52,14 +52,14 @@ def test_the_truth_is_found_within_its_intervals(
 ) -> None:
     parameters = small_calibration.summary()["parameters"]
     for name in ("coil1.radius_m", "coil1.world_from_coil0.z_m"):
-        found = parameters[name]
-        assert abs(found["median"] - small_truth[name]) < 4 * found["sd"]
+        numbers = parameters[name]
+        assert abs(numbers["median"] - small_truth[name]) < 4 * numbers["sd"]
         assert (
-            found["sd"] < 0.1 * small_calibration.rig.parameters[name].prior.sd
+            numbers["sd"] < 0.1 * small_calibration.rig.parameters[name].prior.sd
         )  # the data did it, not the prior
-        low, high = found["ci90"]
-        assert low < found["median"] < high
-        assert (high - low) == pytest.approx(2 * 1.645 * found["sd"], rel=0.2)
+        low, high = numbers["ci90"]
+        assert low < numbers["median"] < high
+        assert (high - low) == pytest.approx(2 * 1.645 * numbers["sd"], rel=0.2)
     assert parameters["coil1.axial_loops"]["median"] == small_truth["coil1.axial_loops"]
 
 
@@ -181,9 +181,9 @@ def test_noise_alone_can_be_calibrated(rig_text: str, small_session: Session) ->
     text = rig_text.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 20, relative_sd: 1}}}")
     values = {"coil1.radius_m": 0.0518, "coil1.axial_loops": 13.0, "coil1.world_from_coil0.z_m": -0.0425}
     rig = rig_from_text(text).with_values(values).with_fixed(values)
-    found = calibrate(small_session, rig, settings=QUICK).summary()["parameters"]["hall.noise_T"]
-    assert abs(found["median"] - 5e-6) < 4 * found["sd"]
-    assert found["sd"] == pytest.approx(5e-6 / math.sqrt(2 * 81), rel=0.35)
+    numbers = calibrate(small_session, rig, settings=QUICK).summary()["parameters"]["hall.noise_T"]
+    assert abs(numbers["median"] - 5e-6) < 4 * numbers["sd"]
+    assert numbers["sd"] == pytest.approx(5e-6 / math.sqrt(2 * 81), rel=0.35)
 
 
 def test_stages_are_told_in_order(tiny_calibration: Calibration, told: list[Stage]) -> None:
@@ -216,10 +216,12 @@ def test_a_run_that_ends_early_says_so_and_continues_when_more_steps_are_allowed
     short = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=30))
     assert short.summary()["is_converged"] is False
     assert Calibration.load(tmp_path).summary()["sampling"]["steps"] == 30
-    whole = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=60))
+    completed = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=60))
     assert np.array_equal(chain_of(tmp_path), chain_of(uninterrupted))
     assert (
-        Calibration.load(tmp_path).summary() == Calibration.load(uninterrupted).summary() == whole.summary()
+        Calibration.load(tmp_path).summary()
+        == Calibration.load(uninterrupted).summary()
+        == completed.summary()
     )
     fewer = calibrate(small_session, tiny, out=tmp_path, settings=replace(never, max_steps=20))
     assert fewer.summary()["sampling"]["steps"] == 60  # steps that exist are not thrown away
@@ -259,7 +261,7 @@ def test_an_unfinished_run_of_something_else_is_kept(
         arguments = {"rig": tiny, "settings": never, **changed}
         with pytest.raises(
             InvalidInput,
-            match="output must be free, hold an unfinished calibration of the same session, rig, seed",
+            match="output must be empty, hold an unfinished calibration of the same session, rig, seed",
         ):
             calibrate(small_session, out=uninterrupted, **arguments)
     assert np.array_equal(chain_of(uninterrupted), before)
@@ -270,7 +272,7 @@ def test_a_finished_calibration_is_replaced_only_when_asked(
 ) -> None:
     tiny_calibration.save(tmp_path)
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InvalidInput, match="output must not hold a finished calibration, or be replaced"):
+    with pytest.raises(InvalidInput, match="output must not hold a finished calibration unless --overwrite"):
         calibrate(small_session, tiny, out=tmp_path, settings=QUICK, seed=1)
     few = replace(QUICK, n_walkers=2)
     with pytest.raises(
@@ -279,13 +281,13 @@ def test_a_finished_calibration_is_replaced_only_when_asked(
         calibrate(small_session, tiny, out=tmp_path, overwrite=True, settings=few, seed=1)
     assert Calibration.load(tmp_path).summary() == json.loads(json.dumps(tiny_calibration.summary()))
     calibrate(small_session, tiny, out=tmp_path, overwrite=True, settings=QUICK, seed=1)
-    other = Calibration.load(tmp_path)
-    assert other.summary()["seed"] == 1
+    replaced = Calibration.load(tmp_path)
+    assert replaced.summary()["seed"] == 1
     assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
     # Another seed gives other draws of the same posterior.
-    assert not np.array_equal(other.draws[DISTANCE], tiny_calibration.draws[DISTANCE])
-    one, two = (c.summary()["parameters"][DISTANCE] for c in (tiny_calibration, other))
-    assert abs(one["median"] - two["median"]) < 5 * 1.25 * one["sd"] * math.sqrt(2 / QUICK.target_ess)
+    assert not np.array_equal(replaced.draws[DISTANCE], tiny_calibration.draws[DISTANCE])
+    first, second = (c.summary()["parameters"][DISTANCE] for c in (tiny_calibration, replaced))
+    assert abs(first["median"] - second["median"]) < 5 * 1.25 * first["sd"] * math.sqrt(2 / QUICK.target_ess)
 
 
 def test_a_damaged_chain_is_not_continued(

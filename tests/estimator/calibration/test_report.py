@@ -38,10 +38,10 @@ def test_noise_of_components_that_were_not_measured_does_not_count(small_calibra
     field_T[small_calibration.observations.is_validation.nonzero()[0]] = torch.nan
     observations = small_calibration.observations.with_field(field_T)
     noise = {"hall.noise_T": np.full_like(small_calibration.log_prob, 5e-6)}
-    found = as_text(
+    page = as_text(
         replace(small_calibration, observations=observations, draws={**small_calibration.draws, **noise})
     )
-    assert f"Noise as large as the fit found would by itself leave {5.0 * np.sqrt(2.0):.4g} µT" in found
+    assert f"Noise as large as the fit found would by itself leave {5.0 * np.sqrt(2.0):.4g} µT" in page
 
 
 def test_ends_of_an_interval_have_the_digits_of_the_median(text: str) -> None:

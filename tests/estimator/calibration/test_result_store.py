@@ -38,10 +38,10 @@ def test_what_was_saved_is_loaded_with_the_same_field_and_intervals(
     assert loaded.best == small_calibration.best
     assert loaded.summary() == json.loads(json.dumps(small_calibration.summary()))
     assert torch.equal(loaded.field(points_m, ON), small_calibration.field(points_m, ON))
-    for one, other in zip(
+    for loaded_T, computed_T in zip(
         loaded.field_interval(points_m, ON), small_calibration.field_interval(points_m, ON), strict=True
     ):
-        assert torch.equal(one, other)
+        assert torch.equal(loaded_T, computed_T)
     for name, draws in small_calibration.draws.items():
         assert np.array_equal(loaded.draws[name], draws)
     assert np.array_equal(loaded.log_prob, small_calibration.log_prob)

@@ -61,8 +61,8 @@ REFUSALS = {
     "calibrate readings.csv --out new": f"{NO_SESSION} readings.csv",
     "calibrate no.zarr --out new": f"{NO_SESSION} no.zarr",
     "calibrate calibration/chain.zarr --out new": "session must be of kind 'coilcal session'; received None (calibration/chain.zarr)",
-    "calibrate session.zarr --out calibration": "output must not hold a finished calibration, "
-    "or be replaced with --overwrite; received calibration",
+    "calibrate session.zarr --out calibration": "output must not hold a finished calibration unless --overwrite replaces it; "
+    "received calibration",
     "calibrate session.zarr --out new --walkers 2": "walkers must be at least 6 for 3 free parameters; received 2",
     "calibrate session.zarr --out rig.yaml": "output must be a folder that can be written; rig.yaml is not: File exists",
     "calibrate session.zarr --out rig.yaml/new": "output must be a folder that can be written; rig.yaml/new is not: Not a directory",

@@ -34,14 +34,14 @@ def test_a_session_is_refreshed_beside_the_program_and_once(small_session: Sessi
         assert background.is_busy
         assert background.take() is None
         assert time.monotonic() - begin_s < 1.0
-        found = background.last(small_session)
+        result = background.last(small_session)
         assert background.last(small_session) is None  # it is known already
-    assert found is not None
-    assert found.n_readings == 36
-    assert found.verdict == "nothing_found"
-    low, high = found.ci90["coil1.radius_m"]
+    assert result is not None
+    assert result.n_readings == 36
+    assert result.verdict == "nothing_found"
+    low, high = result.ci90["coil1.radius_m"]
     assert low < small_session.truth["coil1.radius_m"] < high
-    assert found.best["coil1.axial_loops"] == small_session.truth["coil1.axial_loops"]
+    assert result.best["coil1.axial_loops"] == small_session.truth["coil1.axial_loops"]
 
 
 def test_leaving_it_ends_the_work_at_once(small_session: Session) -> None:
@@ -62,12 +62,10 @@ def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_sess
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
         assert background.trouble is not None
-        assert background.trouble.endswith(
-            "after 20 readings gave nothing: their process ended with exit status -9"
-        )
+        assert background.trouble.endswith("after 20 readings failed: the process ended with exit status -9")
         assert not background.wants(20)  # what killed it would do so again
         assert background.last(broken(small_session, 25)) is None
-        assert "after 25 readings gave nothing: AttributeError: " in background.trouble  # by another process
+        assert "after 25 readings failed: AttributeError: " in background.trouble  # by another process
 
 
 def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_session: Session) -> None:
@@ -84,7 +82,7 @@ def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_s
         for n in (20, 25):
             assert background.last(broken(small_session, n)) is None
             assert background.trouble is not None
-            assert f"after {n} readings gave nothing: AttributeError: " in background.trouble
+            assert f"after {n} readings failed: AttributeError: " in background.trouble
         assert process.is_alive()
 
 

@@ -63,11 +63,11 @@ def quickly(
 def test_p_values_of_clean_sessions_are_uniform(
     quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
 ) -> None:
-    found = quickly(small_calibration)
-    joint = np.array([one.p_value for one in found])
+    agreements = quickly(small_calibration)
+    joint = np.array([test.p_value for test in agreements])
     assert stats.kstest(joint, "uniform").pvalue > 0.01
-    for name in found[0].by_test:
-        assert stats.kstest([one.by_test[name] for one in found], "uniform").pvalue > 0.01
+    for name in agreements[0].by_test:
+        assert stats.kstest([test.by_test[name] for test in agreements], "uniform").pvalue > 0.01
     assert (joint < 0.05).sum() <= 7  # of 40; more have a probability of 0.2 %
 
 
@@ -75,17 +75,17 @@ def test_a_posterior_that_is_too_narrow_gives_false_alarms(
     quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
 ) -> None:
     narrow = {n: draws.mean() + 0.1 * (draws - draws.mean()) for n, draws in small_calibration.draws.items()}
-    found = quickly(replace(small_calibration, draws=narrow))
-    assert stats.kstest([one.by_test["parameters"] for one in found], "uniform").pvalue < 0.01
+    agreements = quickly(replace(small_calibration, draws=narrow))
+    assert stats.kstest([test.by_test["parameters"] for test in agreements], "uniform").pvalue < 0.01
 
 
 def test_a_coil_mounted_anew_disagrees_but_a_refit_is_enough(
     small_calibration: Calibration, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
 ) -> None:
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.0405}
-    found = asked(small_calibration, small_rig, simulate(small_rig, small_plan, truth, seed=7))
-    assert not found.holds
-    assert found.is_refit_enough
+    outcome = asked(small_calibration, small_rig, simulate(small_rig, small_plan, truth, seed=7))
+    assert not outcome.holds
+    assert outcome.is_refit_enough
 
 
 def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
@@ -93,7 +93,7 @@ def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
 ) -> None:
     hidden = {"background_field.x_T": 15e-6}
     readings = simulate(small_rig, small_plan, small_truth, seed=8, hidden=hidden)
-    found = asked(small_calibration, small_rig, readings)
-    assert not found.holds
-    assert not found.is_refit_enough
-    assert found.striking_cause in ("background_field[room]", "sensor_offset[hall]")
+    outcome = asked(small_calibration, small_rig, readings)
+    assert not outcome.holds
+    assert not outcome.is_refit_enough
+    assert outcome.striking_cause in ("background_field[room]", "sensor_offset[hall]")

@@ -55,9 +55,9 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
         return replace(real(*arguments), elpd_difference=1.9, elpd_se=1.0)  # type: ignore[arg-type]
 
     monkeypatch.setattr(judgement, "gain", small_gain)
-    found = judge(mounted_anew, small_rig, small_calibration, seed=1)
-    assert (found.conclusion, found.calibration, found.agrees) == ("unchanged", None, False)
-    assert found.reason.startswith(
+    judged = judge(mounted_anew, small_rig, small_calibration, seed=1)
+    assert (judged.conclusion, judged.calibration, judged.agrees) == ("unchanged", None, False)
+    assert judged.reason.startswith(
         "disagrees with the current version (p < 0.0001); the new fit does not predict"
     )
     assert not is_sampled
@@ -66,30 +66,30 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
 def test_readings_that_are_too_old_to_replace_are_judged_and_lead_to_no_successor(
     mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, is_sampled: list[bool]
 ) -> None:
-    found = judge(mounted_anew, small_rig, small_calibration, may_replace=False, seed=1)
-    assert (found.conclusion, found.calibration, found.agrees) == ("unchanged", None, False)
-    assert "coil1.world_from_coil0.z moved by" in found.reason
+    judged = judge(mounted_anew, small_rig, small_calibration, may_replace=False, seed=1)
+    assert (judged.conclusion, judged.calibration, judged.agrees) == ("unchanged", None, False)
+    assert "coil1.world_from_coil0.z moved by" in judged.reason
     assert not is_sampled
 
 
 def test_a_successor_that_did_not_converge_does_not_replace_and_it_is_said(
     mounted_anew: Session, small_rig: Rig, small_calibration: Calibration
 ) -> None:
-    found = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=TOO_FEW_STEPS)
-    assert (found.conclusion, found.calibration) == ("unchanged", None)
-    assert found.checks["is_successor_converged"] is False
-    assert "but its posterior did not converge (" in found.reason
-    assert found.reason.endswith(": the current version stays")
+    judged = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=TOO_FEW_STEPS)
+    assert (judged.conclusion, judged.calibration) == ("unchanged", None)
+    assert judged.checks["is_successor_converged"] is False
+    assert "but its posterior did not converge (" in judged.reason
+    assert judged.reason.endswith(": the current version stays")
 
 
 def test_a_first_calibration_that_did_not_converge_is_kept_for_there_is_no_other_and_it_is_said(
     small_session: Session, small_rig: Rig
 ) -> None:
-    found = judge(small_session, small_rig, None, seed=1, settings=TOO_FEW_STEPS)
-    assert found.calibration is not None
-    assert found.checks["is_successor_converged"] is False
-    assert found.reason.startswith("first calibration; its posterior did not converge (")
-    assert found.reason.endswith("intervals are provisional")
+    judged = judge(small_session, small_rig, None, seed=1, settings=TOO_FEW_STEPS)
+    assert judged.calibration is not None
+    assert judged.checks["is_successor_converged"] is False
+    assert judged.reason.startswith("first calibration; its posterior did not converge (")
+    assert judged.reason.endswith("intervals are provisional")
 
 
 def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
@@ -106,9 +106,9 @@ def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
         return replace(small_calibration, draws=draws)
 
     monkeypatch.setattr(judgement, "_sampled", gone_astray)
-    found: Judgement = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=small_settings)
-    assert (found.conclusion, found.calibration) == ("unchanged", None)
-    assert "its sampled posterior predicts them worse (log density -" in found.reason
+    judged: Judgement = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=small_settings)
+    assert (judged.conclusion, judged.calibration) == ("unchanged", None)
+    assert "its sampled posterior predicts them worse (log density -" in judged.reason
 
 
 def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
@@ -157,6 +157,6 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
     monkeypatch.setattr(judgement, "calibrate", calibrated)
     readings = simulate(small_rig, small_plan, small_truth, 4, {"background_field.x_T": 20e-6})
     drifted = replace(small_session, observations=readings)
-    found = judge(drifted, small_rig, small_calibration, seed=1, settings=SamplerSettings(n_walkers=6))
-    assert found.conclusion == "drifted"
+    judged = judge(drifted, small_rig, small_calibration, seed=1, settings=SamplerSettings(n_walkers=6))
+    assert judged.conclusion == "drifted"
     assert asked[0].n_walkers >= 12

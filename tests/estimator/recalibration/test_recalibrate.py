@@ -193,10 +193,10 @@ def test_provenance_says_with_what_a_version_was_made(
     settings = SamplerSettings(target_ess=123.0)
     recalibrate(small_rig, inbox, tmp_path / "registry", seed=5, settings=settings)
     path = tmp_path / "registry" / "current" / "provenance.json"
-    found = json.loads(path.read_text(encoding="utf-8"))
-    assert found["described_rig_hash"] == small_rig.hash
-    assert (found["settings"]["target_ess"], found["settings"]["seed"]) == (123.0, 5)
-    assert found["code"] == "abc-dirty"
+    provenance = json.loads(path.read_text(encoding="utf-8"))
+    assert provenance["described_rig_hash"] == small_rig.hash
+    assert (provenance["settings"]["target_ess"], provenance["settings"]["seed"]) == (123.0, 5)
+    assert provenance["code"] == "abc-dirty"
 
 
 def test_a_session_that_is_measured_or_copied_is_left_for_the_next_time_and_it_is_said(
@@ -241,8 +241,8 @@ def test_two_things_without_anything_in_them_are_told_apart(tmp_path: Path) -> N
     for name in ("a.zarr", "b.zarr"):
         (tmp_path / name).write_bytes(b"")
         (tmp_path / f"folder_{name}").mkdir()
-    found, waiting = arrivals(tmp_path)
-    assert len({arrival.hash for arrival in found}) == 4
+    arrived, waiting = arrivals(tmp_path)
+    assert len({arrival.hash for arrival in arrived}) == 4
     assert not waiting
 
 
@@ -265,8 +265,8 @@ def test_what_the_system_refuses_to_read_is_one_bad_session_and_what_is_gone_is_
 
     monkeypatch.setattr(arrivals_module, "load_session", load)
     monkeypatch.setattr(Path, "read_bytes", read)
-    found, _ = arrivals(inbox)
-    assert {a.path.stem: a.fault for a in found} == {
+    arrived, _ = arrivals(inbox)
+    assert {a.path.stem: a.fault for a in arrived} == {
         "z_first": "",
         "y_same": "",
         "w_drift": "Permission denied",
@@ -292,7 +292,7 @@ def test_an_older_session_that_comes_late_never_replaces_the_calibration_of_a_la
     *_, late = recalibrate(small_rig, inbox, registry.folder, seed=1)
     assert (late.conclusion, late.made, late.version, late.agrees) == ("unchanged", None, 1, False)
     assert late.reason.startswith(
-        "comes late: its readings are older than those of version 1, which stays; beside"
+        "comes late: its readings are older than those of version 1, which stays; compared with"
     )
     assert late.estimate["coil1.world_from_coil0.z_m"][0] == pytest.approx(-0.0405, abs=2e-4)
     assert _since(registry.entries(), "9") == "9"
@@ -347,11 +347,11 @@ def test_a_coil_mounted_anew_updates_the_calibration(
 ) -> None:
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.0405}
     session = Session(small_rig, simulate(small_rig, small_plan, truth, seed=7), "simulated")
-    found = judge(session, small_rig, small_calibration, seed=1, settings=small_settings)
-    assert found.conclusion == "updated"
-    assert "coil1.world_from_coil0.z moved by" in found.reason
-    assert found.calibration is not None
-    z = found.calibration.summary()["parameters"]["coil1.world_from_coil0.z_m"]
+    judged = judge(session, small_rig, small_calibration, seed=1, settings=small_settings)
+    assert judged.conclusion == "updated"
+    assert "coil1.world_from_coil0.z moved by" in judged.reason
+    assert judged.calibration is not None
+    z = judged.calibration.summary()["parameters"]["coil1.world_from_coil0.z_m"]
     assert z["median"] == pytest.approx(-0.0405, abs=4.0 * z["sd"])
 
 
@@ -361,10 +361,10 @@ def test_mistakes_of_the_record_are_rejected(
 ) -> None:
     readings = small_session.observations
     wrong = replace(small_session, observations=readings.with_field(factor * readings.field_sensor_T))
-    found = judge(wrong, small_rig, small_calibration, seed=1)
-    assert found.conclusion == "rejected"
-    assert found.calibration is None
-    assert ("current_sign" if factor < 0.0 else "fields look like mT") in found.reason
+    judged = judge(wrong, small_rig, small_calibration, seed=1)
+    assert judged.conclusion == "rejected"
+    assert judged.calibration is None
+    assert ("current_sign" if factor < 0.0 else "fields look like mT") in judged.reason
 
 
 def entry(taken: str, agrees: bool | None, made: int | None = None) -> Entry:

@@ -41,8 +41,8 @@ def after(method):
     return run
 
 replaced = {
-    "before keeping": ("_keep", die),
-    "after keeping": ("_keep", after(Registry._keep)),
+    "before saving": ("_save", die),
+    "after saving": ("_save", after(Registry._save)),
     "in the log": ("_log", torn),
     "after the log": ("_log", after(Registry._log)),
     "after all": ("_point", after(Registry._point)),
@@ -163,7 +163,7 @@ def test_a_damaged_line_of_the_log_is_refused(registry: Registry) -> None:
 def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
     kept: Path, tmp_path: Path, small_calibration: Calibration
 ) -> None:
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", KILLS, kept, tmp_path / "work"],
         cwd=Path(__file__).parents[3],
         capture_output=True,
@@ -171,12 +171,12 @@ def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
         timeout=120,
         check=False,
     )
-    assert found.returncode == 0, found.stderr
+    assert process.returncode == 0, process.stderr
     seed = small_calibration.summary()["seed"]
     first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]
-    assert [json.loads(line) for line in found.stdout.splitlines()] == [
-        ["before keeping", 9, seed, *first],
-        ["after keeping", 9, seed, *both],
+    assert [json.loads(line) for line in process.stdout.splitlines()] == [
+        ["before saving", 9, seed, *first],
+        ["after saving", 9, seed, *both],
         ["in the log", 9, seed, *both],
         ["after the log", 9, seed, *both],
         ["after all", 9, seed, *both],

@@ -28,13 +28,13 @@ def known(calibration: Calibration, rig: Rig, **draws: tuple[float, float]) -> C
     """A calibration of a rig whose free parameters have independent draws of given mean and sd; others are certain."""
     rng = np.random.default_rng(1)
     best = {p.name: p.value for p in rig.free}
-    found = {}
+    draws = {}
     for p in rig.free:
         mean, sd = draws.get(p.name.rpartition(".")[2], (p.value, 0.0))
         best[p.name] = mean
         noise = rng.normal(size=(50, 80))
-        found[p.name] = mean + sd * (noise - noise.mean()) / noise.std()
-    return Calibration(rig, calibration.observations, best, found, calibration.log_prob, {})
+        draws[p.name] = mean + sd * (noise - noise.mean()) / noise.std()
+    return Calibration(rig, calibration.observations, best, draws, calibration.log_prob, {})
 
 
 def test_a_pose_may_be_another_one_and_a_winding_may_not(

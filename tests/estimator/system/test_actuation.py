@@ -46,14 +46,14 @@ def test_bounds_hold_and_nothing_within_them_comes_closer() -> None:
     currents_A = bounded_currents(matrix, target, most_A)
     assert (currents_A.abs() <= most_A + 1e-9).all()
     assert (currents_A.abs() > most_A - 1e-9).any(-1).sum() > 3  # the bounds matter here
-    for one, wanted, found in zip(matrix.numpy(), target.numpy(), currents_A.numpy(), strict=True):
+    for at_point, wanted, bounded_A in zip(matrix.numpy(), target.numpy(), currents_A.numpy(), strict=True):
         rival = minimize(
-            lambda i, a=one, b=wanted: 1e6 * ((a @ i - b) ** 2).sum(),
+            lambda i, a=at_point, b=wanted: 1e6 * ((a @ i - b) ** 2).sum(),
             np.zeros(5),
             bounds=[(-m, m) for m in most_A.tolist()],
             options={"ftol": 1e-15, "gtol": 1e-10},
         )
-        assert 1e6 * ((one @ found - wanted) ** 2).sum() < rival.fun + 1e-9
+        assert 1e6 * ((at_point @ bounded_A - wanted) ** 2).sum() < rival.fun + 1e-9
 
 
 def test_bounds_that_do_not_bind_leave_the_smallest_currents() -> None:
@@ -68,12 +68,12 @@ def test_unknown_rows_give_unknown_currents_and_leave_the_others() -> None:
     holed[1, 0, 0] = torch.nan
     for most_A in (None, 0.3):
         if most_A is None:
-            found, whole = (minimum_norm_currents(m, target) for m in (holed, matrix))
+            holed_A, whole_A = (minimum_norm_currents(m, target) for m in (holed, matrix))
         else:
             bound = torch.full((4,), most_A, dtype=torch.float64)
-            found, whole = (bounded_currents(m, target, bound) for m in (holed, matrix))
-        assert torch.isnan(found[1]).all()
-        torch.testing.assert_close(found[[0, 2]], whole[[0, 2]])
+            holed_A, whole_A = (bounded_currents(m, target, bound) for m in (holed, matrix))
+        assert torch.isnan(holed_A[1]).all()
+        torch.testing.assert_close(holed_A[[0, 2]], whole_A[[0, 2]])
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, float("nan")])

@@ -67,7 +67,7 @@ def measured(rig: Rig, folder: object, currents: str, seed: int, hidden: dict[st
 
 
 def calibrated(session: Session) -> Calibration:
-    """A calibration that found the truth."""
+    """A calibration at the truth."""
     best = session.rig.with_values(TRUTH).nominal_values()
     draws = {p.name: np.full((2, 3), best[p.name]) for p in session.rig.free}
     return Calibration(session.rig, session.observations, best, draws, np.zeros((2, 3)), {})
@@ -93,10 +93,10 @@ def coupled(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Superposition
 def test_coils_that_add_up_are_not_said_to_couple_and_the_share_is_bounded(clean: Superposition) -> None:
     assert not clean.is_coupled
     assert clean.errors.vector_T == pytest.approx(5e-6 * 3**0.5, rel=0.15)
-    for one in clean.shares.values():
-        assert abs(one.share) < 3.5 * one.sd
-        assert one.largest < 0.01
-        assert one.most_T < 30e-6
+    for share in clean.shares.values():
+        assert abs(share.share) < 3.5 * share.sd
+        assert share.largest < 0.01
+        assert share.most_T < 30e-6
     assert clean.words().startswith("no coupling found: coil1 carries ")
 
 
@@ -104,7 +104,7 @@ def test_a_coil_that_carries_a_share_of_its_neighbour_is_named_and_the_share_is_
     clean: Superposition, coupled: Superposition
 ) -> None:
     assert coupled.is_coupled
-    assert [one.cause.label for one in coupled.diagnosis.causes] == ["neighbour_coil[coil2]"]
+    assert [named.cause.label for named in coupled.diagnosis.causes] == ["neighbour_coil[coil2]"]
     assert abs(coupled.shares["coil2"].share - 0.02) < 3.5 * coupled.shares["coil2"].sd
     assert abs(coupled.shares["coil1"].share) < 3.5 * coupled.shares["coil1"].sd
     assert coupled.errors.vector_T > 1.1 * clean.errors.vector_T
@@ -119,11 +119,11 @@ def test_the_plain_sum_predicts_what_perfect_sensors_read(rig: Rig, tmp_path) ->
 
 
 def test_joined_sessions_follow_each_other_in_time(rig: Rig, tmp_path) -> None:
-    one, other = (measured(rig, tmp_path, "{coil1: 3}", seed, {}).observations for seed in (1, 2))
-    both = joined([one, other])
-    assert len(both) == len(one) + len(other)
-    assert both.time_s[: len(one)].max() < both.time_s[len(one) :].min()
-    assert torch.equal(both.motion["arm2"][len(one) :], other.motion["arm2"])
+    first, second = (measured(rig, tmp_path, "{coil1: 3}", seed, {}).observations for seed in (1, 2))
+    both = joined([first, second])
+    assert len(both) == len(first) + len(second)
+    assert both.time_s[: len(first)].max() < both.time_s[len(first) :].min()
+    assert torch.equal(both.motion["arm2"][len(first) :], second.motion["arm2"])
 
 
 def test_readings_with_one_coil_on_cannot_test_superposition(rig: Rig, tmp_path) -> None:
@@ -133,7 +133,7 @@ def test_readings_with_one_coil_on_cannot_test_superposition(rig: Rig, tmp_path)
 
 
 def test_a_calibration_of_another_rig_is_refused(rig: Rig, tmp_path) -> None:
-    other = rig_from_text(RIG.replace("hall", "probe"))
+    renamed = rig_from_text(RIG.replace("hall", "probe"))
     both = measured(rig, tmp_path, "{coil1: 3, coil2: 3}", 1, {})
     with pytest.raises(InvalidInput, match="sensors of the rig must be those of the session"):
-        superposition(System.of(calibrated(measured(other, tmp_path, "{coil1: 3}", 1, {}))), both)
+        superposition(System.of(calibrated(measured(renamed, tmp_path, "{coil1: 3}", 1, {}))), both)

@@ -89,23 +89,23 @@ def magnet() -> System:
 def test_arms_calibrated_one_at_a_time_give_the_field_of_the_whole_rig(
     arms: System, points_m: Tensor
 ) -> None:
-    whole = calibrated(rig_from_text(TWO_ARMS))
+    both_arms = calibrated(rig_from_text(TWO_ARMS))
     here = arms.at(points_m, {"arm1": JOINTS})
     assert arms.coils == ("coil1", "coil2")
     assert [[c.name for c in part.rig.coils] for part in arms.parts] == [["coil1"], ["coil2"]]
     currents = {"coil1": 2.0, "coil2": -1.5}
-    expected = whole.field(points_m, currents, {"arm1": JOINTS})
+    expected = both_arms.field(points_m, currents, {"arm1": JOINTS})
     torch.testing.assert_close(here.field_T(arms.currents(currents)), expected, rtol=2e-6, atol=1e-12)
 
 
 def test_the_model_of_each_coil_is_that_of_its_own_calibration(points_m: Tensor) -> None:
     rig = rig_from_text(TWO_ARMS)
-    one, other = calibrated(rig), calibrated(rig.with_values({"coil2.radius_m": 0.06}))
+    first, second = calibrated(rig), calibrated(rig.with_values({"coil2.radius_m": 0.06}))
     motion, on = {"arm1": JOINTS}, {"coil2": 1.0}
-    system = System({"coil1": one, "coil2": other})
+    system = System({"coil1": first, "coil2": second})
     field_T = system.at(points_m, motion).field_T(system.currents(on))
-    torch.testing.assert_close(field_T, other.field(points_m, on, motion), rtol=2e-6, atol=1e-12)
-    assert (field_T - one.field(points_m, on, motion)).norm() > 0.01 * field_T.norm()
+    torch.testing.assert_close(field_T, second.field(points_m, on, motion), rtol=2e-6, atol=1e-12)
+    assert (field_T - first.field(points_m, on, motion)).norm() > 0.01 * field_T.norm()
 
 
 def test_fields_add_up_and_follow_the_sign_of_the_currents(magnet: System, points_m: Tensor) -> None:
@@ -177,11 +177,11 @@ def test_currents_that_made_a_field_or_a_force_are_found_again(points_m: Tensor)
     system = System.of(calibrated(fixed_coils(n=3)))
     here = system.at(points_m)
     true_A = tensor([[1.0, -2.0, 0.5], [0.3, 0.0, -1.0]])
-    found_A = here.currents_for_field(here.field_T(true_A))
-    torch.testing.assert_close(found_A, true_A[:, None].expand(2, 7, 3), rtol=1e-7, atol=1e-9)
+    solved_A = here.currents_for_field(here.field_T(true_A))
+    torch.testing.assert_close(solved_A, true_A[:, None].expand(2, 7, 3), rtol=1e-7, atol=1e-9)
     moment = tensor([0.0, 0.5, 1.0])
-    found_A = here.currents_for_force(moment, here.force_N(moment, true_A))
-    torch.testing.assert_close(found_A, true_A[:, None].expand(2, 7, 3), rtol=1e-5, atol=1e-7)
+    solved_A = here.currents_for_force(moment, here.force_N(moment, true_A))
+    torch.testing.assert_close(solved_A, true_A[:, None].expand(2, 7, 3), rtol=1e-5, atol=1e-7)
 
 
 def test_what_is_there_without_current_is_made_up_for(points_m: Tensor) -> None:
@@ -246,10 +246,10 @@ def test_intervals_hold_the_field_of_the_draws_and_separate_calibrations_err_ind
 ) -> None:
     """Two calibrations with the same seed have the same draws; the variance of their sum is still that of independent ones."""
     rig = rig_from_text(TWO_ARMS)
-    one, other = (calibrated(rig, 5, on, n_draws=400) for on in ([1.0, 0.0], [0.0, 1.0]))
-    same = dict.fromkeys(one.draws, one.draws["coil1.radius_m"])
-    one, other = replace(one, draws=same), replace(other, draws=same)
-    system, motion = System.of(one, other), {"arm1": JOINTS}
+    first, second = (calibrated(rig, 5, on, n_draws=400) for on in ([1.0, 0.0], [0.0, 1.0]))
+    same = dict.fromkeys(first.draws, first.draws["coil1.radius_m"])
+    first, second = replace(first, draws=same), replace(second, draws=same)
+    system, motion = System.of(first, second), {"arm1": JOINTS}
     here = system.at(points_m, motion)
     widths = []
     for currents in ({"coil1": 3.0}, {"coil2": 3.0}, {"coil1": 3.0, "coil2": 3.0}):
@@ -261,7 +261,7 @@ def test_intervals_hold_the_field_of_the_draws_and_separate_calibrations_err_ind
     assert (widths[2] / torch.hypot(widths[0], widths[1]))[big].median().item() == pytest.approx(
         1.0, abs=0.15
     )
-    lower, _ = one.field_interval(points_m, {"coil1": 3.0}, 0.68, motion)
+    lower, _ = first.field_interval(points_m, {"coil1": 3.0}, 0.68, motion)
     torch.testing.assert_close(
         here.field_interval_T(system.currents({"coil1": 3.0}), 0.68)[0], lower, rtol=1e-4, atol=1e-9
     )
@@ -284,15 +284,15 @@ def test_a_field_of_the_room_counts_once(points_m: Tensor) -> None:
 def test_inside_a_winding_nothing_is_known(magnet: System, points_m: Tensor) -> None:
     inside = torch.cat((points_m[:2], tensor([[0.085, 0.045, 0.0]])))
     here, on = magnet.at(inside), tensor([1.0, 0.0, 0.0, 0.0])
-    for found in (
+    for result in (
         here.field_T(on),
         here.actuation(),
         here.force_N(tensor([0.0, 0.0, 1.0]), on),
         here.currents_for_field(torch.full((3, 3), 1e-3).double()),
         here.currents_for_field(torch.full((3, 3), 1e-3).double(), 0.1),
     ):
-        assert torch.isnan(found[2]).all()
-        assert torch.isfinite(found[:2]).all()
+        assert torch.isnan(result[2]).all()
+        assert torch.isfinite(result[:2]).all()
 
 
 def test_coils_on_in_two_calibrations_or_in_none_are_refused() -> None:
