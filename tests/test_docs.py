@@ -13,7 +13,7 @@ import pytest
 from estimator.cli.main import main
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
-from estimator.readings.metrics import Errors
+from estimator.readings.metrics import ErrorMetrics
 from tests.documented import CAUSES, COMMANDS, SUMMARY, keys, section
 
 ROOT = Path(__file__).parents[1]
@@ -22,7 +22,10 @@ CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(<?([^)>\s]+)>?\)")
 MODULE_FILE = re.compile(r"(?<![\w/.])(?:estimator|drivers|scripts|tests|configs)/[\w/.-]*\w")
 MODULE = re.compile(r"(?<![\w/.-])(?:estimator|drivers|scripts)(?:\.[a-z_]\w*)+")
-PROMISED = {"estimator.register_effect"}  # told of before `estimator` exports it; to be taken out then
+PROMISED = {
+    "estimator.register_effect",
+    "docs/notebook/policy.md",
+}  # told of before they are there; to be taken out then
 ROW = re.compile(r"^\| \*\*(.+?)\*\* \|", re.MULTILINE)
 
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -77,7 +80,7 @@ def test_what_is_cited_is_in_the_repository(folder: str) -> None:
     for file in sorted(file for file in files if file.suffix in (".py", ".md", ".yaml")):
         text = file.read_text(encoding="utf-8")
         for path in re.findall(r"(?<![\w/.])docs/[\w/-]++(?:\.md)?(?!\[)", text):
-            assert any(ROOT.glob(f"{path}*")), f"{path} in {file}"
+            assert path in PROMISED or any(ROOT.glob(f"{path}*")), f"{path} in {file}"
         for name in re.findall(r"\b[A-Z][A-Z_]{3,}\.md\b", text):
             assert (ROOT / name).is_file(), f"{name} in {file}"
 
@@ -104,7 +107,7 @@ def test_every_command_is_listed() -> None:
 def test_error_keys_are_those_of_the_metrics() -> None:
     text = section(SUMMARY).split("**Error keys.**")[1].split("\n\n")[0]
     assert [key for key in re.findall(r"`(\w+)`", text) if key != "vector_T"] == [
-        field.name for field in fields(Errors) if field.name != "vector_T"
+        field.name for field in fields(ErrorMetrics) if field.name != "vector_T"
     ]
 
 
