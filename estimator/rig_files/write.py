@@ -49,7 +49,7 @@ def rig_text(rig: Rig, note: str = "") -> str:
         ... schema_version: 1
         ... name: small
         ... coils:
-        ...   coil1: {radius_cm: 5.1, wire_radius_mm: 0.98, axial_loops: 12, radial_loops: 3, current_gain: 1.0}
+        ...   coil1: {radius_cm: 5, wire_radius_mm: 0.98, axial_loops: 12, radial_loops: 3, current_gain: 1.0}
         ... sensors: {hall: {noise_uT: {prior: {normal: {mean: 5, sd: 1}}}}}
         ... ''')
         >>> print(rig_text(rig), end="")
@@ -57,7 +57,7 @@ def rig_text(rig: Rig, note: str = "") -> str:
         name: small
         <BLANKLINE>
         coils:
-          coil1: {radius_mm: 51, wire_radius_mm: 0.98, axial_loops: 12, radial_loops: 3}
+          coil1: {radius_mm: 50, wire_radius_mm: 0.98, axial_loops: 12, radial_loops: 3}
         <BLANKLINE>
         sensors:
           hall:

@@ -177,10 +177,10 @@ def hidden_session(kind: str, seed: int) -> Session:
 
 def diagnosed(diagnosis: Diagnosis) -> Row:
     """What a diagnosis said: verdict, sets of names, log evidences, standard deviations, and all else."""
-    record = diagnosis.record()
+    record = diagnosis.to_json()
     evidence = {
         "unexplained": record["unexplained"]["log_bayes_factor"],
-        "final": diagnosis.search.final.log_evidence - diagnosis.search.base.log_evidence,
+        "final": diagnosis.found.search.final.log_evidence - diagnosis.found.search.base.log_evidence,
     }
     for rival in record["steps"][0]["considered"]:
         evidence[rival["name"]] = rival["log_bayes_factor"]
@@ -199,7 +199,7 @@ def diagnosed(diagnosis: Diagnosis) -> Row:
         )
     }
     rest["alternatives"] = [cause["alternatives"] for cause in record["causes"]]
-    rest["sentences"] = [diagnosis.before.sentences(), diagnosis.after.sentences()]
+    rest["sentences"] = [diagnosis.fits.before.sentences(), diagnosis.fits.after.sentences()]
     return {
         "verdict": record["verdict"],
         "names": [[cause["name"], *(o["name"] for o in cause["alternatives"])] for cause in record["causes"]],
