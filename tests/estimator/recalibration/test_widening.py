@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.calibration.result import Calibration
-from estimator.recalibration.widening import (
-    EXPANSION,
-    LOOPS,
-    SHARE,
-    SHARE_OF_CAUSE,
-    SHARE_OF_POSE,
-    widened_rig,
-)
+from estimator.recalibration import policy
+from estimator.recalibration.widening import widened_rig
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -46,9 +40,9 @@ def test_a_pose_may_be_another_one_and_a_winding_may_not(
     first = small_rig.parameters[HEIGHT].prior
     assert first is not None
     wanted = {
-        RADIUS: math.hypot(draws[RADIUS].std(), EXPANSION * best[RADIUS]),
-        LOOPS_OF_COIL: LOOPS,
-        HEIGHT: math.hypot(draws[HEIGHT].std(), SHARE_OF_POSE * first.sd),
+        RADIUS: math.hypot(draws[RADIUS].std(), policy.EXPANSION * best[RADIUS]),
+        LOOPS_OF_COIL: policy.LOOPS,
+        HEIGHT: math.hypot(draws[HEIGHT].std(), policy.SHARE_OF_POSE * first.sd),
     }
     for name, sd in wanted.items():
         prior = widened.parameters[name].prior
@@ -74,7 +68,7 @@ def test_what_two_numbers_determine_together_stays_known(
     )
     widened = widened_rig(calibration, small_rig)
     relative_sd = [widened.parameters[name].prior.sd / best[name] for name in (RADIUS, LOOPS_OF_COIL)]  # type: ignore[union-attr]
-    may_change = math.hypot(EXPANSION, LOOPS / best[LOOPS_OF_COIL])
+    may_change = math.hypot(policy.EXPANSION, policy.LOOPS / best[LOOPS_OF_COIL])
     assert math.hypot(*relative_sd) < math.hypot(may_change, 2e-4)
 
 
@@ -99,9 +93,9 @@ def test_a_cause_that_began_may_go_on_and_noise_may_age(
     gain, noise = widened.parameters["axis_gain[hall].x"].prior, widened.parameters["hall.noise_T"].prior
     assert isinstance(gain, Normal)
     assert gain.mean == 0.012
-    assert gain.sd == pytest.approx(math.hypot(1e-3, SHARE_OF_CAUSE * 0.02), rel=1e-2)
+    assert gain.sd == pytest.approx(math.hypot(1e-3, policy.SHARE_OF_CAUSE * 0.02), rel=1e-2)
     assert isinstance(noise, LogNormal)
-    assert noise.relative_sd == pytest.approx(math.hypot(0.05, SHARE * 0.5), rel=1e-2)
+    assert noise.relative_sd == pytest.approx(math.hypot(0.05, policy.SHARE_OF_AGEING * 0.5), rel=1e-2)
 
 
 def test_what_anchors_share_becomes_each_sensor_s_own(small_calibration: Calibration, rig_text: str) -> None:

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.hypotheses import record_mistakes as record
+from estimator.diagnosis.hypotheses import record_mistakes
 from estimator.diagnosis.hypotheses.record_mistakes import without_faults
 from estimator.effects import EFFECTS
 from estimator.effects.record import DisplacementFrameError
@@ -36,7 +36,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     assert [fault.cause.name for fault in faults] == []
 
 
-@pytest.mark.parametrize("name", record.RECORD)
+@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.is_record_mistake])
 def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     small_rig: Rig, small_session: Session, name: str
 ):
@@ -45,6 +45,6 @@ def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     (place,) = EFFECTS[name].places(small_rig)
     starts = EFFECTS[name].starts(circumstances, place)[:20]
     cause, few = Cause(name, place), base.observations
-    one_by_one = [value for start in starts for value in record._coarse(base, cause, [start], few)]
-    assert record._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
+    one_by_one = [value for start in starts for value in record_mistakes._coarse(base, cause, [start], few)]
+    assert record_mistakes._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
     assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2
