@@ -55,6 +55,6 @@ def test_a_run_forks_where_a_rule_is_first_read(tmp_path: Path) -> None:
 
     run()
     found = [(row["rule"], row["which"], row["size"]) for row in read(out)]
-    assert found == [("SIZE", 0, 4.0), ("SIZE", 1, 16.0), ("", -1, 8.0)]
+    assert found == [("", -1, 8.0), ("SIZE", 0, 4.0), ("SIZE", 1, 16.0)]
     run()  # what was done is not done again
     assert len(read(out)) == 3
