@@ -93,7 +93,8 @@ def other_values(name: str, value: Value) -> list[Value]:
         ([2, 8], [0.975, 0.9], [(1, 2), (2, 4, 6)])
     """
     if isinstance(value, tuple):
-        parts = [[other_values(name, part)[i] for part in value] for i in range(len(FACTORS))]
+        is_whole = all(isinstance(part, int) for part in value)
+        parts = [[max(1, math.ceil(f * v)) if is_whole else f * v for v in value] for f in FACTORS]
         return [tuple(dict.fromkeys(part)) for part in parts]
     if isinstance(value, int):
         return [max(1, math.ceil(factor * value)) for factor in FACTORS]
@@ -329,7 +330,7 @@ def show(rows: list[Row]) -> None:
 
 def columns(runs: list[list[str]]) -> Iterator[str]:
     """Of one rule at one value: cases, changed verdicts, changed names, and the largest change of everything else."""
-    yield str(len(runs)) if runs else "not read"
+    yield str(len(runs)) if runs else "none"
     for word in ("verdict", "names"):
         n = sum(word in run for run in runs)
         yield str(n) if n else "-"

@@ -25,7 +25,8 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
 ):
     """From one of the rotations alone: the whole search takes half a minute."""
-    monkeypatch.setattr(record, "RECORD", ("displacement_frame",))
+    only = {"displacement_frame": EFFECTS["displacement_frame"]}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", only)
     monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
     monkeypatch.setattr(DisplacementFrameError, "starts", lambda *_: (turned,))
