@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.next_readings.design import Design, design
     from estimator.diagnosis.result import Diagnosis
+    from estimator.effects import register_effect
     from estimator.errors import CoilcalError, CorruptStore, InvalidInput
     from estimator.inference.ensemble import SamplerSettings
     from estimator.live.stream import Estimate, Stream
@@ -66,6 +67,7 @@ __all__ = [
     "load_rig",
     "load_session",
     "recalibrate",
+    "register_effect",
     "roll_back",
     "simulate",
     "superposition",
@@ -101,6 +103,7 @@ _MODULES = {
     "load_rig": "estimator.rig_files.read",
     "load_session": "estimator.store.session",
     "recalibrate": "estimator.recalibration.recalibrate",
+    "register_effect": "estimator.effects",
     "roll_back": "estimator.recalibration.recalibrate",
     "simulate": "estimator.model.simulate",
     "superposition": "estimator.system.superposition",

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.func import jacfwd, jacrev
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.hypotheses.linear import FreeNoise, Projector
+from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule

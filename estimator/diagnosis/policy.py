@@ -17,246 +17,260 @@ import math
 
 MORE_STARTS = 3
 """Draws of the prior that a first fit starts from, beside the nominal values. Effort: each costs one more fit; fits of later hypotheses
-start from the maximum that was found."""
+start from the maximum that was found. Study: not tried yet."""
 
 MOST_READINGS_SEARCHED = 512
-"""Readings that causes are searched with, and that a recalibration tests for agreement. Effort: the time of
-a search grows with them; what a wrong model leaves does not average out over more."""
+"""Readings that causes are searched with, and that a recalibration tests for agreement. Effort: the time of a search grows with them;
+what a wrong model leaves does not average out over more. Study: not tried yet."""
 
 MOST_READINGS_FITTED = 3000
-"""Readings of the final fits and of those that judge them. Effort: standard deviations fall with the root of their number, and
-a fit of 3000 takes seconds."""
+"""Readings of the final fits and of those that judge them. Effort: standard deviations fall with the root of their number, and a fit of
+3000 takes seconds. Study: not tried yet."""
 
 FINE_TOLERANCE = 1e-4
-"""Gain in log density below which the last fit of a model stops. Effort: far below any difference that decides."""
+"""Gain in log density below which the last fit of a model stops. Effort: far below any difference that decides. Study: not tried yet."""
 
 ROUGH_TOLERANCE = 1e-2
-"""The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1."""
+"""The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1. Study: no change in 1 case."""
 
 NEAR_BOUND = 1e-3
 """Distance from a bound of the prior, in its standard deviations, at which the density may still rise beyond: the last Newton step leaves
-such a coordinate alone. By judgement."""
+such a coordinate alone. By judgement. Study: not tried yet."""
 
 MOST_NOISE_SHRINK = -5.0
 """Logarithm of the smallest noise that more columns may lead to, over the fitted one. By judgement: a factor of 150, beyond which digits
-of the readings or the prior of the noise rule first."""
+of the readings or the prior of the noise rule first. Study: not tried yet."""
 
 # Mistakes of the record
 
 EXPECTED_NOISE_SD = 2.5
-"""Distance of a fitted noise from the middle of its prior, in its standard deviations, up to which no mistake of the record is looked for.
-Statistics: 1 % of normal draws lie beyond; a mistake is then only looked for, not yet believed."""
+"""Distance of a fitted noise from the middle of its prior, in its standard deviations, up to which no mistake of the record is looked
+for. Statistics: 1 % of normal draws lie beyond; a mistake is then only looked for, not yet believed. Study: not tried yet."""
 
 EXPECTED_VALUE_SD = 3.5
-"""The same for every other free number. Statistics: 0.05 % of normal draws, since there are a dozen of them."""
+"""The same for every other free number. Statistics: 0.05 % of normal draws, since there are a dozen of them. Study: not tried yet."""
 
 LARGEST_MEAN_SQUARE = 1.5
-"""Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement:
-three standard deviations above 1 for 72 components, more for larger sessions."""
+"""Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: three
+standard deviations above 1 for 72 components, more for larger sessions. Study: not tried yet."""
 
 MOST_READINGS_COMPARED = 100
-"""Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
-(docs/decisions/0008)."""
+"""Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings
+absurd (docs/decisions/0008). Study: not tried yet."""
 
 MOST_MISTAKES_FITTED = 6
-"""Mistakes that are fitted after that comparison. Effort (docs/decisions/0008)."""
+"""Mistakes that are fitted after that comparison. Effort (docs/decisions/0008). Study: not tried yet."""
 
 MOST_LOST_ON_FEW = 3.0
 """Log evidence on the few readings that a mistake may lose against none and still be fitted to all. By judgement: odds of 20 to 1 against
-it."""
+it. Study: not tried yet."""
 
 LEAST_LOG_EVIDENCE_OF_MISTAKE = math.log(1e3) - math.log(1e-3)
 """Log evidence from which on a mistake is undone. Prior odds of 1 to 1000, for few sessions have one, and odds of 1000 to 1 after the
-readings; both by judgement."""
+readings; both by judgement. Study: not tried yet."""
 
 TWINS_WITHIN = 3.0
-"""Log evidence within which another mistake explains the readings as well. Statistics: odds of 20 to 1."""
+"""Log evidence within which another mistake explains the readings as well. Statistics: odds of 20 to 1. Study: not tried yet."""
 
 MOST_MISTAKES = 3
-"""Mistakes that are undone one after another. Effort: three in one session are rare."""
+"""Mistakes that are undone one after another. Effort: three in one session are rare. Study: not tried yet."""
 
 # Prior probabilities of the hypotheses
 
 LOG_PRIOR_NOTHING = math.log(0.4)
-"""That no cause, and nothing else, is there. By judgement (docs/decisions/0008)."""
+"""That no cause, and nothing else, is there. By judgement (docs/decisions/0008). Study (1 case): half changes log evidences by 13, twice
+nothing."""
 
 LOG_PRIOR_CAUSE = math.log(0.3)
-"""That one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008)."""
+"""That one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008). Study: not tried yet."""
 
 LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-"""That something is there which no cause explains. By judgement (docs/decisions/0008)."""
+"""That something is there which no cause explains. By judgement (docs/decisions/0008). Study: not tried yet."""
 
 # Screening
 
 MOST_LEADERS = 4
-"""Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008)."""
+"""Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008). Study: no change in 1 case."""
 
 LEADERS_WITHIN = 10.0
-"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint
-2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008)."""
+"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint 2 behind
+the best fell to 17 behind once it was fitted (docs/decisions/0008). Study: no change in 1 case."""
 
 SHAPES_WIDTH = 5.0
 """Log evidence by which the screening of a cause with shapes may exceed that of its fit: Laplace misses the width of shapes, and starts
-that lie far off its maximum. By judgement."""
+that lie far off its maximum. By judgement. Study: not tried yet."""
 
 LEAST_SCATTER_GAIN = 4.0
-"""Log likelihood that outliers or a scattering mover must gain at the residuals as they are to enter the race. Effort: to be
-taken a cause needs a log evidence of 7 or so."""
+"""Log likelihood that outliers or a scattering mover must gain at the residuals as they are to enter the race. Effort: to be taken a
+cause needs a log evidence of 7 or so. Study: not tried yet."""
 
 # Search
 
 LEAST_LOG_ODDS = math.log(20.0)
-"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are
-right; one false alarm in three times 300 clean sessions (docs/results.md)."""
+"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; one
+false alarm in three times 300 clean sessions (docs/results.md). Study (1 case): half changes log evidences by 13, twice nothing."""
 
 CREDIBLE_SHARE = 0.95
-"""Probability that a credible set of causes holds. Convention; 97.7 % of 300 sets held the truth (docs/results.md)."""
+"""Probability that a credible set of causes holds. Convention; 97.7 % of 300 sets held the truth (docs/results.md). Study: not tried
+yet."""
 
 LEAST_HELD_OUT_LOSS_SE = 2.0
 """Standard errors by which a cause that earns its place by evidence must predict left-out blocks of places worse to lose it again.
-Statistics: 2 % of causes that change nothing."""
+Statistics: 2 % of causes that change nothing. Study: not tried yet."""
 
 FEWEST_PLACES = 2
-"""Sensors or coils from which on causes of one kind are taken together. By definition: at one place a cause is alone."""
+"""Sensors or coils from which on causes of one kind are taken together. By definition: at one place a cause is alone. Study: no change in
+1 case."""
 
 SURELY_NEEDED = 15.0
-"""Log evidence by distance from the null, to first order, beyond which a cause is not refitted without. Effort: twice what is
-needed to be taken."""
+"""Log evidence by distance from the null, to first order, beyond which a cause is not refitted without. Effort: twice what is needed to
+be taken. Study: not tried yet."""
 
 MOST_CAUSES_REFITTED = 4
-"""With no more causes than that, each is asked again beside the others at the end, exchanged or dropped, and judged beside flexible curves
-by a fit without it. With more nothing is exchanged, for in MICE run07 that made things worse (docs/decisions/0008), and each is judged to
-first order."""
+"""With no more causes than that, each is asked again beside the others at the end, exchanged or dropped, and judged beside flexible
+curves by a fit without it. With more nothing is exchanged, for in MICE run07 that made things worse (docs/decisions/0008), and each is
+judged to first order. Study: not tried yet."""
 
 MOST_CAUSES = 60
-"""Causes at which a search ends; the search says so. Effort: the most so far were 33, in MICE run07."""
+"""Causes at which a search ends; the search says so. Effort: the most so far were 33, in MICE run07. Study: not tried yet."""
 
 # Flexible curves, for what no cause explains
 
 AMPLITUDES = (0.5, 2.0, 8.0, 30.0)
 """Rms of a family of curves, in units of the noise, over which its evidence is averaged. Factors of four, so that any amplitude between
-0.25 and 60 lies within a factor of two of one."""
+0.25 and 60 lies within a factor of two of one. Study (1 case): half changes log evidences by 0.09, signatures, twice changes log
+evidences by 0.1, signatures."""
 
 SMOOTH_DEGREE = 4
-"""Degree of the polynomials in position and reading. By judgement: gradients, curvature and what is between three readings along an
-axis."""
+"""Degree of the polynomials in position and reading. By judgement: gradients, curvature and what is between three readings along an axis.
+Study: no change in 1 case."""
 
 COARSE_DEGREE = 2
-"""Degree of an alternative family in position, whose evidence is not spent on many columns. By judgement."""
+"""Degree of an alternative family in position, whose evidence is not spent on many columns. By judgement. Study: no change in 1 case."""
 
 HARMONIC_DEGREE = 5
-"""Degree of the fields that sources outside the workspace make. By judgement: they fall with the power of the distance."""
+"""Degree of the fields that sources outside the workspace make. By judgement: they fall with the power of the distance. Study: no change
+in 1 case."""
 
 TIME_DEGREE = 6
-"""Degree of the polynomials in time. By judgement: three periods of what swings during a session."""
+"""Degree of the polynomials in time. By judgement: three periods of what swings during a session. Study (1 case): half changes
+signatures, twice changes signatures."""
 
 DECAY_STEPS = (0.7, 2.0, 6.0)
 """Time constants of what lingers of the readings before, in typical steps between readings. By judgement: factors of three; less than a
-step shows no more than the reading before does."""
+step shows no more than the reading before does. Study: not tried yet."""
 
 N_INSTANTS = 11
-"""Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it."""
+"""Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it. Study: no change in
+1 case."""
 
 MOST_HISTORY_PREDICTED = 4000
-"""Readings of the history, times sensors, beyond which nothing is said of what lingers. Effort: each field is predicted."""
+"""Readings of the history, times sensors, beyond which nothing is said of what lingers. Effort: each field is predicted. Study: no change
+in 1 case."""
 
 WINDING_WAVES = 4
-"""Waves around the loops that a winding of another shape may have. By judgement: farther out their fields fall quickly."""
+"""Waves around the loops that a winding of another shape may have. By judgement: farther out their fields fall quickly. Study: no change
+in 1 case."""
 
 WINDING_DEGREE = 2
-"""Degree along the axis of the same. By judgement."""
+"""Degree along the axis of the same. By judgement. Study: no change in 1 case."""
 
 # Verdict
 
 LEAST_LOG_ODDS_LEFT = math.log(10.0)
 """Posterior odds against nothing from which on what is left counts as unexplained. By measurement: in clean sessions of the tuning seeds
-the log evidence scatters by 1 about -3 and never reached 2 (docs/decisions/0008)."""
+the log evidence scatters by 1 about -3 and never reached 2 (docs/decisions/0008). Study: not tried yet."""
 
 LEAST_LOG_EVIDENCE_BESIDE_CURVES = 2.0 * math.log(20.0)
-"""Log evidence that a cause needs beside the strongest curves to keep its name where something is unexplained. Odds of 20 to 1 with a prior
-of one in twenty, for others may imitate it; by judgement."""
+"""Log evidence that a cause needs beside the strongest curves to keep its name where something is unexplained. Odds of 20 to 1 with a
+prior of one in twenty, for others may imitate it; by judgement. Study: not tried yet."""
 
 VALIDATION_SHARE = 0.2
-"""Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention."""
+"""Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention. Study: not tried yet."""
 
 LEAST_GAIN_SE = 2.0
 """Standard errors from which on a gain in log predictive density is there: the report says so, and a recalibration may replace a version.
-Statistics: 2 % by chance."""
+Statistics: 2 % by chance. Study: not tried yet."""
 
 LEAST_LOSS_SE = 3.0
 """Standard errors from which on a loss in log predictive density turns the verdict into `unexplained`. Statistics: 0.1 % by chance, for a
-verdict hangs on it (docs/decisions/0008)."""
+verdict hangs on it (docs/decisions/0008). Study: not tried yet."""
 
 # Widening of intervals
 
 LEAST_SHARE_JUDGED = 1e-3
 """Share of a block's own scatter, in one direction, from which on the other blocks say where the parameters would go without it. By
-judgement: below, that block alone determines the direction, and one over the share blows up its noise."""
+judgement: below, that block alone determines the direction, and one over the share blows up its noise. Study: not tried yet."""
 
 # What the session can reveal, and next readings
 
 VISIBLE_SIGMA = 5.0
 """Standard deviations by which a cause must change the readings, beyond what the fit follows, to be called visible. Convention; about the
-size at which a cause earns its place in the linear model."""
+size at which a cause earns its place in the linear model. Study: not tried yet."""
 
 PLAUSIBLE_SD = 3.0
-"""Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond."""
+"""Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond. Study: not tried yet."""
 
 TYPICAL_SIGMA = 8.0
-"""Visible size at which causes are compared that the session does not show. Convention: that of the hidden study."""
+"""Visible size at which causes are compared that the session does not show. Convention: that of the hidden study. Study: not tried
+yet."""
 
 CONFUSED_WITHIN = math.log(20.0)
-"""Expected log evidence, at that size, below which a session cannot tell two causes apart. As `LEAST_LOG_ODDS`."""
+"""Expected log evidence, at that size, below which a session cannot tell two causes apart. As `LEAST_LOG_ODDS`. Study: not tried yet."""
 
 LEAST_DIRECTION = 1e-3
-"""Singular value, over the largest, of a direction in which the columns of a cause count. By judgement."""
+"""Singular value, over the largest, of a direction in which the columns of a cause count. By judgement. Study: not tried yet."""
 
 N_STOPS = 30
-"""Readings that a proposed programme adds. By judgement: few enough to be taken at once."""
+"""Readings that a proposed programme adds. By judgement: few enough to be taken at once. Study: not tried yet."""
 
 MOST_PROPOSALS = 8
-"""Programmes that are listed for each credible set. For a reader."""
+"""Programmes that are listed for each credible set. For a reader. Study: not tried yet."""
 
 CURRENT_SHARES = (1.0, -1.0, 0.5, 0.0)
-"""Currents at which stops are considered, over the largest of the session. What tells odd, even and cubic from no dependence."""
+"""Currents at which stops are considered, over the largest of the session. What tells odd, even and cubic from no dependence. Study: not
+tried yet."""
 
 MOST_POSES = 150
-"""Poses at which stops are considered. Effort: choosing each stop tries all."""
+"""Poses at which stops are considered. Effort: choosing each stop tries all. Study: not tried yet."""
 
 NEARLY_NOTHING = 0.1
-"""Visible size of a cause as large as its prior's width, in standard deviations, below which a design refuses it. By judgement."""
+"""Visible size of a cause as large as its prior's width, in standard deviations, below which a design refuses it. By judgement. Study:
+not tried yet."""
 
 # Symptoms and report
 
 CLEAR_LOG_EVIDENCE = 3.0
 """Log evidence by which one answer must lead to be given alone, a cause must exceed nothing to be designed for at its fitted size, and a
-programme must add to be proposed. Statistics: odds of 20 to 1."""
+programme must add to be proposed. Statistics: odds of 20 to 1. Study: not tried yet."""
 
 SIGNATURE_DEGREES = (1, 2, 3)
 """Degrees of the polynomials that describe what a residual stays with. By judgement: several, so that none pays for columns it does not
-need."""
+need. Study: not tried yet."""
 
 COVARIATE_DEGREE = 4
-"""Degree of the polynomials that the residual is tested with along each covariate. By judgement."""
+"""Degree of the polynomials that the residual is tested with along each covariate. By judgement. Study: not tried yet."""
 
 N_NOISE_DRAWS = 2000
-"""Draws of pure noise that these tests are compared with. Statistics: a p-value of 0.05 is known to 10 %."""
+"""Draws of pure noise that these tests are compared with. Statistics: a p-value of 0.05 is known to 10 %. Study: not tried yet."""
 
 SAME_ORDER = 0.999
-"""Correlation of time and order beyond which order says nothing that time does not. By judgement."""
+"""Correlation of time and order beyond which order says nothing that time does not. By judgement. Study: not tried yet."""
 
 FEWEST_REPEATS = 10
-"""Degrees of freedom of repeats from which on they, not the rig file, say what the noise is. Statistics: it is then known to 22 %."""
+"""Degrees of freedom of repeats from which on they, not the rig file, say what the noise is. Statistics: it is then known to 22 %. Study:
+not tried yet."""
 
 SIGNIFICANT = 0.05
-"""p-value below which the report speaks of structure, or of more than noise may leave. Convention; no verdict depends on it."""
+"""p-value below which the report speaks of structure, or of more than noise may leave. Convention; no verdict depends on it. Study: not
+in it."""
 
 CLEARLY_MORE = 1.2
-"""Residual over noise from which on the report says more, though the noise may be so. For a reader."""
+"""Residual over noise from which on the report says more, though the noise may be so. For a reader. Study: not in it."""
 
 MOVED_SD = 1.0
-"""Standard deviations that a number of the rig must move to be listed as moved. For a reader."""
+"""Standard deviations that a number of the rig must move to be listed as moved. For a reader. Study: not in it."""
 
 LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
-"""Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets
-wrong, so the share scatters by some per cent."""
+"""Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets wrong, so the
+share scatters by some per cent. Study: not in it."""

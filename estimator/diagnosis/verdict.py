@@ -12,7 +12,6 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.linear import Projector
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import (
@@ -20,6 +19,7 @@ from estimator.diagnosis.hypotheses.step import (
     leaves_structure,
     shares_of,
 )
+from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause

@@ -1,7 +1,7 @@
 """How much each rule with a number matters: halve and double it, and compare what comes out; `make policy` runs it.
 
 Cases are hidden causes of the generator, designs of further readings, and sessions that are judged against a calibration. Each runs
-once as the policies stand. Where that run first reads a rule, the process forks for each other value of it: until then nothing depends
+once as the policies stand. Where a second run first reads a rule, the process forks for each other value of it: until then nothing depends
 on it, so the fork goes on as a run with that value from the beginning would, and rules that a case never reads cost nothing. Every run is
 appended to a file as it ends, so an interrupted study continues. Afterwards a table says, per rule and value, in how many cases
 the verdict, the names or numbers change.
@@ -93,7 +93,8 @@ def other_values(name: str, value: Value) -> list[Value]:
         ([2, 8], [0.975, 0.9], [(1, 2), (2, 4, 6)])
     """
     if isinstance(value, tuple):
-        parts = [[other_values(name, part)[i] for part in value] for i in range(len(FACTORS))]
+        is_whole = all(isinstance(part, int) for part in value)
+        parts = [[max(1, math.ceil(f * v)) if is_whole else f * v for v in value] for f in FACTORS]
         return [tuple(dict.fromkeys(part)) for part in parts]
     if isinstance(value, int):
         return [max(1, math.ceil(factor * value)) for factor in FACTORS]
@@ -136,19 +137,34 @@ class Branches:
             os.waitpid(child, 0)
 
     def run(self, outcome: Callable[[], Row]) -> None:
-        """Append what comes out, here and in every child."""
+        """Append what comes out as the policy stands, and in every child."""
+        if (
+            self.rule,
+            self.which,
+        ) not in self.done:  # first, so that a study that is cut short has something to compare with
+            child = os.fork()
+            if child == 0:
+                self.seen = {name for name in vars(self.policy) if name.isupper()}
+                self._append(outcome)
+                os._exit(0)
+            os.waitpid(child, 0)
+            self.done.add((self.rule, self.which))
+        self._append(outcome)
+        if self.rule:
+            sys.stdout.flush()
+            os._exit(0)
+
+    def _append(self, outcome: Callable[[], Row]) -> None:
         try:
             result = outcome()
         except Exception as error:  # a value that a diagnosis cannot do with is a result of the study
             traceback.print_exc()
             result = {"error": f"{type(error).__name__}: {error}"}
-        if (self.rule, self.which) not in self.done:
-            row = {"case": self.case, "rule": self.rule, "which": self.which, **result}
-            with self.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-        if self.rule:
-            sys.stdout.flush()
-            os._exit(0)
+        if (self.rule, self.which) in self.done:
+            return
+        row = {"case": self.case, "rule": self.rule, "which": self.which, **result}
+        with self.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
 
 
 def run_case(case: tuple[str, int, Path, tuple[str, ...]]) -> str:
@@ -179,7 +195,7 @@ def diagnosed(diagnosis: Diagnosis) -> Row:
     """What a diagnosis said: verdict, sets of names, log evidences, standard deviations, and all else."""
     record = diagnosis.to_json()
     evidence = {
-        "unexplained": record["unexplained"]["log_bayes_factor"],
+        "left": record["unexplained"]["log_bayes_factor"],
         "final": diagnosis.found.search.final.log_evidence - diagnosis.found.search.base.log_evidence,
     }
     for rival in record["steps"][0]["considered"]:
@@ -314,7 +330,7 @@ def show(rows: list[Row]) -> None:
 
 def columns(runs: list[list[str]]) -> Iterator[str]:
     """Of one rule at one value: cases, changed verdicts, changed names, and the largest change of everything else."""
-    yield str(len(runs)) if runs else "not read"
+    yield str(len(runs)) if runs else "none"
     for word in ("verdict", "names"):
         n = sum(word in run for run in runs)
         yield str(n) if n else "-"

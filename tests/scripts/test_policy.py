@@ -20,6 +20,7 @@ from scripts.studies.policy import Branches, changes, other_values, read
         ("CREDIBLE_SHARE", 0.95, [0.975, 0.9]),
         ("VALIDATION_SHARE", 0.2, [0.1, 0.4]),
         ("SIGNATURE_DEGREES", (1, 2, 3), [(1, 2), (2, 4, 6)]),
+        ("DECAY_STEPS", (0.75, 2.0), [(0.375, 1.0), (1.5, 4.0)]),
         ("LOG_PRIOR_CAUSE", math.log(0.3), [math.log(0.15), math.log(0.6)]),
     ],
 )
@@ -55,6 +56,6 @@ def test_a_run_forks_where_a_rule_is_first_read(tmp_path: Path) -> None:
 
     run()
     found = [(row["rule"], row["which"], row["size"]) for row in read(out)]
-    assert found == [("SIZE", 0, 4.0), ("SIZE", 1, 16.0), ("", -1, 8.0)]
+    assert found == [("", -1, 8.0), ("SIZE", 0, 4.0), ("SIZE", 1, 16.0)]
     run()  # what was done is not done again
     assert len(read(out)) == 3

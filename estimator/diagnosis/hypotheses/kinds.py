@@ -15,7 +15,6 @@ import torch
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
-from estimator.diagnosis.hypotheses.linear import Projector, log_bayes_factor
 from estimator.diagnosis.hypotheses.screening import screening
 from estimator.diagnosis.hypotheses.step import (
     Rival,
@@ -24,6 +23,7 @@ from estimator.diagnosis.hypotheses.step import (
     least_log_evidence,
     with_probabilities,
 )
+from estimator.diagnosis.linear import Projector, log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import Family, discrepancy
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect

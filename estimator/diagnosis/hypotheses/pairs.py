@@ -12,7 +12,7 @@ import torch
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
-from estimator.diagnosis.hypotheses.linear import log_bayes_factor
+from estimator.diagnosis.linear import log_bayes_factor
 
 
 def pairs(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, Candidate]]:

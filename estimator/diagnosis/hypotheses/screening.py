@@ -12,7 +12,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
-from estimator.diagnosis.hypotheses.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.linear import Projector
+from estimator.diagnosis.linear import Projector
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.memory import lingering_T
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval

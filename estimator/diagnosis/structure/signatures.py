@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.linear import log_mean_exp
+from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
 from estimator.diagnosis.structure.discrepancy import (
     Collection,

@@ -12,9 +12,9 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.kinds import of_one_kind, steps_of, together
-from estimator.diagnosis.hypotheses.linear import log_bayes_factor
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.hypotheses.search import Stage, _Trail, search
+from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import families
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text

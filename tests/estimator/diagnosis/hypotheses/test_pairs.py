@@ -9,9 +9,9 @@ import torch
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
-from estimator.diagnosis.hypotheses.linear import log_bayes_factor
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.screening import linear_evidence
+from estimator.diagnosis.linear import log_bayes_factor
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from estimator.diagnosis.hypotheses.linear import FreeNoise, Projector, log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import FreeNoise, Projector, log_bayes_factor, log_mean_exp
 
 
 def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
