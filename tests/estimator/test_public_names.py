@@ -43,6 +43,7 @@ NAMES = [
     "load_rig",
     "load_session",
     "recalibrate",
+    "register_effect",
     "roll_back",
     "simulate",
     "superposition",
