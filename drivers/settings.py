@@ -117,7 +117,7 @@ class Settings:
     def finish(self) -> None:
         """Refuse keys that were not read."""
         if self._unread:
-            raise Refused(f"{self.location}.{self._unread[0]} is not a key that is known here")
+            raise Refused(f"{self.location}.{self._unread[0]} is not a known key")
 
     def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
         """Key of a quantity and the factor of its unit."""

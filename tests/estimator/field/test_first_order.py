@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -88,7 +86,7 @@ def agree(rig: Rig, observations: Observations) -> None:
     """Both models agree in value and derivatives at a draw from the prior."""
     coordinates = Coordinates(rig)
     plain = MeasurementModel.build(rig, observations)
-    first_order = replace(plain, mode=SumMode.FIRST_ORDER)
+    first_order = plain.with_mode(SumMode.FIRST_ORDER)
     vector = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
     values = [model.predict(coordinates.values(vector)) for model in (plain, first_order)]
     torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
