@@ -12,8 +12,8 @@ import pandas as pd
 from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
 from estimator.reporting import plots
+from estimator.reporting.numbers import displays, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.reporting.plots.style import displays, with_sd
 
 MOST_PARAMETERS = 12
 SCATTER_TOO_WIDE = 2.0  # chi-square per degree of freedom of a parameter across sessions

@@ -10,8 +10,8 @@ import numpy as np
 from estimator.calibration.figures import pictures
 from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
+from estimator.reporting.numbers import displays, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
 

@@ -86,7 +86,7 @@ def design_command(
 
 
 def _text(proposal: Design, out: Path | None, shrink: str | None) -> str:
-    from estimator.reporting.plots.style import displays
+    from estimator.reporting.numbers import displays
 
     lines = [f"goal: {proposal.goal}"]
     unit = displays([shrink])[shrink] if shrink else None

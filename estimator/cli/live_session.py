@@ -13,7 +13,7 @@ import click
 from estimator.cli.live_view import LiveState, gaps_in
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Estimate, Stream
-from estimator.reporting.plots.style import displays, with_sd
+from estimator.reporting.numbers import displays, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import JOURNAL, Entry

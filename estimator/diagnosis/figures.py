@@ -14,8 +14,8 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
+from estimator.reporting.numbers import SHOWN_IN
 from estimator.reporting.page import Picture
-from estimator.reporting.plots.style import SHOWN_IN
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12

@@ -11,8 +11,8 @@ from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
 from estimator.diagnosis.result import Diagnosis, Interval
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
+from estimator.reporting.numbers import displays, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
 MOST_RIVALS = 8

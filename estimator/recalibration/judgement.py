@@ -30,7 +30,7 @@ from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.together import named_together
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of, sizes_of, words_of
-from estimator.reporting.plots.style import displays, with_sd
+from estimator.reporting.numbers import displays, with_sd
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from estimator.units import split_unit

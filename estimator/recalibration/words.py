@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
-from estimator.reporting.plots.style import displays, with_sd
+from estimator.reporting.numbers import displays, with_sd
 
 
 def names_of(diagnosis: Diagnosis) -> str:

@@ -22,8 +22,8 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import error_metrics
 from estimator.readings.observations import Observations
 from estimator.readings.plan import observations_of
+from estimator.reporting.numbers import displays, with_sd
 from estimator.reporting.plots import predicted_against_measured
-from estimator.reporting.plots.style import displays, with_sd
 from estimator.rig_files.read import rig_from_text
 from scripts.paper.tables import CURRENT_A, NOT_AT_HAND, table
 from tests.independent.readings import perfect_readings_T

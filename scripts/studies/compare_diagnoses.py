@@ -17,7 +17,7 @@ from statistics import median
 
 from estimator.diagnosis.result import DIAGNOSIS
 from estimator.readings.metrics import HALF_WIDTH_90
-from estimator.reporting.plots.style import with_sd
+from estimator.reporting.numbers import with_sd
 
 CLEAR_SD = 5.0  # least distance from zero in every diagnosis
 PREFIXES = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "T": ("µT", 1e6), "1": ("%", 1e2)}

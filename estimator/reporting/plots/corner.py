@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import gaussian_filter
 
+from estimator.reporting.numbers import Display, are_counts, displays, summary
 from estimator.reporting.plots.style import (
     INSIDE_68,
     INSIDE_95,
@@ -25,12 +26,8 @@ from estimator.reporting.plots.style import (
     POINT,
     QUANTILES_95_68_50,
     TRUTH,
-    Display,
-    are_counts,
-    displays,
     figure,
     styled,
-    summary,
 )
 
 BINS = 36

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from estimator.reporting.numbers import Display, displays, plain
 from estimator.reporting.plots.style import (
     BLUE,
     GREEN,
@@ -20,10 +21,7 @@ from estimator.reporting.plots.style import (
     ORANGE,
     POSTERIOR,
     VERMILLION,
-    Display,
-    displays,
     figure,
-    plain,
     styled,
 )
 from estimator.units import split_unit

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from estimator.reporting.numbers import plain
 from estimator.reporting.plots.style import (
     BLACK,
     BLUE,
@@ -20,7 +21,6 @@ from estimator.reporting.plots.style import (
     PALE,
     axes,
     figure,
-    plain,
     sigma_unit,
     styled,
 )

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from estimator.reporting.numbers import Display, displays, plain, summary
 from estimator.reporting.plots.style import (
     BLACK,
     DATA_AND_TOP,
@@ -28,13 +29,9 @@ from estimator.reporting.plots.style import (
     QUANTILES_95_68_50,
     SIDE_AND_DATA,
     TRUTH,
-    Display,
     axes,
-    displays,
     figure,
-    plain,
     styled,
-    summary,
 )
 from estimator.rig.parameters import Prior
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from scipy import stats
 
+from estimator.reporting.numbers import plain
 from estimator.reporting.plots.style import (
     BLACK,
     COMPONENT,
@@ -22,7 +23,6 @@ from estimator.reporting.plots.style import (
     QUANTILES_95_68_50,
     SIDE_AND_DATA,
     axes,
-    plain,
     sigma_unit,
     styled,
 )

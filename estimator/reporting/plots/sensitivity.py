@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator.model.sensitivity import Factorial
-from estimator.reporting.plots.style import BLUE, FIELD_MAP, GREY, Display, axes, displays, figure, styled
+from estimator.reporting.numbers import Display, displays
+from estimator.reporting.plots.style import BLUE, FIELD_MAP, GREY, axes, figure, styled
 from estimator.units import UNITS
 
 MILLI = UNITS["mT"].to_si

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 
-from estimator.reporting.plots.style import GREY, POSTERIOR, TRUTH, displays, figure, plain, styled
+from estimator.reporting.numbers import displays, plain
+from estimator.reporting.plots.style import GREY, POSTERIOR, TRUTH, figure, styled
 
 MOST_ROWS = 60
 

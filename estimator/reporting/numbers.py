@@ -1,0 +1,110 @@
+"""Numbers for people: display units, short names of parameters, and values with their standard deviations.
+
+Reports, plots and commands share it. It loads no plotting library, so that a command that only prints starts quickly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Num
+
+from estimator.units import UNITS, split_unit
+
+SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
+
+
+@dataclass(frozen=True)
+class Display:
+    """Display of a parameter: `words` name it, and values times `factor` are in `unit`."""
+
+    words: str
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """Words and unit, for an axis."""
+        return f"{self.words} ({self.unit})" if self.unit else self.words
+
+
+def displays(names: Sequence[str]) -> dict[str, Display]:
+    """Short names and display units of parameters: lengths in mm, angles in mrad, fields in µT.
+
+    A name is cut to its quantity if that is unique among the names.
+
+    Examples:
+        >>> displays(["coil1.radius_m", "coil1.world_from_coil.tilt_x_rad"])["coil1.radius_m"]
+        Display(words='radius', unit='mm', factor=1000.0)
+        >>> [s.label for s in displays(["coil1.axial_loops", "hall.noise_T", "probe.noise_T"]).values()]
+        ['axial loops', 'hall noise (µT)', 'probe noise (µT)']
+    """
+
+    def candidates(name: str) -> tuple[list[str], list[str], list[str]]:
+        """Parts of a name, the shortest choice first."""
+        parts = split_unit(name)[0].split(".")
+        return parts[-1:], [parts[0], parts[-1]], parts
+
+    result = {}
+    for name in names:
+        unit = split_unit(name)[1]
+        rivals = [candidates(rival) for rival in names if rival != name]
+        choices = candidates(name)
+        unique = (parts for i, parts in enumerate(choices) if all(parts != rival[i] for rival in rivals))
+        parts = next(unique, choices[-1])
+        symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
+        factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
+        words = plain(" ".join(parts).replace("_", " "))
+        result[name] = Display(words, symbol.replace("u", "µ"), round(factor, 9))
+    return result
+
+
+def are_counts(values: Num[np.ndarray, " draw"], display: Display) -> bool:
+    """Whether draws are loop counts: whole numbers without a unit."""
+    return not display.unit and bool(np.all(values == np.round(values)))
+
+
+def summary(values: Num[np.ndarray, " draw"], display: Display) -> str:
+    """Median and standard deviation of draws in their display unit, or the most probable count."""
+    if are_counts(values, display):
+        counts, number = np.unique(values, return_counts=True)
+        best = int(number.argmax())
+        return f"{counts[best]:.0f} ({100.0 * number[best] / len(values):.0f} %)"
+    return f"{with_sd(float(np.median(values)), float(values.std()))} {display.unit}".strip()
+
+
+def with_sd(value: float, sd: float) -> str:
+    """A value with its standard deviation, both rounded to the second digit of the latter.
+
+    Examples:
+        >>> with_sd(50.98123, 0.0312), with_sd(48.0, 0.0), with_sd(1234.5, 87.2)
+        ('50.981 ± 0.031', '48 (certain)', '1234 ± 87')
+        >>> with_sd(-0.5, 0.1)
+        '−0.50 ± 0.10'
+    """
+    if not (math.isfinite(value) and math.isfinite(sd)):
+        return "not known"
+    if sd == 0.0:
+        return f"{value:.6g} (certain)"
+    return f"{to_digit_of(sd, value)} ± {to_digit_of(sd, sd)}"
+
+
+def to_digit_of(sd: float, value: float) -> str:
+    """A value rounded to the second digit of a standard deviation; to six digits if that is zero.
+
+    Examples:
+        >>> to_digit_of(0.0312, 50.98123), to_digit_of(0.0, 0.00049), to_digit_of(0.1, -0.001)
+        ('50.981', '0.00049', '0.00')
+    """
+    if sd == 0.0 or not math.isfinite(sd):
+        return f"{value:.6g}".replace("-", "−")
+    digits = max(0, 1 - math.floor(math.log10(float(f"{sd:.1e}"))))
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus sign before a zero
+
+
+def plain(text: str) -> str:
+    """A user's text, escaped so that it is not read as a formula."""
+    return text.replace("$", r"\$")
