@@ -14,8 +14,9 @@ import pandas as pd
 import xarray as xr
 
 from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.errors import InvalidInput
+from estimator.store.files import write_text
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import SUMMARY_FILE, write_text
+from estimator.calibration.result import SUMMARY_FILE
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
@@ -27,6 +27,7 @@ from estimator.model.preflight import check_readings
 from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
+from estimator.store.files import write_text
 from estimator.store.session import load_session, replace_folder
 
 RESULT_FILE, CALIBRATION_FOLDER, UNFINISHED = "result.json", "calibration", ".unfinished"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
 from estimator.rig_files.state import rig_from_state, rig_state
+from estimator.store.files import write_text
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
@@ -254,13 +254,3 @@ def _tree_hash(tree: xr.DataTree) -> str:
 
 def _arrays(node: xr.DataTree) -> dict[str, np.ndarray]:
     return {str(name): array.to_numpy() for name, array in node.data_vars.items()}
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a file atomically."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

@@ -85,8 +85,8 @@ def batch_command(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
         ) from error
 
-    from estimator.calibration.result import write_text
     from estimator.inference.ensemble import SamplerSettings
+    from estimator.store.files import write_text
 
     result = batch(
         sessions,

@@ -63,10 +63,10 @@ def calibrate_command(
     """
     from estimator.calibration.calibrate import calibrate
     from estimator.calibration.report import calibration_report
-    from estimator.calibration.result import write_text
     from estimator.cli.stage_progress import StageReporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
+    from estimator.store.files import write_text
     from estimator.store.session import load_session
 
     session = load_session(session_path)

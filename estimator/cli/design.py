@@ -61,9 +61,9 @@ def design_command(
     of the session and a few currents. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that
     they are expected to add.
     """
-    from estimator.calibration.result import write_text
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
+    from estimator.store.files import write_text
     from estimator.store.session import load_session
 
     if out is not None:

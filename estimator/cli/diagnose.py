@@ -59,11 +59,11 @@ def diagnose_command(
     indistinguishable, unexplained or nothing_found; each ends with exit code 0.
     """
     from estimator.calibration.report import calibration_report
-    from estimator.calibration.result import write_text
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.report import diagnosis_report
     from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, REPORT
     from estimator.rig_files.read import load_rig
+    from estimator.store.files import write_text
     from estimator.store.session import load_session
 
     refuse_existing(out, overwrite)

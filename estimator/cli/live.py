@@ -39,12 +39,15 @@ def live_command(session_path: Path, wait_s: float, has_refresh: bool, seed: int
     """
     from estimator.cli.live_session import LiveSession, wait_for
     from estimator.cli.live_view import LiveView
-    from estimator.live.refresh import Background
 
     wait_for(session_path, wait_s)
     session = LiveSession(session_path)
     with LiveView() as view, ExitStack() as stack:
-        background = stack.enter_context(Background(seed)) if has_refresh else None
+        background = None
+        if has_refresh:
+            from estimator.live.refresh import Background  # samplers and diagnosis
+
+            background = stack.enter_context(Background(seed))
         try:
             while session.step(background):
                 view(session.state(background))

@@ -6,18 +6,20 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from estimator.cli.live_view import LiveState, gaps_in
-from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Estimate, Stream
 from estimator.reporting.numbers import displays, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import JOURNAL, Entry
 from estimator.store.session import Session
+
+if TYPE_CHECKING:
+    from estimator.live.refresh import Background, Refreshed
 
 POLL_S = 0.01
 

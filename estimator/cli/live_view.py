@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console, Group, RenderableType
@@ -18,11 +18,13 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.cli.words import motion_words
-from estimator.live.refresh import Refreshed
 from estimator.live.stream import Estimate
 from estimator.live.watch import Alarm
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
 from estimator.rig.rig import Mover
+
+if TYPE_CHECKING:
+    from estimator.live.refresh import Refreshed
 
 LINE_EVERY_S = 5.0
 SILENT_S = 20.0  # without a stop for so long, somebody should look

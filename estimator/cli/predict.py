@@ -72,7 +72,8 @@ def predict_command(
     import numpy as np
     import torch
 
-    from estimator.calibration.result import Calibration, write_text
+    from estimator.calibration.result import Calibration
+    from estimator.store.files import write_text
 
     refuse_existing(out, overwrite)
     calibration = Calibration.load(folder)

@@ -24,7 +24,8 @@ def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: boo
     CALIBRATION is a folder written by `coilcal calibrate`.
     """
     from estimator.calibration.report import calibration_report
-    from estimator.calibration.result import Calibration, write_text
+    from estimator.calibration.result import Calibration
+    from estimator.store.files import write_text
 
     path = out or folder / "report.html"
     refuse_existing(path, overwrite or out is None)

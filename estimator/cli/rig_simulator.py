@@ -41,13 +41,13 @@ def rig_simulator_command(
     import yaml
 
     from drivers.interlock import sigterm_as_exception
-    from estimator.calibration.result import write_text
     from estimator.cli.simulate import truth_of
     from estimator.cli.simulated_devices import default_devices, start_simulators, watch
     from estimator.model.hide import full_names
     from estimator.model.simulated_field import simulated_rig
     from estimator.rig_files.devices import DEVICES
     from estimator.rig_files.read import load_rig
+    from estimator.store.files import write_text
 
     if out is not None:
         refuse_existing(out, overwrite)

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from estimator.calibration.result import Calibration, write_text
+from estimator.calibration.result import Calibration
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.gain import Gain
@@ -27,6 +27,7 @@ from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
+from estimator.store.files import write_text
 
 DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "diagnosis.json",

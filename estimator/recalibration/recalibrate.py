@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from estimator.calibration.result import write_text
 from estimator.code_version import code_version
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
@@ -15,6 +14,7 @@ from estimator.recalibration.history_report import history_report
 from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement, judge
 from estimator.recalibration.registry import Entry, Registry
 from estimator.rig.rig import Rig
+from estimator.store.files import write_text
 
 HISTORY = "history.html"
 LATE = "compared_with_version"  # among the checks of a session older than the current version

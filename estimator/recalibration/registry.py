@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration, write_text
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.rig_files.write import rig_text
+from estimator.store.files import write_text
 
 VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"

@@ -15,13 +15,13 @@ from pathlib import Path
 import torch
 
 from estimator import diagnose, load_rig
-from estimator.calibration.result import write_text
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import REPORT
 from estimator.effects.attach import with_effect
+from estimator.store.files import write_text
 from estimator.store.importers import IMPORTERS
 from estimator.store.session import Session
 from scripts.studies.real_data import DATA_SETS, DataSet

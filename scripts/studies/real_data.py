@@ -19,13 +19,13 @@ import torch
 
 from estimator import SamplerSettings, Session, block_split, calibrate, load_rig
 from estimator.calibration.report import calibration_report
-from estimator.calibration.result import write_text
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import error_metrics
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.store.files import write_text
 from estimator.store.importers import IMPORTERS
 
 WINDING = ("radius_m", "wire_radius_m", "axial_pitch_m", "radial_pitch_m", "axial_loops", "radial_loops")

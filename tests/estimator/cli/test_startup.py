@@ -16,6 +16,10 @@ from click.testing import CliRunner
 from estimator.acquisition.pace import FEWEST_READINGS
 from estimator.cli import acquire
 from estimator.cli.main import main
+from estimator.rig.rig import Rig
+from estimator.store.growing import StopReadings, new_header
+from estimator.store.journal import Journal
+from estimator.store.session import Session, seal
 
 ROOT = Path(__file__).parents[3]
 LARGE = (
@@ -96,6 +100,29 @@ def test_predict_loads_what_reads_a_posterior(workspace: Path, tmp_path: Path) -
     call = ["predict", workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"]
     exit_code, _, libraries, _ = coilcal(*call, "--out", tmp_path / "field.csv")
     assert (exit_code, libraries - DASK) == (0, MODEL | {"pandas", "xarray", "zarr"})
+
+
+def test_live_without_refresh_loads_neither_plots_nor_samplers(
+    small_rig: Rig, small_session: Session, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.zarr"
+    readings = small_session.observations.calibration
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for row in range(3):
+            motion = {"arm1": readings.motion["arm1"][row].tolist()}
+            field_T = {"hall": readings.field_sensor_T[row].tolist()}
+            stop = StopReadings(float(row), readings.current_A[row].tolist(), motion, field_T, False, 0)
+            journal.append(stop.entry())
+    seal(path)
+    exit_code, printed, libraries, _ = coilcal("live", path, "--no-refresh", "--json")
+    assert (exit_code, json.loads(printed)["readings"]) == (0, 3)
+    assert libraries == MODEL | {"rich", "zarr"}
+
+
+def test_design_loads_neither_plots_nor_samplers(workspace: Path) -> None:
+    call = ["design", workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 1]
+    exit_code, _, libraries, _ = coilcal(*call)
+    assert (exit_code, libraries) == (0, MODEL | {"scipy.stats", "zarr"})  # draws of starts
 
 
 def test_the_package_loads_a_public_name_when_it_is_used() -> None:
