@@ -248,14 +248,14 @@ def _is_assumed(prior: Prior, is_positive: bool) -> bool:
 def _unit(dimension: str, numbers: Sequence[float]) -> str:
     """The unit in which numbers in SI need the fewest digits, of those in which all survive the way there and back."""
 
-    def length(unit: str) -> float:
+    def length(unit: str) -> int | float:
         written = [_in_unit(number, UNITS[unit].to_si) for number in numbers]
         return math.inf if None in written else sum(len(repr(number)) for number in written)
 
     return min(WRITTEN_IN[dimension], key=length)
 
 
-def _in_unit(value: float, to_si: float) -> float | None:
+def _in_unit(value: float, to_si: float) -> int | float | None:
     """The shortest number that a factor turns into a value, bit by bit; None where there is none.
 
     Examples:
@@ -271,7 +271,7 @@ def _in_unit(value: float, to_si: float) -> float | None:
     return next((_written(n) for n in (*rounded, *neighbours) if _is_same(n * to_si, value)), None)
 
 
-def _written(number: float) -> float:
+def _written(number: float) -> int | float:
     """A number as short as it can be written: whole ones without a point."""
     number = float(number)
     is_whole = number.is_integer() and abs(number) < LARGEST_WHOLE and not _is_same(number, -0.0)
