@@ -70,7 +70,7 @@ def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
 
 
 def at_least_zero(key: str, unit: str, sd: float) -> Quantity:
-    """A quantity that nature knows with one sign only, half-normal above zero."""
+    """A quantity that cannot be negative, half-normal above zero."""
     return Quantity(key, unit, Normal(0.0, sd, lower=0.0))
 
 
@@ -93,7 +93,7 @@ class Effect(ABC):
         words: What has happened, in a few words, for reports.
         source: Where the width of its priors comes from.
         is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
-        idealises: The thing that it is a simplified picture of; where a session needs two pictures of one thing, that thing is neither.
+        idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
         is_linear: The field stays proportional to the currents.
     """
 
@@ -125,7 +125,7 @@ class Effect(ABC):
         return tuple(body.name for body in bodies[self.kind])
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session could show it at all; what needs a temperature is not asked without a thermometer."""
+        """Whether the session could show it; a cause that needs a temperature does not concern one without a thermometer."""
         return True
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
@@ -187,8 +187,8 @@ class SourceEffect(Effect):
 
     @abstractmethod
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Additional field in the coil frame per unit of `drive`."""
 
     def drive(
@@ -215,19 +215,19 @@ class WindingMagnetisation(Effect):
 
 
 class PerAmpere(ABC):
-    """Field of one ampere in a coil, in the room, at any points: what things that stand in the room respond to."""
+    """Field of one ampere in a coil, in the room, at any points: what bodies in the room respond to."""
 
     @property
     @abstractmethod
-    def position_m(self) -> Float[Tensor, "*#batch #place 3"]:
+    def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
         """Where the coil is in the world frame."""
 
     @abstractmethod
-    def at(self, points_m: Float[Tensor, "*#batch place 3"]) -> Float[Tensor, "*#batch place 3"]:
+    def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*#batch pose 3"]:
         """Field in the world frame at one point per distinct pose."""
 
     @abstractmethod
-    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch place point 3"]:
+    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch pose point 3"]:
         """Field in the world frame at points that stand still in the room, for every distinct pose of the coil."""
 
 
@@ -242,8 +242,8 @@ class RoomEffect(Effect):
     is_background: ClassVar[bool] = False
 
     def steady_T(
-        self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"] | None:
+        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"] | None:
         """Field in the world frame that is there without current."""
         return None
 
@@ -254,8 +254,8 @@ class RoomEffect(Effect):
         return None
 
     def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"] | None:
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"] | None:
         """Field in the world frame per ampere in a coil."""
         return None
 
@@ -270,7 +270,7 @@ class MotionEffect(Effect):
         return torch.zeros(len(circumstances), 0, dtype=torch.float64)
 
     @abstractmethod
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose of the flange, or real displacement."""
 
 
@@ -290,12 +290,12 @@ class MountEffect(Effect):
         return torch.zeros(len(circumstances), 0, dtype=torch.float64)
 
     @abstractmethod
-    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the body."""
 
 
 class ElementEffect(Effect):
-    """Puts the elements of a three-axis sensor at different places."""
+    """Puts the elements of a three-axis sensor at different positions."""
 
     kind = Kind.SENSOR
 
@@ -355,7 +355,7 @@ class NoiseEffect(Effect):
     simulation, predictive density and the tests of agreement all follow from these.
 
     Attributes:
-        imitates_structure: What is predicted wrongly passes for it; all other causes are asked first, and again beside it.
+        imitates_structure: Wrong predictions pass for it; all other causes are asked first, and again beside it.
     """
 
     imitates_structure: ClassVar[bool] = False
@@ -379,7 +379,7 @@ class NoiseEffect(Effect):
         exposure: Float[Tensor, " component"],
         theta: Theta,
     ) -> Float[Tensor, "*#batch component"]:
-        """Standard deviation of the components that it concerns, given that without it."""
+        """Standard deviation of the components that it concerns, given the one without it."""
         return sigma_T
 
     def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]] | None:

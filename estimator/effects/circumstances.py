@@ -21,7 +21,7 @@ SMALLEST_MOVE_M = 1e-9
 
 @dataclass(frozen=True)
 class Extent:
-    """How long, strong and wide a session is, and where: the priors of some causes scale with it."""
+    """Duration, strength, width and middle of a session; the priors of some causes scale with them."""
 
     duration_h: float = 1.0
     largest_current_A: float = 1.0
@@ -68,28 +68,28 @@ class Circumstances:
     def largest_of_sensor_T(self, sensor: str) -> float:
         """Largest component that one sensor read in the session."""
         history = self.observations.history
-        mine = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
-        return max(float(history.field_sensor_T[mine].nan_to_num().abs().max()), 1e-9)
+        is_sensor = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        return max(float(history.field_sensor_T[is_sensor].nan_to_num().abs().max()), 1e-9)
 
     @cached_property
-    def places_m(self) -> Float[Tensor, "place 3"]:
-        """Where coils and sensors nominally stand in the world, a few hundred of their poses at most."""
+    def positions_m(self) -> Float[Tensor, "position 3"]:
+        """Nominal world positions of coils and sensors, a few hundred poses of each at most."""
         return nominal_positions_m(self.rig, self.observations.history)
 
     @cached_property
-    def sensor_places_m(self) -> Float[Tensor, "place 3"]:
-        """Where sensors alone nominally stand."""
+    def sensor_positions_m(self) -> Float[Tensor, "position 3"]:
+        """Nominal world positions of the sensors alone."""
         return nominal_positions_m(self.rig, self.observations.history, has_coils=False)
 
     @cached_property
     def reach_m(self) -> float:
-        """Distance over which things stand in the laboratory: the farthest of the places from their middle."""
-        return float((self.places_m - self.places_m.mean(0)).norm(dim=-1).max())
+        """Largest distance of a coil or sensor from the mean of their positions."""
+        return float((self.positions_m - self.positions_m.mean(0)).norm(dim=-1).max())
 
     @property
     def extent(self) -> Extent:
-        """How long, strong and wide the session is, and where."""
-        x, y, z = self.places_m.mean(0).tolist()
+        """Duration, strength, width and middle of the session."""
+        x, y, z = self.positions_m.mean(0).tolist()
         return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m, (x, y, z))
 
     @cached_property
@@ -99,7 +99,7 @@ class Circumstances:
 
     @cached_property
     def duration_h(self) -> float:
-        """From the first reading of the session to the last; at least a second."""
+        """Time from the first reading of the session to the last; at least a second."""
         time_s = self.observations.history.time_s
         return max(float(time_s.max() - time_s.min()), 1.0) / SECONDS_PER_HOUR
 
@@ -123,7 +123,7 @@ class Circumstances:
         return kelvin + (known.mean() - known.min()) if len(known) else kelvin
 
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
-        """Translation of the mover from the last other place to this one; zero before it first moved."""
+        """Translation of the mover by its last move; zero before it first moved."""
         here = self._poses(mover).translation_m
         step = torch.diff(here, dim=0, prepend=here[:1])
         has_moved = (step.abs() > SMALLEST_MOVE_M).any(-1)
@@ -139,7 +139,7 @@ class Circumstances:
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
-        """Low-passed square of the commanded current, as a thermal mass of that time constant sees it."""
+        """Low-passed square of the commanded current; the time constant is that of the thermal mass."""
         history = self.observations.history
         time_h = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR
         edges = torch.linspace(

@@ -15,10 +15,10 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 
-GAPS = (0.3, 1.0)  # of the reach, between the places and a plane behind them
-LEAST_BETWEEN = 0.5  # of the reach: how far sensors' places lie apart for a plate to stand between them
+GAPS = (0.3, 1.0)  # of the reach, between the positions and a plane behind them
+LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate to stand between them
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
-WIDER = 1.3  # than the places beside the axis: an opening to start from
+WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
@@ -41,7 +41,7 @@ class IronPlate(RoomEffect):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes, before and behind whatever stands there."""
+        """Planes across the world's axes, before and behind all coils and sensors."""
         return tuple(
             {
                 "axis": float(axis),
@@ -51,15 +51,15 @@ class IronPlate(RoomEffect):
             }
             for axis in range(3)
             for at_m, gaps in (
-                (float(circumstances.places_m[:, axis].max()), GAPS),
-                (float(circumstances.places_m[:, axis].min()), [-gap for gap in GAPS]),
+                (float(circumstances.positions_m[:, axis].max()), GAPS),
+                (float(circumstances.positions_m[:, axis].min()), [-gap for gap in GAPS]),
             )
             for gap in gaps
         )
 
     def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """In front the image of the coil, behind so much less of its field."""
         across = _across(theta)
         depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
@@ -91,19 +91,19 @@ class PiercedPlate(RoomEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where places of sensors lie apart."""
+        """Where sensors lie far enough apart."""
         return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes between the places of sensors, open as wide as these lie about their middle."""
+        """Planes across the world's axes between the sensors, open as wide as these lie about their middle."""
         starts = []
         for axis, distance_m in _between(circumstances):
             low_m, high_m = (
-                circumstances.sensor_places_m.min(0).values,
-                circumstances.sensor_places_m.max(0).values,
+                circumstances.sensor_positions_m.min(0).values,
+                circumstances.sensor_positions_m.max(0).values,
             )
             middle_m = 0.5 * (low_m + high_m)
-            beside_m = circumstances.sensor_places_m - middle_m
+            beside_m = circumstances.sensor_positions_m - middle_m
             middle_m[axis], beside_m[:, axis] = distance_m, 0.0
             wide_m = float(beside_m.norm(dim=-1).max())
             starts.append(
@@ -119,12 +119,12 @@ class PiercedPlate(RoomEffect):
 
     def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """While sensors are on both of its sides: from far away its step is a field of the room."""
-        depth_m = ((circumstances.sensor_places_m - _middle_m(theta)) * _across(theta)).sum(-1)
+        depth_m = ((circumstances.sensor_positions_m - _middle_m(theta)) * _across(theta)).sum(-1)
         return bool(depth_m.min() < 0.0 < depth_m.max())
 
     def steady_T(
-        self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Half of the step on each side, and what the opening lets through of it."""
         across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
         from_middle_m = points_m - _middle_m(theta)
@@ -133,8 +133,8 @@ class PiercedPlate(RoomEffect):
         return (side * half_T)[..., None] * across + leak
 
     def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """A plate without opening, and what the opening lets through (see `through_opening`)."""
         across = _across(theta)
         middle_m = _middle_m(theta)
@@ -157,14 +157,14 @@ def _middle_m(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
 
 
 def _spread_m(circumstances: Circumstances) -> Float[Tensor, "3"]:
-    """How far places of sensors lie apart, along each axis of the world."""
-    places_m = circumstances.sensor_places_m
-    return places_m.max(0).values - places_m.min(0).values
+    """Range of the sensors' positions along each axis of the world."""
+    positions_m = circumstances.sensor_positions_m
+    return positions_m.max(0).values - positions_m.min(0).values
 
 
 def _between(circumstances: Circumstances) -> Iterator[tuple[int, float]]:
-    """Axis and distance of planes between the places, across the axes along which these lie apart; the widest at least."""
-    spread_m, lowest_m = _spread_m(circumstances), circumstances.sensor_places_m.min(0).values
+    """Axis and distance of planes between the sensors, across the axes along which these lie apart; the widest at least."""
+    spread_m, lowest_m = _spread_m(circumstances), circumstances.sensor_positions_m.min(0).values
     least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
     for axis, (low, spread) in enumerate(zip(lowest_m.tolist(), spread_m.tolist(), strict=True)):
         if spread >= least_m:
@@ -180,9 +180,9 @@ def _ring_m(
     axes = torch.eye(3, dtype=across.dtype)
     along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
     along = along / along.norm(dim=-1, keepdim=True)
-    other = torch.linalg.cross(across, along)
+    beside = torch.linalg.cross(across, along)
     turn = torch.tensor([0.0, 1.0, 2.0], dtype=across.dtype)[:, None] * 2.0 * math.pi / 3.0
-    ring = torch.cos(turn) * along + torch.sin(turn) * other
+    ring = torch.cos(turn) * along + torch.sin(turn) * beside
     ring_m: Tensor = RING * radius_m[..., None, None] * ring
     return middle_m + ring_m
 
@@ -208,12 +208,12 @@ def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
 
 def _sheet(
     per_ampere: PerAmpere,
-    points_m: Float[Tensor, "*#batch place 3"],
+    points_m: Float[Tensor, "*#batch pose 3"],
     across: Float[Tensor, "*#batch 1 3"],
-    depth_m: Float[Tensor, "*#batch place"],
-    coil_m: Float[Tensor, "*#batch #place"],
-) -> Float[Tensor, "*batch place 3"]:
-    """What a perfect sheet adds: before it the field of the coil's image, behind it the coil's own with the other sign.
+    depth_m: Float[Tensor, "*#batch pose"],
+    coil_m: Float[Tensor, "*#batch #pose"],
+) -> Float[Tensor, "*batch pose 3"]:
+    """What a perfect sheet adds: before it the field of the coil's image, behind it the coil's field with the opposite sign.
 
     A thin sheet that reflects the share r lets 1 - r pass: then the field along the sheet is the same on both sides.
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.17 (image), 5.8 (continuity).
@@ -244,8 +244,8 @@ class IronBody(RoomEffect):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Around the middle of the places, at two distances."""
-        middle = circumstances.places_m.mean(0)
+        """Around the middle of coils and sensors, at two distances."""
+        middle = circumstances.positions_m.mean(0)
         directions = [
             (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
         ]
@@ -253,15 +253,15 @@ class IronBody(RoomEffect):
         for direction in directions:
             along = torch.tensor(direction).double()
             along = along / along.norm()
-            farthest_m = float(((circumstances.places_m - middle) @ along).max())
+            farthest_m = float(((circumstances.positions_m - middle) @ along).max())
             for gap in (0.4, 1.2):
                 point = middle + along * (farthest_m + gap * circumstances.reach_m)
                 starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
         return tuple(starts)
 
     def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
         body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
         at_body = per_ampere.at_each(body_m)[..., 0, :]

@@ -161,10 +161,10 @@ class LeftHanded(MotionEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Each axis alone, and all."""
-        one = [{f"{b}_sign": -1.0 if a == b else 1.0 for b in "xyz"} for a in "xyz"]
-        return (*one, {f"{axis}_sign": -1.0 for axis in "xyz"})
+        alone = [{f"{b}_sign": -1.0 if a == b else 1.0 for b in "xyz"} for a in "xyz"]
+        return (*alone, {f"{axis}_sign": -1.0 for axis in "xyz"})
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         sign = torch.stack([theta[f"{axis}_sign"] for axis in "xyz"], dim=-1)[..., None, :]
         return Transform(pose.rotation, sign * pose.translation_m)
@@ -175,7 +175,7 @@ class LeftHanded(MotionEffect):
 
 
 class DisplacementFrameError(MotionEffect):
-    """Displacements are reported in other axes than the rig says: those of the robot's base, for one."""
+    """Displacements are reported in other axes than the rig says, such as those of the robot's base."""
 
     name: ClassVar[str] = "displacement_frame"
     words: ClassVar[str] = "displacements are reported in other axes than the rig says"
@@ -197,7 +197,7 @@ class DisplacementFrameError(MotionEffect):
         keys = ("rx_rad", "ry_rad", "rz_rad")
         return tuple(dict(zip(keys, turn, strict=True)) for turn in _turns())
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         turn = rotation_from_vector(torch.stack([theta[f"{a}_rad"] for a in ("rx", "ry", "rz")], dim=-1))
         return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
@@ -209,7 +209,7 @@ class DisplacementFrameError(MotionEffect):
 
 def _signed_permutations() -> list[dict[str, float]]:
     """The 48 of them, the identity first."""
-    found = [
+    return [
         {
             f"{axis}_reads": float(sign * column)
             for axis, sign, column in zip("xyz", signs, order, strict=True)
@@ -217,7 +217,6 @@ def _signed_permutations() -> list[dict[str, float]]:
         for order in permutations((1, 2, 3))
         for signs in product((1, -1), repeat=3)
     ]
-    return found
 
 
 @cache

@@ -33,7 +33,7 @@ class RobotScale(MotionEffect):
         """Relative excess of each axis."""
         return triple("xyz", "", "1", 0.005)
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         scale = torch.stack([theta[axis] for axis in "xyz"], dim=-1)[..., None, :]
         return _shifted(pose, scale * pose.translation_m)
@@ -50,7 +50,7 @@ class RobotShear(MotionEffect):
         """How far x leans along y, x along z, and y along z."""
         return tuple(normal(key, "1", 0.005) for key in ("xy", "xz", "yz"))
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         _, y, z = pose.translation_m.unbind(-1)
         xy, xz, yz = (theta[key][..., None] for key in ("xy", "xz", "yz"))
@@ -77,7 +77,7 @@ class PositionLag(MotionEffect):
         """The way to a position is history."""
         return "where the mover came from"
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
 
@@ -86,7 +86,7 @@ class Backlash(MotionEffect):
     """Each axis stands half its play short of its target, on the side it came from."""
 
     name: ClassVar[str] = "backlash"
-    words: ClassVar[str] = "the axes have play: the place depends on the side it was reached from"
+    words: ClassVar[str] = "the axes have play: the position depends on the side it was reached from"
     source: ClassVar[str] = "spindles and gears, 10 to 200 um"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -94,14 +94,14 @@ class Backlash(MotionEffect):
         return triple("xyz", "_m", "m", 200e-6)
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Side each axis was reached from."""
+        """Side from which each axis was reached."""
         return circumstances.approach(mover)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """The way to a position is history."""
         return "where the mover came from"
 
-    def apply(self, pose: Transform, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         play_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
         return _shifted(pose, -0.5 * play_m * columns)
@@ -129,7 +129,7 @@ class MountTilt(MountEffect):
             b.name for b in carried if rig.mover(str(b.carried_by)).motion is MotionKind.DISPLACEMENT
         )
 
-    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the mount."""
         zero = torch.zeros_like(theta["x_rad"])
         rotation = rotation_from_vector(torch.stack((theta["x_rad"], theta["y_rad"], zero), dim=-1))
@@ -157,7 +157,7 @@ class SensorMisplaced(MountEffect):
         """Beside other sensors; the pose of the coil takes up what a single one has."""
         return len(circumstances.rig.sensors) > 1
 
-    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""
         shift_m, turn_rad = (
             torch.stack([theta[key] for key in keys], dim=-1)
@@ -183,7 +183,7 @@ class SensorBumped(MountEffect):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Instants after each of which, and before, enough was read."""
+        """Instants with enough readings before and after."""
         time_h = (
             circumstances.observations.history.time_s - circumstances.observations.history.time_s.min()
         ) / SECONDS_PER_HOUR
@@ -201,7 +201,7 @@ class SensorBumped(MountEffect):
         """An instant needs a session to lie in."""
         return "when it happened in a session that has not begun"
 
-    def apply(self, columns: Float[Tensor, "place column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""
         shift = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :] * columns
         return Transform(torch.eye(3, dtype=shift.dtype).expand(1, 3, 3), shift)

@@ -71,10 +71,10 @@ class CrossAxis(ReadingEffect):
 
 
 class ElementDisplacement(ElementEffect):
-    """The elements of the three axes sit at different places in the probe."""
+    """The elements of the three axes sit at different positions in the probe."""
 
     name: ClassVar[str] = "element_displacement"
-    words: ClassVar[str] = "the sensor's three elements sit at different places"
+    words: ClassVar[str] = "the sensor's three elements sit at different positions"
     source: ClassVar[str] = "probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

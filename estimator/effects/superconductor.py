@@ -28,8 +28,8 @@ Numbers = tuple[float, ...]
 class FilamentMagnetisation(WindingMagnetisation):
     """Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
 
-    The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that keep their
-    place beside it.
+    The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that do
+    not move relative to it.
     """
 
     name: ClassVar[str] = "filament_magnetisation"
@@ -79,10 +79,10 @@ class FilamentMagnetisation(WindingMagnetisation):
 
 
 def _described(rig: Rig, coil: Coil) -> Numbers:
-    """Winding and place of a coil as the rig file describes them."""
+    """Winding and pose of a coil as the rig file describes them."""
     nominal = rig.nominal_values()
     block = "world_from_coil" if coil.carried_by is None else "flange_from_coil"
-    winding = (nominal[f"{coil.name}.{one.name}"] for one in fields(Winding))
+    winding = (nominal[f"{coil.name}.{field.name}"] for field in fields(Winding))
     pose = (nominal[f"{coil.name}.{block}.{key}"] for key in POSE_KEYS)
     return (*winding, *pose)
 
@@ -91,16 +91,16 @@ def _described(rig: Rig, coil: Coil) -> Numbers:
 def _rings(target: Numbers, sources: tuple[Numbers | None, ...]) -> tuple[Rings, Tensor]:
     winding, pose = _winding(target), _pose(target)
     rings = Rings.of(winding)
-    own = field_inside_per_ampere(winding, rings)
+    own_field = field_inside_per_ampere(winding, rings)
     patterns = []
     for source in sources:
         if source is None:
-            patterns.append(torch.zeros_like(own))
+            patterns.append(torch.zeros_like(own_field))
         else:
-            patterns.append(-own if source == target else -_from_other(rings, pose, source))
-    zero, one = torch.zeros_like(rings.height_m), torch.ones_like(rings.height_m)
+            patterns.append(-own_field if source == target else -_from_other(rings, pose, source))
+    zeros, ones = torch.zeros_like(rings.height_m), torch.ones_like(rings.height_m)
     fanned = 1.0 + 2.0 * rings.height_m / winding.length_m
-    left = [torch.stack(parts, dim=-1) for parts in ((zero, one), (one, zero), (fanned, zero))]
+    left = [torch.stack(parts, dim=-1) for parts in ((zeros, ones), (ones, zeros), (fanned, zeros))]
     return rings, torch.stack((*patterns, *left))
 
 

@@ -38,10 +38,10 @@ class _OneCoilCurrent(CurrentEffect):
         coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
-        own = self.delivered(current_A[..., coil], theta, circumstances, coil)
-        others = current_A.expand(*own.shape, current_A.shape[-1])
-        is_own = torch.arange(current_A.shape[-1]) == coil
-        return torch.where(is_own, own[..., None], others)
+        delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
+        current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
+        is_coil = torch.arange(current_A.shape[-1]) == coil
+        return torch.where(is_coil, delivered_A[..., None], current_A)
 
 
 class CurrentGain(_OneCoilCurrent):
@@ -167,7 +167,7 @@ class NeighbourCoil(CurrentEffect):
         coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
-        others = current_A.sum(-1) - current_A[..., coil]
-        leak = theta["share"][..., None] * others
-        is_own = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
-        return current_A + leak[..., None] * is_own
+        neighbours_A = current_A.sum(-1) - current_A[..., coil]
+        leak_A = theta["share"][..., None] * neighbours_A
+        is_coil = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
+        return current_A + leak_A[..., None] * is_coil

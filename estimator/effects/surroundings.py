@@ -25,8 +25,8 @@ class BackgroundField(RoomEffect):
         return triple("xyz", "_T", "T", 50e-6)
 
     def steady_T(
-        self, points_m: Float[Tensor, "*#batch place 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """The same everywhere."""
         field = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
         return field.expand(*field.shape[:-2], points_m.shape[-2], 3)

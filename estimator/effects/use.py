@@ -44,8 +44,8 @@ class Use(Generic[E_co]):
     def theta(self, values: Mapping[str, Tensor]) -> Theta:
         """Its quantities among all numbers of the rig, broadcast to one batch."""
         prefix = f"{self.label}."
-        own = {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}
-        return dict(zip(own, torch.broadcast_tensors(*own.values()), strict=True))
+        theta = {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}
+        return dict(zip(theta, torch.broadcast_tensors(*theta.values()), strict=True))
 
     def concerned(self, circumstances: Circumstances) -> Bool[Tensor, " reading"] | None:
         """Readings of its sensor; None stands for all."""
@@ -54,7 +54,7 @@ class Use(Generic[E_co]):
         return circumstances.sensor == self.index(circumstances.rig.sensors)
 
     def index(self, bodies: Sequence[Body | Mover]) -> int:
-        """Where its place stands among the rig's coils, sensors or movers."""
+        """Index of its place among the rig's coils, sensors or movers."""
         return [body.name for body in bodies].index(self.place)
 
 

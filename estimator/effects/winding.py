@@ -77,8 +77,8 @@ class TurnsGradient(SourceEffect):
         return (normal("slope", "1", 0.05),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of the excess per ampere."""
         loops = loops_of(winding, rule)
         half_m = 0.5 * winding.length_m[..., None, None]
@@ -102,8 +102,8 @@ class ShortLayer(SourceEffect):
         return ({"at_front": 1.0}, {"at_front": 0.0})
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of what is missing, per ampere."""
         nodes, weights = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(LAYER_NODES))
         share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
@@ -128,8 +128,8 @@ class CoilOvality(SourceEffect):
         return (normal("cos2", "1", 0.01), normal("sin2", "1", 0.01))
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Oval less round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
@@ -180,8 +180,8 @@ class LeadWire(SourceEffect):
         return tuple({"azimuth_rad": math.pi * i / 4.0, "length_m": 0.2} for i in range(-3, 5))
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of the rectangle of wire per ampere."""
         azimuth, zero = theta["azimuth_rad"], torch.zeros_like(theta["gap_m"])
         outward = torch.stack((torch.cos(azimuth), torch.sin(azimuth), zero), dim=-1)
@@ -208,8 +208,8 @@ def _segment(points_m: Tensor, start_m: Tensor, end_m: Tensor) -> Tensor:
 
 
 def _rod_per_moment(
-    points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding
-) -> Float[Tensor, "*#batch place 3"]:
+    points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding
+) -> Float[Tensor, "*#batch pose 3"]:
     """Field of a rod in the bore, as long as the winding and magnetised along the axis, in units of the winding's own moment."""
     pole = (MU0_OVER_4PI * winding.moment_m2 / winding.length_m)[..., None, None]
     front = points_coil_m
@@ -235,8 +235,8 @@ class IronCore(SourceEffect):
         return (normal("share", "1", 0.1),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of the rod per ampere."""
         return theta["share"][..., None, None] * _rod_per_moment(points_coil_m, winding)
 
@@ -255,8 +255,8 @@ class CoreSaturation(SourceEffect):
         return (normal("share", "1", 0.1), normal("loss_per_A2", "1/A2", loss))
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of a rod with the winding's moment."""
         return _rod_per_moment(points_coil_m, winding)
 
@@ -288,8 +288,8 @@ class SphericalSum(SourceEffect):
         return (normal("weight", "1", 1.0),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Literal less right sum, per ampere."""
         right = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
         literal = literal_field_per_ampere(points_coil_m, winding, rule)
@@ -308,8 +308,8 @@ class DipoleModel(SourceEffect):
         return (normal("weight", "1", 1.0),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch place 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch place 3"]:
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
         """Dipole less winding, per ampere."""
         moment = winding.moment_m2[..., None]
         x, y = points_coil_m[..., 0], points_coil_m[..., 1]

@@ -30,8 +30,8 @@ def columns_of(rig: Rig, circumstances: Circumstances) -> dict[str, Tensor]:
         if isinstance(use.effect, MotionEffect):
             columns[use.label] = use.effect.columns(circumstances, use.place)
         elif isinstance(use.effect, MountEffect):
-            own = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
-            columns[use.label] = use.effect.columns(circumstances, own)
+            theta = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
+            columns[use.label] = use.effect.columns(circumstances, theta)
     return columns
 
 
@@ -63,7 +63,7 @@ def world_from_body(
 def _mount(
     rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
 ) -> Transform:
-    """nominal_from_real of a body on what carries it, by the effects that were there already at the reference pose, or by the others."""
+    """nominal_from_real of a body on what carries it, by the effects that were present at the reference pose, or by those since."""
     total = Transform.identity()
     for use in uses_of(rig, MountEffect, body.name):
         if use.effect.is_at_reference == is_at_reference:

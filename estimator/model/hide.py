@@ -30,19 +30,19 @@ def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float
     for text, value in hidden.items():
         cause, key = _read(text, rig)
         sizes.setdefault(cause, {})[key] = value
-    for cause, own in sizes.items():
+    for cause, given in sizes.items():
         shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]
-        rig = with_effect(rig, cause, observations, {**shapes, **own}, is_free=False)
+        rig = with_effect(rig, cause, observations, {**shapes, **given}, is_free=False)
     return rig
 
 
 def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
     """The same sizes as parameters of an extended rig are named: `axis_gain[hall].x`."""
-    found = {}
+    sizes = {}
     for text, value in hidden.items():
         cause, key = _read(text, rig)
-        found[f"{cause.label}.{key}"] = value
-    return found
+        sizes[f"{cause.label}.{key}"] = value
+    return sizes
 
 
 def cause_of(text: str, rig: Rig) -> Cause:

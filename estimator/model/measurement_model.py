@@ -167,9 +167,9 @@ class MeasurementModel:
             return poses[0]
         rotation, translation = poses[0].rotation, poses[0].translation_m
         for i, pose in enumerate(poses[1:], start=1):
-            mine = which == i
-            rotation = torch.where(mine[:, None, None], pose.rotation, rotation)
-            translation = torch.where(mine[:, None], pose.translation_m, translation)
+            is_sensor = which == i
+            rotation = torch.where(is_sensor[:, None, None], pose.rotation, rotation)
+            translation = torch.where(is_sensor[:, None], pose.translation_m, translation)
         return Transform(rotation, translation)
 
     def _at_sensor(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
@@ -183,11 +183,11 @@ class MeasurementModel:
             return self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
         part, rest = self._part(apart), self._part(together)
-        one = part._at_elements(values, world_from_sensor.rows(self.pose_row[apart].unique()))
-        other = rest._field_at(values, world_from_sensor.rows(self.pose_row[together].unique()))
-        batch = torch.broadcast_shapes(one.shape[:-2], other.shape[:-2])
-        both = torch.cat((one.expand(*batch, -1, 3), other.expand(*batch, -1, 3)), dim=-2)
-        return both[..., torch.argsort(torch.cat((apart, together))), :]
+        apart_T = part._at_elements(values, world_from_sensor.rows(self.pose_row[apart].unique()))
+        together_T = rest._field_at(values, world_from_sensor.rows(self.pose_row[together].unique()))
+        batch = torch.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
+        field_T = torch.cat((apart_T.expand(*batch, -1, 3), together_T.expand(*batch, -1, 3)), dim=-2)
+        return field_T[..., torch.argsort(torch.cat((apart, together))), :]
 
     def _at_elements(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, each component where its element sits."""

@@ -18,45 +18,45 @@ MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the g
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
 
-def check_readings(rig: Rig, observations: Observations, place: str, needs_current: bool = True) -> None:
+def check_readings(rig: Rig, observations: Observations, where: str, needs_current: bool = True) -> None:
     """Refuse readings that cannot support a fit.
 
     Args:
         rig: What they were taken on.
         observations: All readings; those that a fit would use have to suffice.
-        place: Names their origin in messages.
+        where: File or session that messages name.
         needs_current: A coil without current tells nothing of itself, but much of sensors and room.
     Raises:
         InvalidInput: A value that is not finite; no reading to fit, or fewer components than free parameters; no current; no field; no
             motion.
     """
-    _check_values(observations, place)
+    _check_values(observations, where)
     observations = observations.calibration
     if not len(observations):
-        raise InvalidInput(f"session must hold calibration readings; it holds none ({place})")
+        raise InvalidInput(f"session must hold calibration readings; it holds none ({where})")
     if len(observations) == 1:
         raise InvalidInput(
-            f"a calibration needs readings at several places; received a single reading ({place})"
+            f"a calibration needs readings at several poses; received a single reading ({where})"
         )
     n_components, n_free = int(observations.is_measured.sum()), len(rig.free)
     if n_components < n_free:
         raise InvalidInput(
             f"readings must hold at least as many components as there are free parameters ({n_free}); "
-            f"received {n_components} ({place})"
+            f"received {n_components} ({where})"
         )
     if needs_current and (observations.current_A == 0.0).all():
-        raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({place})")
+        raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})")
     if (observations.field_sensor_T[observations.is_measured] == 0.0).all():
-        raise InvalidInput(f"sensors must show a field; every component is 0 T ({place})")
+        raise InvalidInput(f"sensors must show a field; every component is 0 T ({where})")
     motions = [observations.motion[mover.name] for mover in rig.movers]
-    places = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
-    if len(torch.unique(places, dim=0)) == 1:
+    poses = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
+    if len(torch.unique(poses, dim=0)) == 1:
         raise InvalidInput(
-            f"readings must be taken at several poses; all {len(observations)} share one ({place})"
+            f"readings must be taken at several poses; all {len(observations)} share one ({where})"
         )
 
 
-def _check_values(observations: Observations, place: str) -> None:
+def _check_values(observations: Observations, where: str) -> None:
     tensors = {"time": observations.time_s, "current": observations.current_A}
     tensors |= {f"motion of {name}": motion for name, motion in observations.motion.items()}
     for name, tensor in tensors.items():
@@ -64,15 +64,15 @@ def _check_values(observations: Observations, place: str) -> None:
         if len(bad):
             value = tensor[tuple(bad[0])].item()
             raise InvalidInput(
-                f"{name} must be finite; received {value} at reading {int(bad[0, 0])} ({place})"
+                f"{name} must be finite; received {value} at reading {int(bad[0, 0])} ({where})"
             )
     infinite = torch.isinf(observations.field_sensor_T).any(dim=1).nonzero().flatten()
     if len(infinite):
-        raise InvalidInput(f"field must be finite or empty; reading {int(infinite[0])} is infinite ({place})")
+        raise InvalidInput(f"field must be finite or empty; reading {int(infinite[0])} is infinite ({where})")
     empty = (~observations.is_measured.any(dim=1)).nonzero().flatten()
     if len(empty):
         raise InvalidInput(
-            f"every reading must hold at least one component; reading {int(empty[0])} holds none ({place})"
+            f"every reading must hold at least one component; reading {int(empty[0])} holds none ({where})"
         )
 
 
@@ -82,7 +82,7 @@ class _Agreement:
     correlation: float
 
 
-def check_units(rig: Rig, observations: Observations, place: str) -> None:
+def check_units(rig: Rig, observations: Observations, where: str) -> None:
     """Refuse readings whose size or pattern only fits the rig's nominal model in another unit, and name the likely one.
 
     Raises:
@@ -97,21 +97,21 @@ def check_units(rig: Rig, observations: Observations, place: str) -> None:
     if given is not None and is_plausible and given.correlation > 0.9:
         return
     misfit = 1.0 - (given.correlation if given is not None else 0.0)
-    for thing, factor, unit in (
+    for kind, factor, unit in (
         ("positions", 1e-3, "mm"),
         ("positions", 1e-2, "cm"),
         ("rotations", np.pi / 180.0, "degrees"),
     ):
-        other = _agreement(rig, _scaled(rig, observations, thing, factor))
+        agreement = _agreement(rig, _scaled(rig, observations, kind, factor))
         if (
-            other is not None
-            and 1.0 / 3.0 < other.ratio < 3.0
-            and other.correlation > 0.7
-            and 1.0 - other.correlation < MUCH_BETTER * misfit
+            agreement is not None
+            and 1.0 / 3.0 < agreement.ratio < 3.0
+            and agreement.correlation > 0.7
+            and 1.0 - agreement.correlation < MUCH_BETTER * misfit
         ):
             raise InvalidInput(
-                f"{thing} of the movers must be in {'metres' if thing == 'positions' else 'radians'}; they look like {unit}: "
-                f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({place})"
+                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like {unit}: "
+                f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({where})"
             )
     if given is None or is_plausible:
         return
@@ -123,7 +123,7 @@ def check_units(rig: Rig, observations: Observations, place: str) -> None:
     else:
         likely = "check units, currents and the nominal pose"
     raise InvalidInput(
-        f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: {likely} ({place})"
+        f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: {likely} ({where})"
     )
 
 
@@ -143,13 +143,13 @@ def _agreement(rig: Rig, observations: Observations) -> _Agreement | None:
     return _Agreement(norm[1] / norm[0], float((predicted * measured).sum()) / (norm[0] * norm[1]))
 
 
-def _scaled(rig: Rig, observations: Observations, thing: str, factor: float) -> Observations:
+def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:
     motion = {}
     for mover in rig.movers:
         scaled = observations.motion[mover.name].clone()
         is_joint = mover.motion in (MotionKind.UR3, MotionKind.UR3E)
-        columns = slice(0, 6) if is_joint else slice(3, 6) if thing == "rotations" else slice(0, 3)
-        if not (is_joint and thing == "positions"):
+        columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
+        if not (is_joint and kind == "positions"):
             scaled[:, columns] *= factor
         motion[mover.name] = scaled
     return replace(observations, motion=motion)

@@ -61,15 +61,15 @@ class Factorial:
         """
         whole, centre = float(self.response.var()), float(self.response.mean())
         main = {name: self.main_effect(name) - centre for name in self.names}
-        found: dict[tuple[str, ...], float] = {(name,): float((e**2).mean()) for name, e in main.items()}
+        variances: dict[tuple[str, ...], float] = {(name,): float((e**2).mean()) for name, e in main.items()}
         for row, column in combinations(self.names, 2):
             beyond = self.interaction(row, column) - centre - main[row][:, None] - main[column][None, :]
-            found[row, column] = float((beyond**2).mean())
-        return {key: part / whole for key, part in found.items()}
+            variances[row, column] = float((beyond**2).mean())
+        return {key: part / whole for key, part in variances.items()}
 
-    def _mean_over_all_but(self, *kept: str) -> np.ndarray:
-        others = tuple(i for i, name in enumerate(self.names) if name not in kept)
-        return np.asarray(self.response.mean(axis=others))
+    def _mean_over_all_but(self, *names: str) -> np.ndarray:
+        axes = tuple(i for i, name in enumerate(self.names) if name not in names)
+        return np.asarray(self.response.mean(axis=axes))
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ def factorial(response: Response, levels: Mapping[str, np.ndarray]) -> Factorial
     """
     axes = [torch.from_numpy(np.asarray(values, dtype=float)) for values in levels.values()]
     runs = torch.cartesian_prod(*axes).reshape(-1, len(axes))
-    found = response(runs).reshape([len(axis) for axis in axes])
-    return Factorial(tuple(levels), tuple(axis.numpy() for axis in axes), found.numpy())
+    rms_T = response(runs).reshape([len(axis) for axis in axes])
+    return Factorial(tuple(levels), tuple(axis.numpy() for axis in axes), rms_T.numpy())
 
 
 def sobol(response: Response, levels: Mapping[str, np.ndarray], n: int = 512) -> Sobol:

@@ -179,7 +179,7 @@ def _reporting_poses(mover: Mover) -> Mover:
 
 
 def _typical(rig: Rig) -> Observations:
-    """Poses some way apart with a current in all coils, as shapes of causes are placed in a session."""
+    """Poses some way apart with a current in all coils, as causes with shapes need them."""
     steps = torch.cat((torch.zeros(1, 3), SPREAD_M * torch.eye(3), -SPREAD_M * torch.eye(3))).double()
     motion = {mover.name: torch.cat((steps, torch.zeros(7, 3)), dim=1) for mover in rig.movers}
     return _observations(rig, [float(i) for i in range(7)], 0, [1.0] * len(rig.coils), motion)

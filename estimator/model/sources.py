@@ -177,7 +177,7 @@ class Sources:
         coil_from_point = world_from_coil.inverse() @ world_from_point
         rings, patterns = use.effect.rings(self.rig, coil)
         drives = use.effect.drives(delivered_A, use.theta(values))
-        idle = [i for i, other in enumerate(self.rig.coils) if not len(self.powered[other.name])]
+        idle = [i for i, source in enumerate(self.rig.coils) if not len(self.powered[source.name])]
         there = [i for i in range(len(patterns)) if i not in idle]
 
         def field(points_m: Tensor, _: Sequence[Tensor] = ()) -> Tensor:
@@ -230,12 +230,12 @@ class Sources:
         is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
             self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS
         )
-        geometry = [] if is_fixed else [getattr(winding, one.name) for one in fields(Winding)]
+        geometry = [] if is_fixed else [getattr(winding, item.name) for item in fields(Winding)]
 
         def of(points_m: Tensor, numbers: Sequence[Tensor]) -> Tensor:
             there = Winding(*numbers[: len(geometry)]) if geometry else winding
-            own = dict(zip(theta, numbers[len(geometry) :], strict=True))
-            return field(points_m, there, rule, own)
+            quantities = dict(zip(theta, numbers[len(geometry) :], strict=True))
+            return field(points_m, there, rule, quantities)
 
         return first_order_field(of, points_coil_m, [*geometry, *theta.values()])
 

@@ -179,18 +179,18 @@ class Rig:
 
     def with_parameters(self, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with other descriptions of some of its parameters."""
-        others = {parameter.name: parameter for parameter in parameters}
-        return replace(self, parameters={**self.parameters, **others})
+        replaced = {parameter.name: parameter for parameter in parameters}
+        return replace(self, parameters={**self.parameters, **replaced})
 
     def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
-        more = {parameter.name: parameter for parameter in parameters}
-        return replace(self, parameters={**self.parameters, **more}, effects=(*self.effects, cause))
+        quantities = {parameter.name: parameter for parameter in parameters}
+        return replace(self, parameters={**self.parameters, **quantities}, effects=(*self.effects, cause))
 
     def without_cause(self, cause: Cause) -> Rig:
         """The same rig without an effect."""
-        kept = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
-        return replace(self, parameters=kept, effects=tuple(c for c in self.effects if c != cause))
+        parameters = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
+        return replace(self, parameters=parameters, effects=tuple(c for c in self.effects if c != cause))
 
     def broken_rule(self) -> tuple[str, str, str] | None:
         """First nominal value that no rig can have: the parameter, the rule it breaks, and what it is; None where all are possible."""

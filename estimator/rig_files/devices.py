@@ -45,15 +45,15 @@ def load_devices(path: Path, rig: Rig) -> DeviceSettings:
     return devices
 
 
-def place_of(path: Path, name: str, key: str) -> str:
+def setting_location(path: Path, name: str, key: str) -> str:
     r"""File and line of a setting of a device; of the device where it has no such setting.
 
     Examples:
         >>> import tempfile
         >>> file = Path(tempfile.mkdtemp()) / "rig.yaml"
         >>> _ = file.write_text("devices:\n  hall:\n    sensor: lakeshore_f71\n")
-        >>> place_of(file, "hall", "sensor").endswith("rig.yaml, line 3"), place_of(file, "hall", "tcp").endswith("line 2")
-        (True, True)
+        >>> [setting_location(file, "hall", key)[-6:] for key in ("sensor", "tcp")]
+        ['line 3', 'line 2']
     """
     section = Section.from_file(path).section(DEVICES)
     if name not in section or not section.is_section(name):
@@ -63,7 +63,7 @@ def place_of(path: Path, name: str, key: str) -> str:
 
 
 def without_devices(text: str) -> str:
-    r"""The text of a rig file without its devices: what identifies the rig, whatever port an instrument hangs on.
+    r"""Text of a rig file without its devices, which are no part of what identifies the rig.
 
     Examples:
         >>> without_devices("name: small\n\ndevices:\n  hall: {sensor: lakeshore_f71}\n")
@@ -76,17 +76,17 @@ def without_devices(text: str) -> str:
 def _device(section: Section, name: str, rig: Rig) -> Mapping[str, Any]:
     settings = section.section(name)
     kinds = (*KINDS, THERMOMETER)
-    found = [kind for kind in kinds if kind in settings]
-    if len(found) != 1:
+    named = [kind for kind in kinds if kind in settings]
+    if len(named) != 1:
         section.refuse(
-            name, f"must be one of {', '.join(kinds)}, as in 'supply: scpi'", " and ".join(found) or "none"
+            name, f"must be one of {', '.join(kinds)}, as in 'supply: scpi'", " and ".join(named) or "none"
         )
-    kind = found[0]
+    kind = named[0]
     if kind == THERMOMETER:
         _check_felt(settings, rig)
         return {key: settings.value(key) for key in settings}
     served: Sequence[Any] = getattr(rig, KINDS[kind])
-    names = [thing.name for thing in served]
+    names = [body.name for body in served]
     if name not in names:
         rule = f"must bear the name of one of the rig's {KINDS[kind]} ({', '.join(names) or 'it has none'})"
         section.refuse(name, rule, repr(name))
@@ -96,11 +96,11 @@ def _device(section: Section, name: str, rig: Rig) -> Mapping[str, Any]:
 
 
 def _check_felt(settings: Section, rig: Rig) -> None:
-    names = [thing.name for thing in (*rig.coils, *rig.sensors)]
+    names = [body.name for body in (*rig.coils, *rig.sensors)]
     inputs = settings.section("inputs")
-    for place in inputs:
-        if place not in names:
-            inputs.refuse(place, f"must be the name of a coil or sensor ({', '.join(names)})", repr(place))
+    for body in inputs:
+        if body not in names:
+            inputs.refuse(body, f"must be the name of a coil or sensor ({', '.join(names)})", repr(body))
 
 
 def _check_arm(settings: Section, mover: Mover) -> None:

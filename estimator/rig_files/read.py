@@ -37,7 +37,7 @@ SI_SYMBOL = {"length": "m", "angle": "rad", "field": "T", "current": "A"}
 
 @dataclass
 class _Numbers:
-    """The numbers of a rig as they are found, with the section and key that each was read from."""
+    """The numbers of a rig as they are read, with the section and key that each was read from."""
 
     parameters: dict[str, Parameter] = field(default_factory=dict)
     origin: dict[str, tuple[Section, str]] = field(default_factory=dict)
@@ -92,17 +92,17 @@ def _rig(top: Section) -> Rig:
 
 def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Numbers) -> Cause:
     """One entry `cause[place]` with its numbers, by their SI keys."""
-    found = CAUSE.fullmatch(label)
-    if found is None:
+    match = CAUSE.fullmatch(label)
+    if match is None:
         above.refuse(label, "must be written as cause[place], such as axis_gain[hall]", repr(label))
-    if found["name"] not in EFFECTS:
-        closest = " ".join(get_close_matches(found["name"], EFFECTS, n=1, cutoff=0.0))
-        above.refuse(label, f"must be a cause that coilcal knows, such as {closest}", repr(found["name"]))
-    effect = EFFECTS[found["name"]]
+    if match["name"] not in EFFECTS:
+        closest = " ".join(get_close_matches(match["name"], EFFECTS, n=1, cutoff=0.0))
+        above.refuse(label, f"must be a cause that coilcal knows, such as {closest}", repr(match["name"]))
+    effect = EFFECTS[match["name"]]
     places = effect.places(rig)
-    if found["place"] not in places:
+    if match["place"] not in places:
         above.refuse(
-            label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(found["place"])
+            label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(match["place"])
         )
     quantities = effect.quantities(Extent())
     for quantity in quantities:
@@ -116,7 +116,7 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
     broken = effect.broken_rule(values)
     if broken is not None:
         section.refuse(broken[0], broken[1], f"{values[broken[0]]:g}")
-    return Cause(effect.name, found["place"])
+    return Cause(effect.name, match["place"])
 
 
 def _refuse_misspelt(section: Section, quantity: Quantity, known: set[str]) -> None:

@@ -86,7 +86,7 @@ class _Block(dict[str, Any]):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes whatever the reader, or any other program that reads YAML, would take for something else than text."""
+    """Quote what a reader of YAML would take for something other than text."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

@@ -73,7 +73,7 @@ def observations(rig) -> Observations:
 CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(rig_from_text(RIG))]
 
 
-def chain_with(
+def model_with(
     rig: Rig, observations: Observations, cause: Cause
 ) -> tuple[MeasurementModel, dict[str, torch.Tensor]]:
     shapes = EFFECTS[cause.name].starts(
@@ -93,7 +93,7 @@ def free_quantities(name: str) -> list[Quantity]:
     ("name", "place"), [c for c in CASES if not EFFECTS[c[0]].is_record_mistake and c[0] != "range_clipping"]
 )
 def test_null_is_identity(rig, observations, name, place):
-    model, values = chain_with(rig, observations, Cause(name, place))
+    model, values = model_with(rig, observations, Cause(name, place))
     torch.testing.assert_close(
         model.predict(values).expand(24, 3), observations.field_sensor_T, rtol=1e-12, atol=1e-18
     )
@@ -101,7 +101,7 @@ def test_null_is_identity(rig, observations, name, place):
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
 def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, name, place):
-    model, values = chain_with(rig, observations, Cause(name, place))
+    model, values = model_with(rig, observations, Cause(name, place))
     extent = model.circumstances.extent
     for quantity in EFFECTS[name].quantities(extent):
         if quantity.is_shape or quantity.is_fixed:
@@ -170,7 +170,7 @@ def test_names_are_those_that_other_scripts_rely_on():
 )
 def test_rig_file_with_the_effect_predicts_the_same(rig, observations, name):
     cause = Cause(name, EFFECTS[name].places(rig)[0])
-    model, values = chain_with(rig, observations, cause)
+    model, values = model_with(rig, observations, cause)
     fit = fit_rig(model.rig, observations, values, model.rules)
     again = rig_from_text(rig_text(extended_rig(rig, fit)))
     assert again.effects == (cause,)

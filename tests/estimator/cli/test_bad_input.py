@@ -57,7 +57,7 @@ REFUSALS = {
     "they fit the rig's nominal model (mm.csv)",
     "import off.csv --rig rig.yaml --out new.zarr": "at least one coil must carry current; all currents are 0 A (off.csv)",
     "import still.csv --rig rig.yaml --out new.zarr": "readings must be taken at several poses; all 20 share one (still.csv)",
-    "import one.csv --rig rig.yaml --out new.zarr": "a calibration needs readings at several places; received a single reading (one.csv)",
+    "import one.csv --rig rig.yaml --out new.zarr": "a calibration needs readings at several poses; received a single reading (one.csv)",
     "calibrate readings.csv --out new": f"{NO_SESSION} readings.csv",
     "calibrate no.zarr --out new": f"{NO_SESSION} no.zarr",
     "calibrate calibration/chain.zarr --out new": "session must be of kind 'coilcal session'; received None (calibration/chain.zarr)",

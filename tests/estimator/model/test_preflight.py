@@ -206,11 +206,11 @@ REFUSALS: dict[str, tuple[Change, str]] = {
     ),
     "one reading": (
         lambda o: o.rows(torch.arange(1)),
-        "a calibration needs readings at several places; received a single reading",
+        "a calibration needs readings at several poses; received a single reading",
     ),
     "one reading beside validation": (
         lambda o: o.with_validation(torch.arange(len(o)) > 0),
-        "a calibration needs readings at several places; received a single reading",
+        "a calibration needs readings at several poses; received a single reading",
     ),
     "fewer components than parameters": (
         lambda o: o.rows(torch.arange(2)).with_field(torch.tensor([[math.nan, math.nan, 1e-3]] * 2).double()),

@@ -165,7 +165,7 @@ def readings(
     )
 
 
-def chain_of(
+def model_of(
     observations: Observations, effects: Mapping[str, Mapping[str, float]], rig: str = RIG
 ) -> MeasurementModel:
     """The model of a rig with effects, with the full sum over the loops."""
@@ -179,7 +179,7 @@ def predicted_T(
     rig: str = RIG,
 ) -> np.ndarray:
     """What the sensor reads."""
-    model = chain_of(observations, effects or {}, rig)
+    model = model_of(observations, effects or {}, rig)
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in model.rig.nominal_values().items()}
     return model.predict(values).expand(len(observations), 3).numpy()
 

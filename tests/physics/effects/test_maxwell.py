@@ -9,7 +9,7 @@ from torch import Tensor
 from estimator.effects import EFFECTS
 from estimator.effects.base import RoomEffect, SourceEffect, WindingEffect, WindingMagnetisation
 from estimator.model.measurement_model import NominalPrediction
-from tests.physics.effects.laboratory import POINTS_M, SOURCES, chain_of, label_of, readings
+from tests.physics.effects.laboratory import POINTS_M, SOURCES, label_of, model_of, readings
 
 UNIFORM = ("background_field", "background_drift")
 FAR_M = 1.4 * POINTS_M  # an oval loop is summed over 32 nodes: its error dies out away from the wire
@@ -20,7 +20,7 @@ def added_gradient(name: str) -> Tensor:
     observations = readings(FAR_M, (2.0, -3.0), time_s=1800.0 * torch.arange(len(FAR_M)).numpy())
     effects = {label_of(name): SOURCES[name]}
     with_it, without = (
-        NominalPrediction(chain_of(observations, e)).gradient_T_per_m("mapper") for e in (effects, {})
+        NominalPrediction(model_of(observations, e)).gradient_T_per_m("mapper") for e in (effects, {})
     )
     return with_it - without
 
