@@ -86,7 +86,7 @@ class _Block(dict[str, Any]):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quote what a reader of YAML would take for something other than text."""
+    """Quotes what a reader of YAML would take for something other than text."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -209,7 +209,7 @@ def _number(name: str, dimension: str | None, parameters: Mapping[str, Parameter
     return {f"{quantity}_{unit}": _entry(parameter, UNITS[unit].to_si)}
 
 
-def _entry(parameter: Parameter, to_si: float = 1.0) -> float | _Line:
+def _entry(parameter: Parameter, to_si: float = 1.0) -> int | float | _Line:
     """What stands under a parameter's key, in a unit in which all of it survives."""
     if parameter.tie is not None:
         factor = {} if parameter.tie.factor == 1.0 else {"factor": _written(parameter.tie.factor)}
