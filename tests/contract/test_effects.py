@@ -79,10 +79,10 @@ def model_with(
     shapes = EFFECTS[cause.name].starts(
         MeasurementModel.unruled(rig, observations).circumstances, cause.place
     )[0]
-    own = with_effect(rig, cause, observations, shapes)
+    rig_with_cause = with_effect(rig, cause, observations, shapes)
     rules = MeasurementModel.build(rig, observations).rules
-    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in own.nominal_values().items()}
-    return MeasurementModel.unruled(own, observations).with_rules(rules), values
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig_with_cause.nominal_values().items()}
+    return MeasurementModel.unruled(rig_with_cause, observations).with_rules(rules), values
 
 
 def free_quantities(name: str) -> list[Quantity]:

@@ -87,7 +87,9 @@ def kinds(of):
 
 def lasting(readings):
     """What of readings does not depend on when they are read."""
-    return repr([(one.sequence, one.device_time_s, one.value, one.flags) for one in readings])
+    return repr(
+        [(reading.sequence, reading.device_time_s, reading.value, reading.flags) for reading in readings]
+    )
 
 
 @kinds(KINDS)
@@ -95,7 +97,7 @@ def test_a_replay_identifies_itself_as_the_device_that_was_recorded(session):
     protocols = (FieldSensor, CurrentSource, RobotArm, TemperatureMonitor)
 
     def use(device):
-        return device.identify(timeout_s=TIMEOUT_S), [isinstance(device, one) for one in protocols]
+        return device.identify(timeout_s=TIMEOUT_S), [isinstance(device, protocol) for protocol in protocols]
 
     first, again = session.twice(use)
     assert again == first

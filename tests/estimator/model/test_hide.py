@@ -64,8 +64,8 @@ def test_a_mover_that_scatters_disturbs_the_readings_by_its_distance_times_the_g
 
 
 def test_fields_in_another_unit_take_their_noise_along() -> None:
-    found = readings({"unit_error.field_factor": 1e3}, TRUTH)
-    assert found.flatten().tolist() == pytest.approx((1e3 * readings({}, TRUTH)).flatten().tolist())
+    wrong_unit_T = readings({"unit_error.field_factor": 1e3}, TRUTH)
+    assert wrong_unit_T.flatten().tolist() == pytest.approx((1e3 * readings({}, TRUTH)).flatten().tolist())
 
 
 @pytest.mark.parametrize(

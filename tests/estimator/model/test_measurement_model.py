@@ -321,8 +321,12 @@ def test_displaced_elements_of_one_sensor_and_a_leaking_supply_concern_theirs_al
         "b": "b: {noise_uT: 1, carried_by: stage, flange_from_sensor: {y_mm: 11, ry_deg: 50}}",
     }
     room = "background_field[room]: {x_T: 40.0e-6, y_T: 0, z_T: -1.0e-5}\n  current_offset[coil2]: {offset_A: 0.03}"
-    places_m = {f"{e}_at_{a}_m": 1e-4 * (3 * i - j) for i, e in enumerate("xyz") for j, a in enumerate("xyz")}
-    elements = f"element_displacement[b]: {{{', '.join(f'{key}: {at:.4f}' for key, at in places_m.items())}}}"
+    positions_m = {
+        f"{e}_at_{a}_m": 1e-4 * (3 * i - j) for i, e in enumerate("xyz") for j, a in enumerate("xyz")
+    }
+    elements = (
+        f"element_displacement[b]: {{{', '.join(f'{key}: {at:.4f}' for key, at in positions_m.items())}}}"
+    )
 
     def with_effects(names: str, effects: str) -> Rig:
         plain = rig(TWO_COILS, "\n".join(sensors[name] for name in names), STAGE)
@@ -360,7 +364,7 @@ def test_batch_of_parameter_sets_equals_a_loop_over_them():
         torch.testing.assert_close(together[i, j], alone, rtol=1e-12, atol=1e-20)
 
 
-def test_compiled_chain_uses_the_compiled_sum(monkeypatch):
+def test_compiled_model_uses_the_compiled_sum(monkeypatch):
     asked = []
     monkeypatch.setattr(
         winding_module, "compiled_sum", lambda: asked.append(1) or winding_module.sum_over_nodes

@@ -55,7 +55,7 @@ coils:
 sensors: {{hall: {{noise_uT: 20}}}}
 """,
 }
-PLACES = {
+POSES = {
     "displaced coil": "x_mm: {from: -50, to: 50, count: 4}, y_mm: {from: -50, to: 50, count: 3}, z_mm: {from: -20, to: 20, count: 3}",
     "sensor on a mapper": "x_mm: {from: -50, to: 50, count: 3}, y_mm: {from: -40, to: 50, count: 3}, z_mm: {from: -10, to: 40, count: 2}, "
     "rx_deg: {from: -20, to: 60, count: 2}, rz_deg: {from: 0, to: 90, count: 2}",
@@ -71,7 +71,7 @@ def setup(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     rig = rig_from_text(HEAD + RIGS[request.param])
     path = tmp_path_factory.mktemp("plan") / "plan.yaml"
     path.write_text(
-        f"{HEAD}poses: {{calibration: {{arm: {{{PLACES[request.param]}}}}}}}\ncurrents_A: [{{coil1: 3}}]\n",
+        f"{HEAD}poses: {{calibration: {{arm: {{{POSES[request.param]}}}}}}}\ncurrents_A: [{{coil1: 3}}]\n",
         encoding="utf-8",
     )
     return rig, load_plan(path, rig)
@@ -144,9 +144,9 @@ def test_another_unit_of_field_or_current_is_named(
 ) -> None:
     rig, plan = setup
     for seed in SEEDS[:4]:
-        found = refusal(rig, change(read(rig, plan, seed)))
-        assert found.startswith("measured and nominal field must agree to a factor of 20; their ratio is ")
-        assert found.endswith(f": {message} (readings.csv)")
+        refused = refusal(rig, change(read(rig, plan, seed)))
+        assert refused.startswith("measured and nominal field must agree to a factor of 20; their ratio is ")
+        assert refused.endswith(f": {message} (readings.csv)")
 
 
 def test_another_unit_of_positions_or_angles_is_named(setup: tuple[Rig, Plan]) -> None:
@@ -166,9 +166,9 @@ def test_another_unit_of_positions_or_angles_is_named(setup: tuple[Rig, Plan]) -
             if has_rotations:
                 cases["radians; they look like degrees: divided by 57.3"] = moved(o, rotation=degree)
         for words, observations in cases.items():
-            found = refusal(rig, observations)
-            assert words in found
-            assert found.endswith("they fit the rig's nominal model (readings.csv)")
+            refused = refusal(rig, observations)
+            assert words in refused
+            assert refused.endswith("they fit the rig's nominal model (readings.csv)")
 
 
 def test_a_reversed_current_is_left_to_the_diagnosis(setup: tuple[Rig, Plan]) -> None:
@@ -279,12 +279,12 @@ def test_components_that_were_not_measured_are_no_fault(small_rig: Rig, good: Ob
 
 
 def test_a_large_session_is_judged_by_some_of_its_readings(small_rig: Rig, good: Observations) -> None:
-    many = good.rows(torch.arange(20_000) % len(good))
-    check(small_rig, many)
-    assert "mT" in refusal(small_rig, many.with_field(1e3 * many.field_sensor_T))
+    large = good.rows(torch.arange(20_000) % len(good))
+    check(small_rig, large)
+    assert "mT" in refusal(small_rig, large.with_field(1e3 * large.field_sensor_T))
 
 
-def test_a_nominal_pose_with_the_sensor_in_the_winding_is_left_to_the_chain(
+def test_a_nominal_pose_with_the_sensor_in_the_winding_is_left_to_the_model(
     rig_text: str, good: Observations
 ) -> None:
     text = rig_text.replace("mean: -40, sd: 3", "mean: 10, sd: 30").replace(

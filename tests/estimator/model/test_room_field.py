@@ -92,10 +92,10 @@ def test_points_inside_a_winding_have_no_field_and_the_others_keep_theirs(rig, p
     field, gradient = room.field_T(values, CURRENT_A), room.gradient_T_per_m(values, CURRENT_A)
     assert torch.isnan(field[3]).all()
     assert torch.isnan(gradient[3]).all()
-    others = RoomField(rig, values, points_m)
-    assert not others.is_inside.any()
+    outside = RoomField(rig, values, points_m)
+    assert not outside.is_inside.any()
     keep = ~room.is_inside
-    torch.testing.assert_close(field[keep], others.field_T(values, CURRENT_A), rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(field[keep], outside.field_T(values, CURRENT_A), rtol=1e-6, atol=0.0)
     assert torch.isfinite(gradient[keep]).all()
 
 
@@ -152,7 +152,7 @@ def test_batches_of_parameter_sets_and_of_currents_equal_one_by_one(rig, points_
         gradient = room.gradient_T_per_m(values, CURRENT_A)
         torch.testing.assert_close(gradients[i], gradient, rtol=1e-11, atol=1e-16)
     currents = torch.stack((CURRENT_A, 2.0 * CURRENT_A, tensor([0.0, 1.0])))
-    many = room.field_T(values_of(rig), currents)
-    assert many.shape == (3, 12, 3)
+    together = room.field_T(values_of(rig), currents)
+    assert together.shape == (3, 12, 3)
     for i, current in enumerate(currents):
-        torch.testing.assert_close(many[i], room.field_T(values_of(rig), current), rtol=1e-12, atol=1e-20)
+        torch.testing.assert_close(together[i], room.field_T(values_of(rig), current), rtol=1e-12, atol=1e-20)

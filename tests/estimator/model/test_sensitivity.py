@@ -45,9 +45,9 @@ def test_variance_of_a_function_with_known_parts_is_shared_out_exactly() -> None
 def test_sobol_indices_of_the_ishigami_function_are_the_published_ones() -> None:
     """Saltelli et al., Global Sensitivity Analysis: The Primer (2008), section 4.6."""
     ends = {name: np.array([-np.pi, np.pi]) for name in LEVELS}
-    found = sobol(ishigami, ends, n=2048)
-    np.testing.assert_allclose(found.first, [0.3139, 0.4424, 0.0], atol=0.02)
-    np.testing.assert_allclose(found.total, [0.5576, 0.4424, 0.2437], atol=0.02)
+    indices = sobol(ishigami, ends, n=2048)
+    np.testing.assert_allclose(indices.first, [0.3139, 0.4424, 0.0], atol=0.02)
+    np.testing.assert_allclose(indices.total, [0.5576, 0.4424, 0.2437], atol=0.02)
 
 
 @pytest.fixture
@@ -60,9 +60,9 @@ def test_a_run_is_the_rms_field_of_that_rig(small_rig: Rig, readings: Observatio
     levels = levels_about(small_rig, names, 3)
     np.testing.assert_allclose(levels["coil1.radius_m"], [0.050, 0.051, 0.052])
     runs = factorial(rms_field(small_rig, readings, names), levels)
-    one = small_rig.with_values({"coil1.axial_loops": 13.0, "coil1.radius_m": 0.050})
-    values = {name: torch.tensor(value).double() for name, value in one.nominal_values().items()}
-    field_T = MeasurementModel.build(one, readings).predict(values)
+    changed = small_rig.with_values({"coil1.axial_loops": 13.0, "coil1.radius_m": 0.050})
+    values = {name: torch.tensor(value).double() for name, value in changed.nominal_values().items()}
+    field_T = MeasurementModel.build(changed, readings).predict(values)
     assert runs.response[2, 0] == pytest.approx(float(field_T.square().sum(-1).mean().sqrt()), rel=1e-5)
 
 
@@ -70,9 +70,9 @@ def test_information_is_that_of_differences_of_the_predicted_readings(
     small_rig: Rig, readings: Observations
 ) -> None:
     names = ("coil1.radius_m", "coil1.axial_loops")
-    found = information(small_rig, readings, names)
+    fisher_information = information(small_rig, readings, names)
     columns = []
-    for name, sd in zip(names, found.prior_sd, strict=True):
+    for name, sd in zip(names, fisher_information.prior_sd, strict=True):
         ends = []
         for sign in (1, -1):
             moved = small_rig.with_values({name: small_rig.nominal_values()[name] + sign * 1e-3 * sd})
@@ -80,13 +80,13 @@ def test_information_is_that_of_differences_of_the_predicted_readings(
             ends.append(MeasurementModel.build(moved, readings, 1e-9).predict(values))
         columns.append(((ends[0] - ends[1]) / 2e-3 / 5e-6).flatten().numpy())
     fisher = np.stack(columns) @ np.stack(columns).T
-    np.testing.assert_allclose(found.alone_sd, 1.0 / np.sqrt(np.diag(fisher)), rtol=1e-3)
+    np.testing.assert_allclose(fisher_information.alone_sd, 1.0 / np.sqrt(np.diag(fisher)), rtol=1e-3)
     np.testing.assert_allclose(
-        found.together_sd, np.sqrt(np.diag(np.linalg.inv(fisher + np.eye(2)))), rtol=1e-2
+        fisher_information.together_sd, np.sqrt(np.diag(np.linalg.inv(fisher + np.eye(2)))), rtol=1e-2
     )
     values, vectors = np.linalg.eigh(fisher)
-    np.testing.assert_allclose(found.sd_by_direction, values[::-1] ** -0.5, rtol=1e-2)
-    assert abs(vectors[:, -1] @ found.directions[:, 0]) == pytest.approx(1.0, abs=1e-4)
+    np.testing.assert_allclose(fisher_information.sd_by_direction, values[::-1] ** -0.5, rtol=1e-2)
+    assert abs(vectors[:, -1] @ fisher_information.directions[:, 0]) == pytest.approx(1.0, abs=1e-4)
 
 
 def test_a_current_gain_beside_the_turns_is_a_direction_that_readings_know_worse(
@@ -110,13 +110,13 @@ def test_a_current_gain_beside_the_turns_is_a_direction_that_readings_know_worse
 
 
 def test_noise_beyond_the_field_leaves_nothing_worth_fitting(small_rig: Rig, readings: Observations) -> None:
-    found = information(
+    fisher_information = information(
         small_rig.with_values({"hall.noise_T": 1.0}), readings, ("coil1.radius_m", "coil1.axial_loops")
     )
-    assert found.worth_fitting() == ()
-    assert found.n_determined == 0
-    assert "Worth fitting" not in found.words()
-    assert "Not by themselves: coil1.radius_m (to 1e+02 % of its prior width)" in found.words()
+    assert fisher_information.worth_fitting() == ()
+    assert fisher_information.n_determined == 0
+    assert "Worth fitting" not in fisher_information.words()
+    assert "Not by themselves: coil1.radius_m (to 1e+02 % of its prior width)" in fisher_information.words()
 
 
 def test_parameters_without_prior_and_sensors_without_noise_are_refused(

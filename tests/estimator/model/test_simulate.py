@@ -56,9 +56,9 @@ def test_each_sensor_has_its_own_noise(small_plan: Plan, rig_text: str) -> None:
 
 
 def test_the_seed_decides_everything_and_nothing_else_does(small_rig: Rig, small_plan: Plan) -> None:
-    first, again, other = (simulate(small_rig, small_plan, {}, seed).field_sensor_T for seed in (3, 3, 4))
+    first, again, differing = (simulate(small_rig, small_plan, {}, seed).field_sensor_T for seed in (3, 3, 4))
     assert torch.equal(first, again)
-    assert not torch.isclose(first, other, rtol=0, atol=1e-9).any(dim=1).all()
+    assert not torch.isclose(first, differing, rtol=0, atol=1e-9).any(dim=1).all()
 
 
 def test_a_repeated_setting_has_the_same_field_and_other_noise(small_rig: Rig, small_plan: Plan) -> None:

@@ -47,7 +47,7 @@ def test_rig_without_devices_has_none(small_rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_mistakes_are_refused_with_place_rule_and_value(rig_text: str, case: str) -> None:
+def test_mistakes_are_refused_with_location_rule_and_value(rig_text: str, case: str) -> None:
     text, message = BAD[case]
     with pytest.raises(InvalidInput, match=message) as caught:
         rig_from_text(rig_text + text, "rig.yaml")
@@ -70,8 +70,8 @@ def test_devices_do_not_change_what_identifies_rig_and_session(rig_text: str, sm
     assert plain.hash == first.hash == second.hash
     hashes = {replace(small_session, rig=rig).hash for rig in (plain, first, second)}
     assert len(hashes) == 1
-    other = rig_from_text(rig_text.replace("wire_radius_mm: 0.98", "wire_radius_mm: 0.97") + DEVICES)
-    assert replace(small_session, rig=other).hash not in hashes
+    thinner = rig_from_text(rig_text.replace("wire_radius_mm: 0.98", "wire_radius_mm: 0.97") + DEVICES)
+    assert replace(small_session, rig=thinner).hash not in hashes
 
 
 def test_devices_in_the_middle_of_a_file_are_cut_out_alone() -> None:

@@ -1,4 +1,4 @@
-"""The `effects:` section of a rig file: what it holds, and every mistake in it named by place, rule, value, file and line."""
+"""The `effects:` section of a rig file: what it holds, and every mistake in it named by key, rule, value, file and line."""
 
 from __future__ import annotations
 
@@ -238,8 +238,10 @@ def test_an_effect_may_be_tied_to_another_number_of_the_rig():
 
 
 def test_effects_change_the_hash_of_the_rig():
-    one, other = (rig_with(f"effects:\n  current_gain[coil]: {{excess: {value}}}") for value in (0.01, 0.02))
-    assert len({one.hash, other.hash, rig_with("").hash}) == 3
+    small, large = (
+        rig_with(f"effects:\n  current_gain[coil]: {{excess: {value}}}") for value in (0.01, 0.02)
+    )
+    assert len({small.hash, large.hash, rig_with("").hash}) == 3
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name != "neighbour_coil"])

@@ -1,4 +1,4 @@
-"""Every mistake in a rig file is named by place, rule, value, file and line."""
+"""Every mistake in a rig file is named by key, rule, value, file and line."""
 
 from __future__ import annotations
 
@@ -297,13 +297,13 @@ def test_a_mistake_is_named_by_place_rule_value_file_and_line(
 @pytest.mark.parametrize("kind", ["coils", "sensors"])
 def test_a_rig_has_coils_and_sensors(kind: str) -> None:
     text = f"schema_version: 1\nname: nothing\n{kind}: {{}}\n"
-    other = (
+    other_kind = (
         "sensors: {hall: {noise_uT: 5}}"
         if kind == "coils"
         else ("coils: {coil1: {radius_mm: 9, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1}}")
     )
     with pytest.raises(InvalidInput) as caught:
-        rig_from_text(text + other, "rig.yaml")
+        rig_from_text(text + other_kind, "rig.yaml")
     assert str(caught.value) == f"{kind} must name at least one; received none (rig.yaml, line 3)"
 
 

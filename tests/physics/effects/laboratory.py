@@ -149,7 +149,7 @@ def readings(
     temperature_C: Mapping[str, np.ndarray] | None = None,
     mover: str = "mapper",
 ) -> Observations:
-    """Readings without field at places and rotation vectors of the mover, by one sensor."""
+    """Readings without field at positions and rotation vectors of the mover, by one sensor."""
     n = len(points_m)
     motion = np.concatenate((points_m, np.broadcast_to(turn_rad, (n, 3))), axis=1)
     current = np.array(np.broadcast_to(current_A, (n, np.shape(current_A)[-1])), dtype=float)
@@ -191,10 +191,10 @@ def added_T(
     return predicted_T(observations, effects, rig) - predicted_T(observations, None, rig)
 
 
-def assert_same_field(found_T: np.ndarray, expected_T: np.ndarray, rtol: float = 1e-9) -> None:
+def assert_same_field(actual_T: np.ndarray, expected_T: np.ndarray, rtol: float = 1e-9) -> None:
     """Vectors agree to a share of each vector's own length."""
     norm = np.linalg.norm(expected_T, axis=-1)
-    assert found_T.shape == expected_T.shape
+    assert actual_T.shape == expected_T.shape
     assert (norm > 0.0).all()
-    error = np.linalg.norm(found_T - expected_T, axis=-1) / norm
+    error = np.linalg.norm(actual_T - expected_T, axis=-1) / norm
     assert error.max() < rtol, error

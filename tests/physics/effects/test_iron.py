@@ -64,8 +64,8 @@ def image_T(points_m: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("strength", [1.0, 0.25, -0.5])
 def test_iron_plate_adds_the_field_of_image_currents(strength):
     """Polygons of 360 sides differ from circles by 1e-4."""
-    found = added_T(ONE, {"iron_plate[room]": {**PLATE, "strength": strength}})
-    assert_same_field(found, strength * image_T(POINTS_M, np.zeros(3)), 2e-4)
+    difference_T = added_T(ONE, {"iron_plate[room]": {**PLATE, "strength": strength}})
+    assert_same_field(difference_T, strength * image_T(POINTS_M, np.zeros(3)), 2e-4)
 
 
 def test_field_at_a_plate_of_soft_iron_stands_upright_on_it():
@@ -134,11 +134,11 @@ def test_pierced_plate_is_the_exact_solution_where_the_opening_is_small_against_
     for radius_m in (OPENING_M, 0.5 * OPENING_M):
         middle_m = np.array([0.0, 0.0, 0.08])
         at_m = middle_m + (AROUND_M - middle_m) * radius_m / OPENING_M
-        found = predicted_T(
+        reading_T = predicted_T(
             readings(at_m, (1.0, 0.0)), {"pierced_plate[room]": {**PIERCED, "radius_m": radius_m}}
         )
         exact = pierced_T(winding().field_T, 0.08, radius_m, at_m)
-        errors.append(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1))
+        errors.append(np.linalg.norm(reading_T - exact, axis=1) / np.linalg.norm(exact, axis=1))
     assert errors[0].max() < 1e-2
     assert errors[1].max() < 1e-1 * errors[0].max()
 
@@ -169,13 +169,13 @@ def test_field_at_a_pierced_plate_stands_upright_on_both_of_its_sides():
 def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_problem_has_it():
     """The room's field as that of a far source in front of the sheet, less half of it everywhere."""
     step_T = 3e-4
-    found = added_T(
+    difference_T = added_T(
         readings(AROUND_M, (0.0, 0.0)),
         {"pierced_plate[room]": {**PIERCED, "strength": 0.0, "step_T": step_T}},
     )
     half_T = np.array([0.0, 0.0, -0.5 * step_T])  # larger behind, which is where the normal points
     exact = pierced_T(lambda at_m: np.broadcast_to(half_T, at_m.shape), 0.08, OPENING_M, AROUND_M) - half_T
-    assert_same_field(found, exact, 1e-4)
+    assert_same_field(difference_T, exact, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -217,16 +217,16 @@ def test_a_tiny_opening_leaves_the_plate():
 
 def test_pierced_plate_is_the_same_described_from_its_other_side_and_in_proportion_to_its_strength():
     at = readings(AROUND_M, (1.0, 0.0))
-    found = added_T(at, {"pierced_plate[room]": PIERCED})
+    difference_T = added_T(at, {"pierced_plate[room]": PIERCED})
     quarter_rad = 0.5 * np.pi
-    for other in (
+    for described in (
         {"tilt_2_rad": np.pi},
         {"axis": 0.0, "tilt_2_rad": quarter_rad},
         {"axis": 1.0, "tilt_1_rad": -quarter_rad},
     ):
-        assert_same_field(added_T(at, {"pierced_plate[room]": {**PIERCED, **other}}), found, 1e-7)
+        assert_same_field(added_T(at, {"pierced_plate[room]": {**PIERCED, **described}}), difference_T, 1e-7)
     half = added_T(at, {"pierced_plate[room]": {**PIERCED, "strength": 0.5}})
-    assert_same_field(half, 0.5 * found, 1e-9)
+    assert_same_field(half, 0.5 * difference_T, 1e-9)
 
 
 def test_opening_lets_through_the_field_of_a_tilted_coil():

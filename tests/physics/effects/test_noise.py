@@ -70,8 +70,8 @@ def test_outlier_weighs_as_much_as_the_probability_that_it_is_none():
     good = (1.0 - share) * stats.norm.pdf(ERROR_T, scale=NOISE_T)
     bad = share * stats.norm.pdf(ERROR_T, scale=ratio * NOISE_T)
     expected = (good + bad / ratio**2) / (good + bad)
-    found = density.weight(density.whitened(vector), vector)
-    np.testing.assert_allclose(found.numpy(), expected.ravel(), rtol=1e-6)
+    weight = density.weight(density.whitened(vector), vector)
+    np.testing.assert_allclose(weight.numpy(), expected.ravel(), rtol=1e-6)
 
 
 def test_jitter_of_the_mover_adds_its_share_of_the_gradient_to_the_noise():
@@ -84,7 +84,7 @@ def test_jitter_of_the_mover_adds_its_share_of_the_gradient_to_the_noise():
 
 
 def test_jitter_says_how_readings_of_a_mover_that_misses_its_targets_scatter():
-    """4000 visits of every place by magpylib; standard deviations are then good to 1.1 % each."""
+    """4000 visits of every position by magpylib; standard deviations are then good to 1.1 % each."""
     sd_m, n = 2e-5, 4000
     random = np.random.default_rng(9)
     visited_m = np.repeat(POINTS_M, n, axis=0) + sd_m * random.normal(size=(n * len(POINTS_M), 3))

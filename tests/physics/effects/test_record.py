@@ -31,9 +31,11 @@ STEPS_M = np.array([[0.01, 0.02, -0.015], [-0.03, 0.015, 0.01], [0.0, -0.02, 0.0
 
 
 def test_swapped_axes_read_the_component_they_name_negative_where_reversed():
-    found = predicted_T(READINGS, {"axes_swapped[probe]": {"x_reads": -2.0, "y_reads": 1.0, "z_reads": 3.0}})
+    reading_T = predicted_T(
+        READINGS, {"axes_swapped[probe]": {"x_reads": -2.0, "y_reads": 1.0, "z_reads": 3.0}}
+    )
     expected = np.stack((-FIELD_T[:, 1], FIELD_T[:, 0], FIELD_T[:, 2]), axis=1)
-    assert_same_field(found, expected)
+    assert_same_field(reading_T, expected)
 
 
 def test_axes_are_looked_for_in_every_order_and_direction_but_the_right_one_and_its_reversal():
@@ -78,17 +80,19 @@ def test_left_handed_record_reverses_one_axis_of_the_displacements(axis):
     sign = np.ones(3)
     sign[axis] = -1.0
     given = {f"{'xyz'[axis]}_sign": -1.0}
-    found = predicted_T(readings(STEPS_M, (2.0, 0.0), mover="arm"), {"left_handed[arm]": given}, DISPLACED)
-    assert_same_field(found, displaced_T(sign * STEPS_M))
+    reading_T = predicted_T(
+        readings(STEPS_M, (2.0, 0.0), mover="arm"), {"left_handed[arm]": given}, DISPLACED
+    )
+    assert_same_field(reading_T, displaced_T(sign * STEPS_M))
 
 
 def test_displacements_in_other_axes_are_turned_into_the_real_ones():
     vector_rad = np.array([0.5, -1.2, 0.8])
     given = dict(zip(("rx_rad", "ry_rad", "rz_rad"), vector_rad, strict=True))
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(STEPS_M, (2.0, 0.0), mover="arm"), {"displacement_frame[arm]": given}, DISPLACED
     )
-    assert_same_field(found, displaced_T(Rotation.from_rotvec(vector_rad).apply(STEPS_M)))
+    assert_same_field(reading_T, displaced_T(Rotation.from_rotvec(vector_rad).apply(STEPS_M)))
 
 
 def test_displacement_frame_error_undoes_a_base_frame_that_the_rig_file_forgot():
@@ -102,8 +106,8 @@ def test_displacement_frame_error_undoes_a_base_frame_that_the_rig_file_forgot()
     )
     in_base = readings(STEPS_M, (2.0, 0.0), mover="arm")
     undone = dict(zip(("rx_rad", "ry_rad", "rz_rad"), base_from_flange0.inv().as_rotvec(), strict=True))
-    found = predicted_T(in_base, {"displacement_frame[arm]": undone}, DISPLACED)
-    assert_same_field(found, predicted_T(in_base, None, told), 1e-9)
+    reading_T = predicted_T(in_base, {"displacement_frame[arm]": undone}, DISPLACED)
+    assert_same_field(reading_T, predicted_T(in_base, None, told), 1e-9)
 
 
 def test_every_rotation_of_a_cube_is_among_those_that_are_tried():

@@ -45,38 +45,38 @@ def of_displaced_coil_T(
 
 
 def test_displaced_coil_without_effects_stands_where_its_own_axes_take_it():
-    found = predicted_T(readings(STEPS_M, (1.0, 0.0), mover="arm"), None, DISPLACED)
-    assert_same_field(found, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0))
+    reading_T = predicted_T(readings(STEPS_M, (1.0, 0.0), mover="arm"), None, DISPLACED)
+    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0))
 
 
 def test_robot_scale_multiplies_each_coordinate_and_leaves_rotations():
     scaled_m = POINTS_M * np.array([1.004, 1.0, 0.99])
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS.as_rotvec()),
         {"robot_scale[mapper]": {"x": 0.004, "z": -0.01}},
     )
-    assert_same_field(found, at_poses_T(scaled_m))
+    assert_same_field(reading_T, at_poses_T(scaled_m))
 
 
 def test_robot_shear_leans_x_along_y_and_z_and_y_along_z():
     x, y, z = POINTS_M.T
     sheared_m = np.stack((x + 0.004 * y - 0.003 * z, y + 0.007 * z, z), axis=1)
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS.as_rotvec()),
         {"robot_shear[mapper]": {"xy": 0.004, "xz": -0.003, "yz": 0.007}},
     )
-    assert_same_field(found, at_poses_T(sheared_m))
+    assert_same_field(reading_T, at_poses_T(sheared_m))
 
 
-# Two readings at the first place, a move along x and y, one along y back and z, a rest, one along x back.
+# Two readings at the first position, a move along x and y, one along y back and z, a rest, one along x back.
 PATH_M = 1e-3 * np.array([[0, 0, 40], [0, 0, 40], [3, 4, 40], [3, 1, 44], [3, 1, 44], [-2, 1, 44]])
 
 
 def test_position_lag_falls_short_along_the_last_move_and_nowhere_before_the_first():
     lag_m = 2e-4
     last = np.array([[0, 0, 0], [0, 0, 0], [0.6, 0.8, 0], [0, -0.6, 0.8], [0, -0.6, 0.8], [-1, 0, 0]])
-    found = predicted_T(readings(PATH_M, (1.0, 0.0)), {"position_lag[mapper]": {"lag_m": lag_m}})
-    assert_same_field(found, winding().field_T(PATH_M - lag_m * last))
+    reading_T = predicted_T(readings(PATH_M, (1.0, 0.0)), {"position_lag[mapper]": {"lag_m": lag_m}})
+    assert_same_field(reading_T, winding().field_T(PATH_M - lag_m * last))
 
 
 def test_backlash_keeps_each_axis_half_its_play_short_on_the_side_it_came_from():
@@ -84,8 +84,8 @@ def test_backlash_keeps_each_axis_half_its_play_short_on_the_side_it_came_from()
     play_m = np.array([2e-4, 3e-4, -1e-4])
     side = np.array([[0, 0, 0], [0, 0, 0], [1, 1, 0], [1, -1, 1], [1, -1, 1], [-1, -1, 1]])
     given = dict(zip(("x_m", "y_m", "z_m"), play_m, strict=True))
-    found = predicted_T(readings(PATH_M, (1.0, 0.0)), {"backlash[mapper]": given})
-    assert_same_field(found, winding().field_T(PATH_M - 0.5 * play_m * side))
+    reading_T = predicted_T(readings(PATH_M, (1.0, 0.0)), {"backlash[mapper]": given})
+    assert_same_field(reading_T, winding().field_T(PATH_M - 0.5 * play_m * side))
 
 
 @pytest.mark.parametrize(
@@ -94,52 +94,52 @@ def test_backlash_keeps_each_axis_half_its_play_short_on_the_side_it_came_from()
 def test_what_went_before_is_the_sessions_and_not_that_of_chosen_readings(effect, given):
     whole = readings(PATH_M, (1.0, 0.0))
     rows = np.array([5, 2, 4])
-    found = predicted_T(whole.rows(whole.row[rows]), {f"{effect}[mapper]": given})
-    assert_same_field(found, predicted_T(whole, {f"{effect}[mapper]": given})[rows], 1e-12)
+    reading_T = predicted_T(whole.rows(whole.row[rows]), {f"{effect}[mapper]": given})
+    assert_same_field(reading_T, predicted_T(whole, {f"{effect}[mapper]": given})[rows], 1e-12)
 
 
 def test_tilted_mount_turns_displacements_but_not_the_coil():
     """Its reference pose is right, so the tilt shows in the directions of displacements alone: they are R^T t in its axes."""
     tilt_rad = np.array([0.02, -0.03, 0.0])
     tilt = Rotation.from_rotvec(tilt_rad)
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(STEPS_M, (1.0, 0.0), mover="arm"),
         {"mount_tilt[coil]": {"x_rad": tilt_rad[0], "y_rad": tilt_rad[1]}},
         DISPLACED,
     )
-    assert_same_field(found, of_displaced_coil_T(COIL0_M + COIL0.apply(tilt.inv().apply(STEPS_M)), COIL0))
+    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(tilt.inv().apply(STEPS_M)), COIL0))
     at_reference = predicted_T(readings(STEPS_M, (1.0, 0.0), mover="arm"), None, DISPLACED)[0]
-    np.testing.assert_allclose(found[0], at_reference, rtol=1e-12)
+    np.testing.assert_allclose(reading_T[0], at_reference, rtol=1e-12)
 
 
 def test_tilted_mount_turns_rotations_of_the_arm_about_other_axes():
     """Of an arm that turns by D, a coil on a mount turned by R turns by R^T D R."""
     tilt = Rotation.from_rotvec([0.02, -0.03, 0.0])
     arm = Rotation.from_rotvec([[0.1, 0.2, -0.1], [0.3, 0.0, 0.0], [0.0, 0.0, 0.5]])
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(STEPS_M, (1.0, 0.0), turn_rad=arm.as_rotvec(), mover="arm"),
         {"mount_tilt[coil]": {"x_rad": 0.02, "y_rad": -0.03}},
         DISPLACED,
     )
     turns = COIL0 * tilt.inv() * arm * tilt
-    assert_same_field(found, of_displaced_coil_T(COIL0_M + COIL0.apply(tilt.inv().apply(STEPS_M)), turns))
+    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(tilt.inv().apply(STEPS_M)), turns))
 
 
 def test_bumped_sensor_sits_elsewhere_in_its_own_axes_from_the_instant_on():
     bump_m = np.array([4e-4, -3e-4, 8e-4])
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(STEPS_M, (1.0, 0.0), mover="arm", time_s=np.array([0.0, 360.0, 720.0])),
         {"sensor_bumped[probe]": dict(zip(("x_m", "y_m", "z_m"), bump_m, strict=True)) | {"since_h": 0.15}},
         DISPLACED,
     )
     sensor_m = np.array([0.0, 0.0, 1.0])[:, None] * SENSOR.apply(bump_m)
-    assert_same_field(found, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0, sensor_m))
+    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0, sensor_m))
 
 
 def test_bumped_sensor_on_a_robot_takes_its_shift_along():
     bump_m = np.array([4e-4, -3e-4, 8e-4])
-    found = predicted_T(
+    reading_T = predicted_T(
         readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS.as_rotvec()),
         {"sensor_bumped[probe]": dict(zip(("x_m", "y_m", "z_m"), bump_m, strict=True)) | {"since_h": 0.0}},
     )
-    assert_same_field(found, at_poses_T(POINTS_M + TURNS.apply(bump_m)))
+    assert_same_field(reading_T, at_poses_T(POINTS_M + TURNS.apply(bump_m)))

@@ -39,8 +39,8 @@ def room_field_T(effects: dict[str, dict[str, float]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("label", CASES)
-def test_field_of_the_room_is_what_the_chain_predicts(label):
+def test_field_of_the_room_is_what_the_model_predicts(label):
     effects = {label: CASES[label]}
-    found = room_field_T(effects)
-    assert_same_field(found, predicted_T(readings(POINTS_M, CURRENT_A), effects), 1e-9)
-    assert (np.abs(found - room_field_T({})) > 0.0).any()
+    room_T = room_field_T(effects)
+    assert_same_field(room_T, predicted_T(readings(POINTS_M, CURRENT_A), effects), 1e-9)
+    assert (np.abs(room_T - room_field_T({})) > 0.0).any()

@@ -30,8 +30,8 @@ def test_sensor_without_effects_reads_the_field_in_its_axes():
 
 
 def test_axis_gain_multiplies_each_component():
-    found = predicted_T(READINGS, {"axis_gain[probe]": {"x": 0.01, "z": -0.02}})
-    assert_same_field(found, of(1.01 * X_T, Y_T, 0.98 * Z_T))
+    reading_T = predicted_T(READINGS, {"axis_gain[probe]": {"x": 0.01, "z": -0.02}})
+    assert_same_field(reading_T, of(1.01 * X_T, Y_T, 0.98 * Z_T))
 
 
 @pytest.mark.parametrize(
@@ -52,39 +52,43 @@ def test_cross_axis_gives_the_first_axis_a_share_of_the_second_component(key, ex
 def test_antisymmetric_cross_axis_is_a_sensor_turned_by_a_small_angle():
     angle = 1e-4
     turn = Rotation.from_rotvec([0.0, 0.0, angle])
-    found = predicted_T(READINGS, {"cross_axis[probe]": {"xy": angle, "yx": -angle}})
-    assert_same_field(found, turn.inv().apply(of(X_T, Y_T, Z_T)), 2.0 * angle**2)
+    reading_T = predicted_T(READINGS, {"cross_axis[probe]": {"xy": angle, "yx": -angle}})
+    assert_same_field(reading_T, turn.inv().apply(of(X_T, Y_T, Z_T)), 2.0 * angle**2)
 
 
 def test_sensor_offset_is_there_without_current():
-    found = added_T(readings(POINTS_M, (0.0, 0.0)), {"sensor_offset[probe]": {"x_T": 3e-5, "z_T": -1e-5}})
-    np.testing.assert_array_equal(found, np.broadcast_to([3e-5, 0.0, -1e-5], found.shape))
+    difference_T = added_T(
+        readings(POINTS_M, (0.0, 0.0)), {"sensor_offset[probe]": {"x_T": 3e-5, "z_T": -1e-5}}
+    )
+    np.testing.assert_array_equal(difference_T, np.broadcast_to([3e-5, 0.0, -1e-5], difference_T.shape))
 
 
 def test_offset_drifts_in_the_sensors_axes_with_the_hours():
     time_s = 1e9 + 1800.0 * np.arange(len(POINTS_M))
     drifting = readings(POINTS_M, (CURRENT_A, 0.0), turn_rad=TURNS.as_rotvec(), time_s=time_s)
-    found = predicted_T(drifting, {"offset_drift[probe]": {"y_T_per_h": 1e-4}})
-    assert_same_field(found, of(X_T, Y_T + 1e-4 * 0.5 * np.arange(len(POINTS_M)), Z_T))
+    reading_T = predicted_T(drifting, {"offset_drift[probe]": {"y_T_per_h": 1e-4}})
+    assert_same_field(reading_T, of(X_T, Y_T + 1e-4 * 0.5 * np.arange(len(POINTS_M)), Z_T))
 
 
 def test_cubic_response_adds_the_cube_of_each_component():
     bend_per_T2 = np.array([50.0, -80.0, 20.0])
     given = dict(zip(("x_per_T2", "y_per_T2", "z_per_T2"), bend_per_T2, strict=True))
-    found = predicted_T(READINGS, {"cubic_response[probe]": given})
-    assert_same_field(found, of(X_T + 50.0 * X_T**3, Y_T - 80.0 * Y_T**3, Z_T + 20.0 * Z_T**3))
+    reading_T = predicted_T(READINGS, {"cubic_response[probe]": given})
+    assert_same_field(reading_T, of(X_T + 50.0 * X_T**3, Y_T - 80.0 * Y_T**3, Z_T + 20.0 * Z_T**3))
 
 
 def test_planar_hall_adds_the_product_of_the_two_other_components():
-    found = predicted_T(READINGS, {"planar_hall[probe]": {"x_per_T": 0.5, "y_per_T": -0.2, "z_per_T": 0.7}})
-    assert_same_field(found, of(X_T + 0.5 * Y_T * Z_T, Y_T - 0.2 * Z_T * X_T, Z_T + 0.7 * X_T * Y_T))
+    reading_T = predicted_T(
+        READINGS, {"planar_hall[probe]": {"x_per_T": 0.5, "y_per_T": -0.2, "z_per_T": 0.7}}
+    )
+    assert_same_field(reading_T, of(X_T + 0.5 * Y_T * Z_T, Y_T - 0.2 * Z_T * X_T, Z_T + 0.7 * X_T * Y_T))
 
 
 def test_range_clipping_cuts_each_component_off_on_both_sides():
     limit_T = float(np.quantile(np.abs([X_T, Y_T, Z_T]), 0.7))
-    found = predicted_T(READINGS, {"range_clipping[probe]": {"limit_T": limit_T}})
+    reading_T = predicted_T(READINGS, {"range_clipping[probe]": {"limit_T": limit_T}})
     expected = np.clip(of(X_T, Y_T, Z_T), -limit_T, limit_T)
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(reading_T, expected, rtol=1e-9)
     assert (expected == limit_T).any()
     assert (expected == -limit_T).any()
 
@@ -93,10 +97,10 @@ def test_temperature_changes_gain_and_zero_in_proportion_to_kelvins_above_the_me
     celsius = np.array([20.0, 22.0, 25.0, np.nan, 21.0, 23.0, 21.0])
     warm = readings(POINTS_M, (CURRENT_A, 0.0), turn_rad=TURNS.as_rotvec(), temperature_C={"probe": celsius})
     given = {"gain_per_K": 2e-3, "x_T_per_K": 1e-5, "z_T_per_K": -3e-5}
-    found = predicted_T(warm, {"temperature_drift[probe]": given})
+    reading_T = predicted_T(warm, {"temperature_drift[probe]": given})
     kelvin = np.nan_to_num(celsius - np.nanmean(celsius))
     gain = 1.0 + 2e-3 * kelvin
-    assert_same_field(found, of(gain * X_T + 1e-5 * kelvin, gain * Y_T, gain * Z_T - 3e-5 * kelvin))
+    assert_same_field(reading_T, of(gain * X_T + 1e-5 * kelvin, gain * Y_T, gain * Z_T - 3e-5 * kelvin))
 
 
 def test_sensor_effects_act_in_the_order_field_mixing_gain_offset_range():
@@ -143,5 +147,5 @@ def test_elements_that_move_together_are_a_sensor_that_sits_elsewhere():
     shift_m = np.array([3e-4, -5e-4, 2e-4])
     together = {f"{e}_at_{a}_m": shift_m[j] for e in "xyz" for j, a in enumerate("xyz")}
     elsewhere = readings(POINTS_M + TURNS.apply(shift_m), (CURRENT_A, 0.0), turn_rad=TURNS.as_rotvec())
-    found = predicted_T(READINGS, {"element_displacement[probe]": together})
-    assert_same_field(found, predicted_T(elsewhere), 1e-12)
+    reading_T = predicted_T(READINGS, {"element_displacement[probe]": together})
+    assert_same_field(reading_T, predicted_T(elsewhere), 1e-12)

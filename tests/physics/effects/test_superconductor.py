@@ -41,8 +41,8 @@ def test_uniform_magnetisation_along_the_axis_is_that_of_a_hollow_magnet():
         dimension=(INNER_M, OUTER_M, LENGTH_M, 0.0, 360.0),
         position=(0.0, 0.0, -0.5 * LENGTH_M),
     )
-    found = added_T(OFF, {"filament_magnetisation[coil]": {"axial_T": 0.02}}, RIG)
-    assert_same_field(found, MU0_RATIO * magnet.getB(BORE_M), 3e-3)
+    difference_T = added_T(OFF, {"filament_magnetisation[coil]": {"axial_T": 0.02}}, RIG)
+    assert_same_field(difference_T, MU0_RATIO * magnet.getB(BORE_M), 3e-3)
 
 
 @pytest.mark.parametrize("key", ["radial_T", "fan_T"])
@@ -51,8 +51,8 @@ def test_magnetisation_outwards_is_that_of_dipoles_that_point_outwards(key):
     outwards_T = (
         0.02 * np.ones_like(height_m) if key == "radial_T" else 0.02 * (1.0 + 2.0 * height_m / LENGTH_M)
     )
-    found = added_T(OFF, {"filament_magnetisation[coil]": {key: 0.02}}, RIG)
-    assert_same_field(found, dipoles_T(radius_m, height_m, outwards_T, 0.0 * height_m), 3e-3)
+    difference_T = added_T(OFF, {"filament_magnetisation[coil]": {key: 0.02}}, RIG)
+    assert_same_field(difference_T, dipoles_T(radius_m, height_m, outwards_T, 0.0 * height_m), 3e-3)
 
 
 @pytest.mark.parametrize("powered", ["coil", "other"])
@@ -63,8 +63,10 @@ def test_screening_is_a_share_of_the_present_field_the_other_way(powered):
     source = filaments(*wound[powered])
     field = source.field_T(np.column_stack((radius_m, 0.0 * radius_m, height_m)))
     at = readings(BORE_M, (1.0, 0.0) if powered == "coil" else (0.0, 1.0))
-    found = added_T(at, {"filament_magnetisation[coil]": {"susceptibility": 0.25}}, RIG)
-    assert_same_field(found, dipoles_T(radius_m, height_m, -0.25 * field[:, 0], -0.25 * field[:, 2]), 2e-2)
+    difference_T = added_T(at, {"filament_magnetisation[coil]": {"susceptibility": 0.25}}, RIG)
+    assert_same_field(
+        difference_T, dipoles_T(radius_m, height_m, -0.25 * field[:, 0], -0.25 * field[:, 2]), 2e-2
+    )
 
 
 def test_what_is_left_does_not_know_the_current():

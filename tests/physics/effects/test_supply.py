@@ -28,9 +28,9 @@ def coils_T(coil_A: object, other_A: object) -> np.ndarray:
     """Both coils by magpylib; the second stands across the first."""
     turn = Rotation.from_rotvec([0.0, -90.0, 0.0], degrees=True)
     in_other_m = turn.inv().apply(POINTS_M - np.array([0.12, 0.0, 0.0]))
-    other = turn.apply(winding(0.03, 5, 3).field_T(in_other_m))
+    second = turn.apply(winding(0.03, 5, 3).field_T(in_other_m))
     first = winding().field_T(POINTS_M)
-    return np.broadcast_to(coil_A, N)[:, None] * first + np.broadcast_to(other_A, N)[:, None] * other
+    return np.broadcast_to(coil_A, N)[:, None] * first + np.broadcast_to(other_A, N)[:, None] * second
 
 
 def test_laboratory_without_effects_is_the_sum_of_magpylibs_loops():
@@ -38,20 +38,20 @@ def test_laboratory_without_effects_is_the_sum_of_magpylibs_loops():
 
 
 def test_current_gain_multiplies_the_current_of_its_coil_only():
-    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_gain[coil]": {"excess": 0.03}})
-    assert_same_field(found, coils_T(2.0 * 1.03, -3.0))
+    reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_gain[coil]": {"excess": 0.03}})
+    assert_same_field(reading_T, coils_T(2.0 * 1.03, -3.0))
 
 
 def test_current_offset_flows_at_every_current_and_at_none():
     commanded = np.array([2.0, -2.0, 0.0, 1.0, 0.0, -0.5, 3.0])
     current_A = np.stack((commanded, np.full(N, 0.5)), axis=1)
-    found = predicted_T(readings(POINTS_M, current_A), {"current_offset[coil]": {"offset_A": 0.07}})
-    assert_same_field(found, coils_T(commanded + 0.07, 0.5))
+    reading_T = predicted_T(readings(POINTS_M, current_A), {"current_offset[coil]": {"offset_A": 0.07}})
+    assert_same_field(reading_T, coils_T(commanded + 0.07, 0.5))
 
 
 def test_current_offset_flows_in_a_coil_that_is_never_switched_on():
-    found = predicted_T(readings(POINTS_M, (0.0, 1.0)), {"current_offset[coil]": {"offset_A": 0.07}})
-    assert_same_field(found, coils_T(0.07, 1.0))
+    reading_T = predicted_T(readings(POINTS_M, (0.0, 1.0)), {"current_offset[coil]": {"offset_A": 0.07}})
+    assert_same_field(reading_T, coils_T(0.07, 1.0))
 
 
 def test_gain_and_offset_act_in_that_order():
@@ -61,13 +61,13 @@ def test_gain_and_offset_act_in_that_order():
 
 @pytest.mark.parametrize(("coil", "expected"), [("coil", (2.0 + 0.04 * -3.0, -3.0)), ("other", (2.0, -2.92))])
 def test_neighbour_coil_carries_a_share_of_the_other_current(coil, expected):
-    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {f"neighbour_coil[{coil}]": {"share": 0.04}})
-    assert_same_field(found, coils_T(*expected))
+    reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {f"neighbour_coil[{coil}]": {"share": 0.04}})
+    assert_same_field(reading_T, coils_T(*expected))
 
 
 def test_current_sign_exchanges_the_leads_of_one_coil():
-    found = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_sign[other]": {"sign": -1.0}})
-    assert_same_field(found, coils_T(2.0, 3.0))
+    reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_sign[other]": {"sign": -1.0}})
+    assert_same_field(reading_T, coils_T(2.0, 3.0))
 
 
 @pytest.mark.parametrize("tau_share", [0.1, 0.4, 2.0])
@@ -88,9 +88,9 @@ def test_coil_heating_follows_the_equation_of_one_thermal_mass(tau_share):
         np.repeat(POINTS_M[:1], n, axis=0), np.stack((current_A, 0 * current_A), axis=1), time_s=time_s
     )
     given = {"loss_per_A2": loss_per_A2, "tau_h": tau_s / 3600.0}
-    found = predicted_T(observations, {"coil_heating[coil]": given})
+    reading_T = predicted_T(observations, {"coil_heating[coil]": given})
     cold = predicted_T(observations)
-    loss = 1.0 - found[:, 2] / cold[:, 2]
+    loss = 1.0 - reading_T[:, 2] / cold[:, 2]
     one_step = 9.0 / (
         tau_share * n
     )  # what a step warms the cold coil: the code takes its heat at the end of each
@@ -121,9 +121,9 @@ def test_heat_is_the_same_for_a_part_of_the_session_and_for_readings_out_of_orde
 def test_heating_by_a_thermometer_is_the_loss_per_kelvin_above_the_coolest():
     celsius = np.array([20.0, 21.0, 24.0, np.nan, 23.0, 20.0, 24.0])
     observations = readings(POINTS_M, (2.0, -3.0), temperature_C={"coil": celsius})
-    found = predicted_T(observations, {"coil_heating[coil]": {"loss_per_K": 0.004, "tau_h": 1.0}})
+    reading_T = predicted_T(observations, {"coil_heating[coil]": {"loss_per_K": 0.004, "tau_h": 1.0}})
     kelvin = np.nan_to_num(celsius, nan=np.nanmean(celsius)) - 20.0
-    assert_same_field(found, coils_T(2.0 * (1.0 - 0.004 * kelvin), -3.0))
+    assert_same_field(reading_T, coils_T(2.0 * (1.0 - 0.004 * kelvin), -3.0))
 
 
 @pytest.mark.parametrize(

@@ -19,15 +19,17 @@ TURNS_RAD = Rotation.random(len(POINTS_M), rng=np.random.default_rng(4)).as_rotv
 
 def test_background_field_stands_still_in_the_room_whatever_the_current():
     currents = np.stack((np.linspace(-3.0, 3.0, len(POINTS_M)), np.zeros(len(POINTS_M))), axis=1)
-    found = added_T(readings(POINTS_M, currents), {"background_field[room]": EARTH})
-    np.testing.assert_allclose(found, np.broadcast_to(EARTH_T, found.shape), rtol=0.0, atol=1e-15)
+    difference_T = added_T(readings(POINTS_M, currents), {"background_field[room]": EARTH})
+    np.testing.assert_allclose(
+        difference_T, np.broadcast_to(EARTH_T, difference_T.shape), rtol=0.0, atol=1e-15
+    )
 
 
 def test_turned_sensor_sees_the_background_turned_the_other_way_and_its_own_offset_not():
     turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD)
-    found = added_T(turned, {"background_field[room]": EARTH})
+    difference_T = added_T(turned, {"background_field[room]": EARTH})
     expected = Rotation.from_rotvec(TURNS_RAD).inv().apply(EARTH_T)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(difference_T, expected, rtol=0.0, atol=1e-15)
     offset = added_T(turned, {"sensor_offset[probe]": EARTH})
     np.testing.assert_allclose(offset, np.broadcast_to(EARTH_T, offset.shape), rtol=0.0, atol=1e-15)
 
@@ -36,16 +38,16 @@ def test_background_drifts_in_proportion_to_the_hours_since_the_session_began():
     rate = {"x_T_per_h": 1e-5, "y_T_per_h": 0.0, "z_T_per_h": -3e-5}
     time_s = 1.7e9 + np.array([0.0, 360.0, 720.0, 3600.0, 4000.0, 7200.0, 9000.0])
     turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD, time_s=time_s)
-    found = added_T(turned, {"background_drift[room]": rate})
+    difference_T = added_T(turned, {"background_drift[room]": rate})
     in_room = (time_s - time_s[0])[:, None] / 3600.0 * np.array(list(rate.values()))
     np.testing.assert_allclose(
-        found, Rotation.from_rotvec(TURNS_RAD).inv().apply(in_room), rtol=0.0, atol=1e-14
+        difference_T, Rotation.from_rotvec(TURNS_RAD).inv().apply(in_room), rtol=0.0, atol=1e-14
     )
 
 
 def test_background_drift_is_zero_at_the_beginning_of_the_session_not_of_its_part():
     time_s = 600.0 * np.arange(len(POINTS_M))
     part = readings(POINTS_M, (1.0, 0.0), time_s=time_s)
-    kept = part.rows(part.time_s >= 1800.0)
-    found = added_T(kept, {"background_drift[room]": {"z_T_per_h": 1e-5}})[:, 2]
-    np.testing.assert_allclose(found, 1e-5 * time_s[3:] / 3600.0, rtol=1e-9, atol=1e-18)
+    second_half = part.rows(part.time_s >= 1800.0)
+    difference_T = added_T(second_half, {"background_drift[room]": {"z_T_per_h": 1e-5}})[:, 2]
+    np.testing.assert_allclose(difference_T, 1e-5 * time_s[3:] / 3600.0, rtol=1e-9, atol=1e-18)

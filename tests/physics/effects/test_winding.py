@@ -29,16 +29,16 @@ ONE_FAR = readings(FAR_M, (1.0, 0.0))
 
 @pytest.mark.parametrize("excess", [0.02, -0.05])
 def test_axial_pitch_moves_the_turns_back_from_the_front_face(excess):
-    found = predicted_T(ONE, {"axial_pitch[coil]": {"excess": excess}})
+    reading_T = predicted_T(ONE, {"axial_pitch[coil]": {"excess": excess}})
     wider = winding(axial_pitch_m=PITCH_M * (1.0 + excess))
-    assert_same_field(found, wider.field_T(POINTS_M))
+    assert_same_field(reading_T, wider.field_T(POINTS_M))
 
 
 @pytest.mark.parametrize("excess", [0.02, -0.39])
 def test_radial_pitch_moves_the_layers_in_from_the_outermost(excess):
-    found = predicted_T(ONE, {"radial_pitch[coil]": {"excess": excess}})
+    reading_T = predicted_T(ONE, {"radial_pitch[coil]": {"excess": excess}})
     closer = winding(radial_pitch_m=PITCH_M * (1.0 + excess))
-    assert_same_field(found, closer.field_T(POINTS_M))
+    assert_same_field(reading_T, closer.field_T(POINTS_M))
 
 
 def test_turns_gradient_gives_front_loops_more_and_back_loops_less():
@@ -48,8 +48,8 @@ def test_turns_gradient_gives_front_loops_more_and_back_loops_less():
         0.5 * LENGTH_M
     )  # from -1 at the back to +1 at the front face
     uneven = Loops(loops.radius_m, loops.height_m, 1.0 + slope * share)
-    found = predicted_T(ONE, {"turns_gradient[coil]": {"slope": slope}})
-    assert_same_field(found, uneven.field_T(POINTS_M))
+    reading_T = predicted_T(ONE, {"turns_gradient[coil]": {"slope": slope}})
+    assert_same_field(reading_T, uneven.field_T(POINTS_M))
 
 
 @pytest.mark.parametrize("at_front", [1.0, 0.0])
@@ -129,15 +129,15 @@ def rod_T(share: float, points_m: np.ndarray) -> np.ndarray:
 
 def test_iron_core_is_a_thin_magnet_in_the_bore_with_a_share_of_the_moment():
     outside_m = np.delete(POINTS_M, 5, axis=0)  # the magnet's cells need distance
-    found = added_T(readings(outside_m, (2.0, 0.0)), {"iron_core[coil]": {"share": 0.3}})
-    assert_same_field(found, 2.0 * rod_T(0.3, outside_m), 1e-4)
+    difference_T = added_T(readings(outside_m, (2.0, 0.0)), {"iron_core[coil]": {"share": 0.3}})
+    assert_same_field(difference_T, 2.0 * rod_T(0.3, outside_m), 1e-4)
 
 
 def test_iron_core_is_a_dipole_of_its_share_of_the_moment_far_away():
     far_m = 1.0 * np.array([[0.3, 0.4, 0.866], [-0.9, 0.1, 0.4]])
     moment = np.array([0.0, 0.0, 0.3 * winding().moment_m2])
-    found = added_T(readings(far_m, (1.0, 0.0)), {"iron_core[coil]": {"share": 0.3}})
-    assert_same_field(found, dipole_T(moment, np.array([0, 0, -LENGTH_M / 2]), far_m), 1e-4)
+    difference_T = added_T(readings(far_m, (1.0, 0.0)), {"iron_core[coil]": {"share": 0.3}})
+    assert_same_field(difference_T, dipole_T(moment, np.array([0, 0, -LENGTH_M / 2]), far_m), 1e-4)
 
 
 def test_saturating_core_is_a_plain_core_at_small_currents():
@@ -172,8 +172,8 @@ def test_spherical_sum_is_the_papers_sum_taken_literally():
     b_rho = b_r * np.sin(theta) + b_theta * np.cos(theta)
     b_z = b_r * np.cos(theta) - b_theta * np.sin(theta)
     literal = np.stack((b_rho * east[:, 0], b_rho * east[:, 1], b_z), axis=1)
-    found = predicted_T(ONE, {"spherical_sum[coil]": {"weight": 1.0}})
-    assert_same_field(found, literal, 1e-8)
+    reading_T = predicted_T(ONE, {"spherical_sum[coil]": {"weight": 1.0}})
+    assert_same_field(reading_T, literal, 1e-8)
     right = winding().field_T(POINTS_M)
     assert (np.linalg.norm(literal - right, axis=1) > 1e-3 * np.linalg.norm(right, axis=1)).any()
     half = predicted_T(ONE, {"spherical_sum[coil]": {"weight": 0.5}})
@@ -187,8 +187,10 @@ def test_dipole_model_is_mu0_m_over_4_pi_r3_about_the_middle_of_the_winding():
     moment_m2, middle_m = winding().moment_m2, np.array([0.0, 0.0, -LENGTH_M / 2])
     r_m = 0.09
     axis_and_equator_m = middle_m + r_m * np.array([[0.0, 0.0, 1.0], [0.6, -0.8, 0.0]])
-    found = predicted_T(readings(axis_and_equator_m, (1.0, 0.0)), {"dipole_model[coil]": {"weight": 1.0}})
+    reading_T = predicted_T(readings(axis_and_equator_m, (1.0, 0.0)), {"dipole_model[coil]": {"weight": 1.0}})
     unit_T = MU0_RATIO * magpylib.mu_0 * moment_m2 / (4.0 * np.pi * r_m**3)
-    np.testing.assert_allclose(found, unit_T * np.array([[0, 0, 2.0], [0, 0, -1.0]]), rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(
+        reading_T, unit_T * np.array([[0, 0, 2.0], [0, 0, -1.0]]), rtol=1e-9, atol=1e-18
+    )
     everywhere = predicted_T(ONE, {"dipole_model[coil]": {"weight": 1.0}})
     assert_same_field(everywhere, dipole_T(np.array([0.0, 0.0, moment_m2]), middle_m, POINTS_M))
