@@ -340,12 +340,12 @@ class NoiseEstimate:
     Attributes:
         quantities: Values of its quantities by key.
         noise_factor: What remains of the noise that the sensor had without it.
-        log_likelihood_gain: Over normal scatter of one width.
+        log_likelihood_improvement: Over normal scatter of one width.
     """
 
     quantities: Mapping[str, float]
     noise_factor: float
-    log_likelihood_gain: float
+    log_likelihood_improvement: float
 
 
 class NoiseEffect(Effect):

@@ -1,4 +1,4 @@
-"""What is known of every reading besides the model: when it was taken, what had happened before, how warm it was."""
+"""Circumstances of every reading: its time, currents, history and temperatures."""
 
 from __future__ import annotations
 

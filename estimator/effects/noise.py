@@ -1,4 +1,4 @@
-"""How readings scatter beyond equal normal noise. The model predicts the same; the likelihood is another."""
+"""Scatter of readings beyond equal normal noise. Predictions stay the same; the likelihood changes."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class PositionJitter(NoiseEffect):
 
 
 def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
-    """Share, wide and narrow scatter of a mixture of two normal distributions about zero, and its gain in log likelihood over one."""
+    """Share, wide and narrow scatter of a mixture of two normals about zero, and its improvement of the log likelihood over one."""
     share, narrow, wide = 0.05, 0.8 * float(z.square().mean().sqrt()), ratio
     log_likelihood = 0.0
     for _ in range(EM_STEPS):

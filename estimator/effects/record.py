@@ -1,4 +1,4 @@
-"""Mistakes of the record: axes, signs and units that mean something else than they say. They are there or not."""
+"""Mistakes of the record: axes, signs and units that are not what they are called. A mistake is present or absent."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class UnitError(RecordEffect):
     source: ClassVar[str] = "powers of ten between T, G, mT, uT and between A, mA"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Recorded over true fields, which scales the noise too, and recorded over true currents."""
+        """Recorded over true fields, which scales the noise too; recorded over true currents."""
         return (_switch("field_factor", 0.0, 1e9, 1.0), _switch("current_factor", 0.0, 1e9, 1.0))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -203,7 +203,7 @@ class DisplacementFrameError(MotionEffect):
         return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
 
     def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """Axes that are turned a little are not mistaken for others; something else is wrong."""
+        """Whether the turn is large: axes that are turned a little are not mistaken for others."""
         return math.hypot(*(float(turn_rad) for turn_rad in theta.values())) > SMALLEST_TURN_RAD
 
 

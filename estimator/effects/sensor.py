@@ -180,7 +180,7 @@ class PlanarHall(ReadingEffect):
 
 
 class RangeClipping(ReadingEffect):
-    """Components beyond the range are shown as the end of the range."""
+    """Components beyond the range read as its end."""
 
     name: ClassVar[str] = "range_clipping"
     words: ClassVar[str] = "components beyond the sensor's range are cut off"
@@ -193,7 +193,7 @@ class RangeClipping(ReadingEffect):
         return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Inside the sensor's largest reading: a limit pulls readings together there."""
+        """Just inside the sensor's largest reading, where a limit gathers readings."""
         largest_T = circumstances.largest_of_sensor_T(place)
         return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
 

@@ -1,4 +1,4 @@
-"""What the filaments of a superconducting winding do to its field: they screen what changes and keep what was there."""
+"""Magnetisation of a superconductor's filaments: they screen changes of the field and keep what an earlier one has left."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FilamentMagnetisation(WindingMagnetisation):
         """Patterns: against one ampere in each coil, along the axis, outwards, and fanned out."""
         target = _described(rig, coil)
         sources = tuple(
-            _described(rig, other) if other.carried_by == coil.carried_by else None for other in rig.coils
+            _described(rig, source) if source.carried_by == coil.carried_by else None for source in rig.coils
         )
         return _rings(target, sources)
 
@@ -97,14 +97,14 @@ def _rings(target: Numbers, sources: tuple[Numbers | None, ...]) -> tuple[Rings,
         if source is None:
             patterns.append(torch.zeros_like(own_field))
         else:
-            patterns.append(-own_field if source == target else -_from_other(rings, pose, source))
+            patterns.append(-own_field if source == target else -_from_coil(rings, pose, source))
     zeros, ones = torch.zeros_like(rings.height_m), torch.ones_like(rings.height_m)
     fanned = 1.0 + 2.0 * rings.height_m / winding.length_m
     left = [torch.stack(parts, dim=-1) for parts in ((zeros, ones), (ones, zeros), (fanned, zeros))]
     return rings, torch.stack((*patterns, *left))
 
 
-def _from_other(rings: Rings, pose: Transform, source: Numbers) -> Float[Tensor, "ring 2"]:
+def _from_coil(rings: Rings, pose: Transform, source: Numbers) -> Float[Tensor, "ring 2"]:
     """Field of one ampere in another coil, outwards and along the axis of the rings, averaged around them."""
     turn = 2.0 * torch.pi * torch.arange(AZIMUTHS, dtype=torch.float64) / AZIMUTHS
     outwards = torch.stack((torch.cos(turn), torch.sin(turn), torch.zeros_like(turn)), dim=-1)

@@ -101,7 +101,7 @@ class CoilHeating(_OneCoilCurrent):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative loss of current per kelvin of a thermometer, or per square ampere held for long, and how quickly that comes."""
+        """Relative loss of current per kelvin of a thermometer, or per square ampere in the steady state; time constant of the latter."""
         tau = LogNormal(extent.duration_h, 1.5)
         return (
             normal("loss_per_K", "1/K", 4e-3),
@@ -114,13 +114,13 @@ class CoilHeating(_OneCoilCurrent):
         return tuple({"tau_h": share * circumstances.duration_h} for share in (0.08, 0.3, 1.0, 3.0))
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
-        """A thermometer that moved tells all; without one the losses must."""
+        """Losses where a thermometer saw the coil warm up; the loss per kelvin where none did."""
         kelvin = circumstances.warming_K(place)
         has_warmed = kelvin is not None and bool(kelvin.max() > 0.0)
         return frozenset({"loss_per_A2", "tau_h"} if has_warmed else {"loss_per_K"})
 
     def beyond_the_moment(self, key: str) -> str | None:
-        """A thermometer tells of the moment, losses only of the past."""
+        """Losses depend on the past; a thermometer reads the present."""
         return (
             None
             if key == "loss_per_K"

@@ -27,7 +27,7 @@ class PitchEffect(WindingEffect):
     """A pitch other than the rig file says."""
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the rig file leaves the pitch open itself, its prior says what can be built, and no cause may go beyond."""
+        """Where the rig file does not leave the pitch free: else its own prior bounds what can be built."""
         return not circumstances.rig.parameters[f"{place}.{self.name}_m"].is_free
 
 
@@ -130,7 +130,7 @@ class CoilOvality(SourceEffect):
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """Oval less round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
+        """Field of oval minus round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
         height, radius, weight = (value.flatten(-2) for value in loops)
@@ -250,7 +250,7 @@ class CoreSaturation(SourceEffect):
     is_linear: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Moment at small current in units of the winding's, and what is lost of it per square ampere."""
+        """Moment at small current in units of the winding's, and its loss per square ampere."""
         loss = 0.05 / extent.largest_current_A**2
         return (normal("share", "1", 0.1), normal("loss_per_A2", "1/A2", loss))
 

@@ -1,4 +1,4 @@
-"""Where the bodies of a rig really stand, and what the coils really are, at some values.
+"""Real poses of a rig's bodies and real windings of its coils, at some values.
 
 Effects of robot, mounts and windings act here, whoever asks for a pose or a winding: a fit, a prediction or a figure.
 """
@@ -23,7 +23,7 @@ WINDING_KEYS = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "rad
 
 
 def columns_of(rig: Rig, circumstances: Circumstances) -> dict[str, Tensor]:
-    """What the effects that move bodies depend on besides the pose, by reading."""
+    """Inputs of effects that move bodies, besides the pose, by reading."""
     columns = {}
     nominal = rig.nominal_values()
     for use in uses_of(rig, Effect):
@@ -43,7 +43,7 @@ def world_from_body(
     values: Values,
     columns: Mapping[str, Tensor],
 ) -> Transform:
-    """Pose of a coil or sensor with the effects of robot and mounts, given where the movers say that they stand.
+    """Pose of a coil or sensor with the effects of robot and mounts, given the recorded poses of the movers.
 
     Args:
         rig: Names the mover that carries the body, and the effects.
@@ -63,7 +63,7 @@ def world_from_body(
 def _mount(
     rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
 ) -> Transform:
-    """nominal_from_real of a body on what carries it, by the effects that were present at the reference pose, or by those since."""
+    """nominal_from_real of a body on its carrier, by the effects present at the reference pose or by those that came later."""
     total = Transform.identity()
     for use in uses_of(rig, MountEffect, body.name):
         if use.effect.is_at_reference == is_at_reference:

@@ -94,12 +94,12 @@ class MeasurementModel:
 
     @property
     def powered(self) -> Mapping[str, Int[Tensor, " powered"]]:
-        """Per coil the rows of distinct poses where it ever carries current."""
+        """Distinct poses at which each coil carries current in some reading."""
         return self.sources.powered
 
     @property
     def pose_row(self) -> Int[Tensor, " reading"]:
-        """Row of distinct poses that each reading stands at."""
+        """Distinct pose of each reading."""
         rows = self.sources.pose_row
         assert rows is not None
         return rows
@@ -233,7 +233,7 @@ class MeasurementModel:
 
 @dataclass(frozen=True)
 class NominalPrediction(Prediction):
-    """What a model predicts at the nominal values of its rig.
+    """Predictions of a model at the nominal values of its rig.
 
     Attributes:
         model: Of the readings.

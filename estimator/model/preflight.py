@@ -22,7 +22,7 @@ def check_readings(rig: Rig, observations: Observations, where: str, needs_curre
     """Refuse readings that cannot support a fit.
 
     Args:
-        rig: What they were taken on.
+        rig: The rig that was measured.
         observations: All readings; those that a fit would use have to suffice.
         where: File or session that messages name.
         needs_current: A coil without current tells nothing of itself, but much of sensors and room.

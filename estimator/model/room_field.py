@@ -23,7 +23,7 @@ from estimator.rig.rig import Rig
 
 
 class RoomField:
-    """The coils of a rig with its movers at one stand, or at one for each point, ready to give the field at fixed points of the room.
+    """Field of a rig's coils at fixed points of the room, with the movers at one pose or at one for each point.
 
     Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
 

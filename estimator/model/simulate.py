@@ -49,7 +49,7 @@ def draw_truth(rig: Rig, seed: int) -> dict[str, float]:
 def simulate(
     rig: Rig, plan: Plan, truth: Mapping[str, float], seed: int, hidden: Mapping[str, float] | None = None
 ) -> Observations:
-    """Readings that the plan would give if the truth were so, with the noise of the truth.
+    """Readings that a plan gives at a truth, with the noise of the truth.
 
     Args:
         rig: Names and fixed values.
@@ -58,7 +58,7 @@ def simulate(
         seed: Of order and noise.
         hidden: Causes that the rig knows nothing of, such as `{"axis_gain[hall].x": 0.01}` (see `with_hidden`).
     Raises:
-        InvalidInput: The truth names what the rig has not, is no possible rig, or puts a sensor inside a winding.
+        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
     """
     real = rig.with_values(truth)
     broken = real.broken_rule()
@@ -78,7 +78,7 @@ def perfect_readings(rig: Rig, observations: Observations) -> torch.Tensor:
 
 
 def _errors_T(model: MeasurementModel, rng: np.random.Generator) -> Float[Tensor, "reading 3"]:
-    """Errors of simulated readings: noise of the sensors, as it is recorded, and what the effects of noise make of it."""
+    """Errors of simulated readings: noise of the sensors as recorded, changed by the effects of noise."""
     values, rig = nominal_tensors(model.rig), model.rig
     noise_T = torch.stack([values[f"{sensor.name}.noise_T"] for sensor in rig.sensors])
     sigma_T = noise_T[model.circumstances.sensor, None].expand(-1, 3)

@@ -41,7 +41,7 @@ class _Pose(Protocol):
 
 @runtime_checkable
 class Moment(Protocol):
-    """What a simulated world shows of itself; a `drivers.simulated.world.Snapshot` is one."""
+    """The state of a simulated world; a `drivers.simulated.world.Snapshot` is one."""
 
     @property
     def time_s(self) -> float:
@@ -94,7 +94,7 @@ class SimulatedField:
         self._noise_T = self.rig.nominal_values()[f"{self.sensor}.noise_T"]
 
     def __call__(self, moment: Moment) -> tuple[float, float, float]:
-        """Field in tesla; zero where the sensor is driven into a winding, which no formula knows."""
+        """Field in tesla; zero inside a winding, where no formula holds."""
         steps = [
             round(t_K / TEMPERATURE_STEP_K)
             for t_K in (*moment.coil_temperatures_K, moment.room_temperature_K)
@@ -126,7 +126,7 @@ class SimulatedField:
         return replace(readings, temperature_C=self._temperature_C(moment))
 
     def _temperature_C(self, moment: Moment) -> dict[str, torch.Tensor]:
-        """Of both readings; causes count kelvins of coils from the coolest of a session and those of sensors from its mean."""
+        """Temperatures of both readings. Causes count a coil's from the coolest of a session, a sensor's from the mean."""
         room_C = moment.room_temperature_K - ICE_POINT_K
         pairs = {self.sensor: (2.0 * REFERENCE_C - room_C, room_C)}
         for name, coil_K in zip(self.coils, moment.coil_temperatures_K, strict=True):

@@ -102,7 +102,7 @@ class Sources:
         delivered_A: Float[Tensor, "*#batch #reading coil"],
         world_from_point: Transform,
     ) -> Float[Tensor, "*batch reading 3"]:
-        """Field at the points that stand at the rows, in the frames of these points.
+        """Field at the points of some rows, in the frames of these points.
 
         Args:
             values: Every number of the rig by name.
@@ -139,7 +139,7 @@ class Sources:
     def _driven(
         self, coil: Coil, values: Values, world_from_point: Transform, current_A: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
-        """What the coil's current makes where it is powered: field in the points' frames per unit of drive, and the drive."""
+        """Field of a powered coil in the points' frames per unit of drive, and the drive."""
         world_from_coil = self.world_from_body(coil, "coil", self.powered[coil.name], values)
         coil_from_point = world_from_coil.inverse() @ world_from_point
         points_m = coil_from_point.translation_m
@@ -195,7 +195,7 @@ class Sources:
         return torch.arange(self.n_rows)
 
     def _by_reading(self, field: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
-        """Field at some rows as that at all readings, zero elsewhere; where coil and point both stand still, one row stands for all."""
+        """Field at all readings from that at some rows, zero elsewhere. One row stands for all where coil and point both stand still."""
         field = field.expand(*field.shape[:-2], len(rows), 3)
         if len(rows) < self.n_rows:
             full = torch.zeros((*field.shape[:-2], self.n_rows, 3), dtype=field.dtype, device=field.device)
@@ -223,7 +223,7 @@ class Sources:
     def _sloped(
         self, coil: Coil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
-        """What an effect adds to a coil's field, with cheap derivatives where these are asked for."""
+        """What an effect adds to a coil's field, with cheap derivatives where second ones may be missing."""
         rule = self.rules[coil.name]
         if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)

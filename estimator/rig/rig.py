@@ -193,7 +193,7 @@ class Rig:
         return replace(self, parameters=parameters, effects=tuple(c for c in self.effects if c != cause))
 
     def broken_rule(self) -> tuple[str, str, str] | None:
-        """First nominal value that no rig can have: the parameter, the rule it breaks, and what it is; None where all are possible."""
+        """First impossible nominal value: parameter, broken rule and value; None where all are possible."""
         values = self.nominal_values()
         for name, value in values.items():
             parameter = self.parameters[name]

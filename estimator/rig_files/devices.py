@@ -1,4 +1,4 @@
-"""The `devices` section of a rig file: which instrument stands behind which sensor, coil and mover.
+"""The `devices` section of a rig file: the instrument of each sensor, coil and mover.
 
 It is kept as plain data, since only the command line opens instruments (`drivers.open` says what an entry holds). What the section
 must get right for the rig is checked here: a device bears the name of what it serves, and a thermometer says what it feels.

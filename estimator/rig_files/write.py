@@ -183,7 +183,7 @@ def _poses(body: Coil | Sensor, kind: str, rig: Rig) -> dict[str, Any]:
 
 
 def _pose_block(prefix: str, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """A pose, without the numbers that are simply zero; nothing where all are, or where the body has no such pose."""
+    """A pose without its zeros; nothing where all numbers are zero, or where the body has no such pose."""
     numbers: dict[str, Any] = {}
     for quantity, dimension in POSE_QUANTITIES:
         unit = SI_SYMBOL[dimension]
@@ -200,7 +200,7 @@ def _numbers_of_cause(label: str, rig: Rig) -> dict[str, Any]:
 
 
 def _number(name: str, dimension: str | None, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """One parameter under its key; pure numbers and ties, whose factors hold in SI, have no choice of a unit."""
+    """One parameter under its key. Pure numbers, and ties with their factors in SI, leave no choice of a unit."""
     parameter, key = parameters[name], name.rpartition(".")[2]
     if dimension is None or parameter.tie is not None:
         return {key: _entry(parameter)}
@@ -210,7 +210,7 @@ def _number(name: str, dimension: str | None, parameters: Mapping[str, Parameter
 
 
 def _entry(parameter: Parameter, to_si: float = 1.0) -> int | float | _Line:
-    """What stands under a parameter's key, in a unit in which all of it survives."""
+    """Entry of a parameter, in a unit that keeps every number exactly."""
     if parameter.tie is not None:
         factor = {} if parameter.tie.factor == 1.0 else {"factor": _written(parameter.tie.factor)}
         return _Line(tied_to=parameter.tie.to, **factor)
@@ -246,7 +246,7 @@ def _is_assumed(prior: Prior, is_positive: bool) -> bool:
 
 
 def _unit(dimension: str, numbers: Sequence[float]) -> str:
-    """The unit in which numbers in SI need the fewest digits, of those in which all survive the way there and back."""
+    """The unit that needs the fewest digits, of those that convert the numbers from SI and back exactly."""
 
     def length(unit: str) -> int | float:
         written = [_in_unit(number, UNITS[unit].to_si) for number in numbers]
@@ -279,5 +279,5 @@ def _written(number: float) -> int | float:
 
 
 def _is_same(value: object, expected: object) -> bool:
-    """Whether two are the same to the last bit, which 0 and -0 are not."""
+    """Whether two values are the same to the last bit; 0 and -0 are not."""
     return repr(value) == repr(expected)

@@ -43,7 +43,7 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
 def _hint(fit: Fit, use: Use[NoiseEffect]) -> float:
     """Gain in log likelihood at the residuals as they are."""
     estimate = use.effect.estimate(_concerned(fit, use, fit.residual))
-    return _score(fit, use) if estimate is None else estimate.log_likelihood_gain
+    return _score(fit, use) if estimate is None else estimate.log_likelihood_improvement
 
 
 def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
