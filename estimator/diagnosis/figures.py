@@ -70,12 +70,12 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    stages = diagnosis.found.search.stages
-    if len(stages) < LEAST_STEPS:
+    additions = diagnosis.findings.search.additions
+    if len(additions) < LEAST_STEPS:
         return
-    fits = [diagnosis.found.search.base, *(stage.fit for stage in stages)]
+    fits = [diagnosis.found.search.base, *(addition.fit for addition in additions)]
     figure = plots.stepwise_residual(
-        [diagnosis.label_of_stage(stage) for stage in stages],
+        [diagnosis.label_of_addition(addition) for addition in additions],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
         title=diagnosis.rig.name,
@@ -129,8 +129,11 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, (title, step) in enumerate(diagnosis.races[:MOST_STEPS], start=1):
-        evidence = {diagnosis.label_of_rival(rival): rival.log_bayes_factor for rival in step.rivals}
+    for number, (title, step) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
+        evidence = {
+            diagnosis.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
+            for hypothesis in step.hypotheses
+        }
         taken = None if step.taken is None else diagnosis.label(step.taken)
         figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
         assert isinstance(figure, Figure)

@@ -113,7 +113,7 @@ class Fit:
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
         """Whitened derivative of the predictions in the coordinates."""
-        slope: Tensor = self.posterior.slope(self.vector)
+        slope: Tensor = self.posterior.jacobian(self.vector)
         return slope * self.whitening_per_T[:, None]
 
     @cached_property

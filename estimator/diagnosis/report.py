@@ -6,16 +6,16 @@ import math
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
-from estimator.diagnosis.gain import Judged
-from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.result import Diagnosis, Interval
+from estimator.diagnosis.validation import ValidationScores
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.reporting.plots.style import displays, to_digit_of, with_sd
 from estimator.units import split_unit
 
-MOST_RIVALS = 8
+MOST_HYPOTHESES = 8
 MOST_STEPS = 6
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
@@ -74,22 +74,22 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
             sentences.append(
                 f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
             )
-    if diagnosis.found.stand_ins:
-        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
+    if diagnosis.findings.stand_ins:
+        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         sentences.append(
             f"The extended rig also has {kept}: needed here, but something unknown may look like them."
         )
     sentences += [_next(diagnosis)] if diagnosis.left_open.next_measurements else []
-    left = diagnosis.found.search.steps[-1].left
+    left = diagnosis.findings.search.steps[-1].discrepancy
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        seen = left if left.log_bayes_factor > 0.0 else diagnosis.found.search.whole
+        seen = left if left.log_bayes_factor > 0.0 else diagnosis.findings.search.whole
         sentences.append(f"What is left looks like {seen.family}: {seen.rms_sigma:.2g} of the noise rms.")
-    gain = diagnosis.gain
+    gain = diagnosis.improvement
     if gain is not None and diagnosis.fits.extended.rig.effects:
         sentences.append(
             f"On {len(gain.before.log_density)} readings kept out of all fits the error falls from "
             f"{_microtesla(gain.before)} to {_microtesla(gain.after)}."
-            if gain.is_there
+            if gain.is_significant
             else f"On {len(gain.before.log_density)} readings kept out of all fits the extension gains nothing that is certain: "
             f"{_microtesla(gain.before)} before, {_microtesla(gain.after)} after."
         )
@@ -113,14 +113,14 @@ def _next(diagnosis: Diagnosis) -> str:
 
 def _warnings(diagnosis: Diagnosis) -> list[str]:
     found = []
-    gain = diagnosis.gain
+    gain = diagnosis.improvement
     if gain is None:
         found.append("No readings were kept out of the fits, so nothing judges the gain.")
     elif not policy.LEAST_COVERAGE90 < gain.after.coverage90 < policy.MOST_COVERAGE90:
         found.append(
             f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
         )
-    for cause in diagnosis.found.search.dropped:
+    for cause in diagnosis.findings.search.dropped:
         found.append(
             f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained what it had explained."
         )
@@ -137,7 +137,7 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
     if rows:
         header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
         tables.append(Table("What was found", header, rows, "In the extended rig, rig_extended.yaml."))
-    if diagnosis.gain is not None:
+    if diagnosis.improvement is not None:
         tables.append(_gain_table(diagnosis))
         moved = _moved_table(diagnosis)
         tables += [moved] if moved.rows else []
@@ -158,9 +158,9 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _appendix(diagnosis: Diagnosis) -> list[Table]:
-    races = enumerate(diagnosis.races[:MOST_STEPS], start=1)
+    races = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
     return [
-        *(_rivals_table(diagnosis, step, number, title) for number, (title, step) in races),
+        *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in races),
         _visible_table(diagnosis),
     ]
 
@@ -177,13 +177,13 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
             else:
                 factor, unit = display.factor, display.unit or p.unit
             label = diagnosis.label(cause)
-            role = " (stands in)" if cause in diagnosis.found.stand_ins else ""
+            role = " (stands in)" if cause in diagnosis.findings.stand_ins else ""
             found.append((label + role, key, p, factor, unit))
     return found
 
 
 def _gain_table(diagnosis: Diagnosis) -> Table:
-    gain = diagnosis.gain
+    gain = diagnosis.improvement
     assert gain is not None
     rows = []
     for name, judged in (("before", gain.before), ("after", gain.after)):
@@ -214,11 +214,11 @@ def _gain_table(diagnosis: Diagnosis) -> Table:
         f"Log predictive density changes by {gain.elpd_difference:+.1f} ± {gain.elpd_se:.1f} (standard error over readings). "
         "The columns `in` give the share of components inside intervals of that probability."
     )
-    return Table("Gain on readings not used for fitting", header, rows, says)
+    return Table("Improvement on readings not used for fitting", header, rows, says)
 
 
 def _moved_table(diagnosis: Diagnosis) -> Table:
-    gain = diagnosis.gain
+    gain = diagnosis.improvement
     assert gain is not None
     names = [name for name, sd in gain.moved_sd.items() if abs(sd) > policy.MOVED_SD]
     display = displays(names)
@@ -245,21 +245,24 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     )
 
 
-def _rivals_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
+def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
     """Who else was in the race."""
-    causes = [rival for rival in step.rivals if rival.cause is not None]
-    share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
+    causes = [hypothesis for hypothesis in step.hypotheses if hypothesis.cause is not None]
+    share = dict(zip((hypothesis.name for hypothesis in causes), shares_of(causes), strict=True))
     rows = [
         [
-            diagnosis.label_of_rival(rival),
-            _words(rival),
-            _signed(rival.log_bayes_factor),
-            _percent(share.get(rival.name)),
-            "—" if rival.held_out is None else f"{_signed(rival.held_out.gain)} ± {rival.held_out.se:.1f}",
-            _why(step, rival),
+            diagnosis.label_of_hypothesis(hypothesis),
+            _words(hypothesis),
+            _signed(hypothesis.log_bayes_factor),
+            _percent(share.get(hypothesis.name)),
+            "—"
+            if hypothesis.held_out is None
+            else f"{_signed(hypothesis.held_out.gain)} ± {hypothesis.held_out.se:.1f}",
+            _why(step, hypothesis),
         ]
-        for i, rival in enumerate(step.rivals)
-        if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
+        for i, hypothesis in enumerate(step.hypotheses)
+        if i < MOST_HYPOTHESES
+        or hypothesis.cause is None  # nothing and the unexplained are always in the race
     ]
     return Table(
         f"Who was considered, step {number}: {title} taken",
@@ -285,26 +288,30 @@ def _percent(share: float | None) -> str:
     return f"{share:.1%}" if share > 1e-3 else "< 0.1 %"
 
 
-def _words(rival: Rival) -> str:
-    if rival.cause is not None:
-        return EFFECTS[rival.cause.name].words
-    return "no flaw" if rival.name == "nothing" else "a flexible curve that stands for what no cause explains"
+def _words(hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None:
+        return EFFECTS[hypothesis.cause.name].words
+    return (
+        "no flaw"
+        if hypothesis.name == "nothing"
+        else "a flexible curve that stands for what no cause explains"
+    )
 
 
-def _why(step: Step, rival: Rival) -> str:
-    if rival.cause is not None and rival.cause == step.taken:
+def _why(step: Step, hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None and hypothesis.cause == step.taken:
         return "taken"
-    if rival in step.credible and step.taken is not None:
+    if hypothesis in step.credible and step.taken is not None:
         return "cannot be told from what was taken"
-    best = next((r for r in step.rivals if r.cause == step.taken), None)
-    if rival.name == "unexplained":
+    best = next((r for r in step.hypotheses if r.cause == step.taken), None)
+    if hypothesis.name == "unexplained":
         return "asked again at the end"
     if best is None or step.taken is None:
-        return "not needed" if rival.cause is not None else ""
-    if rival.held_out is not None and rival.held_out.is_loss:
+        return "not needed" if hypothesis.cause is not None else ""
+    if hypothesis.held_out is not None and hypothesis.held_out.is_loss:
         return "predicts unseen places worse"
-    behind = best.log_bayes_factor - rival.log_bayes_factor
-    if rival.name == "nothing":
+    behind = best.log_bayes_factor - hypothesis.log_bayes_factor
+    if hypothesis.name == "nothing":
         return f"explains nothing: {behind:.1f} behind"
     return f"explains less: {behind:.1f} behind" if behind > 0.0 else "asked again after what was taken"
 
@@ -332,7 +339,7 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
 
 def _names(diagnosis: Diagnosis) -> list[str]:
     """What was found, with its meaning; a kind of cause that is there in several places once."""
-    causes = [fault.cause for fault in diagnosis.faults] + [one.cause for one in diagnosis.causes]
+    causes = [fault.cause for fault in diagnosis.record_mistakes] + [one.cause for one in diagnosis.causes]
     found = []
     for name in dict.fromkeys(cause.name for cause in causes):
         labels = [diagnosis.label(cause) for cause in causes if cause.name == name]
@@ -342,5 +349,5 @@ def _names(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def _microtesla(judged: Judged) -> str:
+def _microtesla(judged: ValidationScores) -> str:
     return f"{judged.errors.vector_T * 1e6:.4g} µT"

@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import (
-    Rival,
+    Hypothesis,
     leaves_structure,
     shares_of,
 )
@@ -69,7 +69,7 @@ class NamedCause:
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
     prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
-    left, whole = search.steps[-1].left, search.whole
+    left, whole = search.steps[-1].discrepancy, search.whole
     if leaves_structure(left):
         return Verdict.UNEXPLAINED
     if len(named) > 1 and whole.log_bayes_factor + prior > max(policy.LEAST_LOG_ODDS, search.log_odds):
@@ -96,22 +96,22 @@ def named_causes(search: Search) -> list[NamedCause]:
         if step.taken is None or step.taken not in kept:
             continue
         shares = _shares(step.credible)
-        leader = next(rival for rival in step.credible if rival.cause == step.taken)
-        others = [rival for rival in step.credible if rival.cause != step.taken]
+        leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
+        others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]
         alternatives = tuple(
-            Alternative(rival.cause, shares[rival.cause], _expected(leader, rival))
-            for rival in others
-            if rival.cause is not None
+            Alternative(hypothesis.cause, shares[hypothesis.cause], _expected(leader, hypothesis))
+            for hypothesis in others
+            if hypothesis.cause is not None
         )
         found.append(NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor))
     return found
 
 
-def _expected(truth: Rival, rival: Rival) -> float | None:
+def _expected(truth: Hypothesis, hypothesis: Hypothesis) -> float | None:
     """Log evidence that the readings so far should hold for one hypothesis against another, were it true."""
-    if truth.fit is None or rival.fit is None:
+    if truth.fit is None or hypothesis.fit is None:
         return None
-    fits = {truth.name: truth.fit, rival.name: rival.fit}
+    fits = {truth.name: truth.fit, hypothesis.name: hypothesis.fit}
     return float(separation(fits, rows_seen(fits))[0])
 
 
@@ -122,7 +122,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     """
     final = search.final
     whole = search.whole.weighed(final.weight_over(search.base))
-    columns = torch.cat((whole.columns, search.steps[-1].left.columns), dim=1)
+    columns = torch.cat((whole.columns, search.steps[-1].discrepancy.columns), dim=1)
     if len(named) > policy.MOST_CAUSES_REFITTED:
         return [
             c
@@ -168,6 +168,6 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
     return fit.to_first_order(projector, projector.rest(fit.residual))
 
 
-def _shares(credible: tuple[Rival, ...]) -> dict[Cause, float]:
+def _shares(credible: tuple[Hypothesis, ...]) -> dict[Cause, float]:
     pairs = zip(credible, shares_of(credible), strict=True)
-    return {rival.cause: share for rival, share in pairs if rival.cause is not None}
+    return {hypothesis.cause: share for hypothesis, share in pairs if hypothesis.cause is not None}

@@ -27,7 +27,7 @@ MOST_TOGETHER = 16  # starts in one batch: more of them leave the processor's ca
 
 
 @dataclass(frozen=True)
-class Fault:
+class RecordMistake:
     """A mistake of the record.
 
     Attributes:
@@ -41,12 +41,12 @@ class Fault:
     twins: tuple[tuple[Cause, float], ...]
 
 
-def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
+def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
     """Undo mistakes of the record one after another while the evidence asks for it.
 
     Returns: The fit with the mistakes as effects of its rig, and what was found.
     """
-    found: list[Fault] = []
+    found: list[RecordMistake] = []
     while len(found) < policy.MOST_MISTAKES and not _is_as_expected(base):
         fits = sorted(_faults(base), key=lambda fit: -fit.log_evidence)
         if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
@@ -59,7 +59,7 @@ def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
             if value > -policy.TWINS_WITHIN and cause != best.rig.effects[-1]
         }
         gain = best.log_evidence - base.log_evidence
-        found.append(Fault(best.rig.effects[-1], gain, tuple(twins.items())))
+        found.append(RecordMistake(best.rig.effects[-1], gain, tuple(twins.items())))
         base = best
     return base, found
 
@@ -137,7 +137,7 @@ def _followed(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
     with torch.no_grad():
         unit = posterior.component_sigma_T(vector).mean(-1) / posterior.sigma_T(vector).mean(-1)
         residual = (posterior.measured_T - posterior.predicted(vector)) / unit[:, None]
-        slope = posterior.slope(vector) / unit[:, None, None] * posterior.coordinates.scale
+        slope = posterior.jacobian(vector) / unit[:, None, None] * posterior.coordinates.scale
     prior = torch.eye(vector.shape[-1], dtype=torch.float64)
     noise_T = residual.square().mean(-1).sqrt()
     step = torch.zeros_like(vector)

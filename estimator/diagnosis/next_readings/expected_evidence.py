@@ -150,7 +150,7 @@ class Rows:
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
-        return cls(predicted_T, posterior.slope(fit.vector), sigma_T)
+        return cls(predicted_T, posterior.jacobian(fit.vector), sigma_T)
 
 
 def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:

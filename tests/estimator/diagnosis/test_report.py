@@ -13,7 +13,7 @@ from estimator.cli.diagnose import _text
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.hypotheses.search import Stage
+from estimator.diagnosis.hypotheses.search import Addition
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
@@ -84,7 +84,9 @@ def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnos
 
 
 def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
-    before, after = (1e6 * judged.errors.vector_T for judged in (diagnosis.gain.before, diagnosis.gain.after))
+    before, after = (
+        1e6 * judged.errors.vector_T for judged in (diagnosis.improvement.before, diagnosis.improvement.after)
+    )
     assert f"the error falls from {before:.4g} µT to {after:.4g} µT" in text
     assert after < 0.2 * before
 
@@ -98,7 +100,7 @@ def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
 def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
     several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
     found, left_open = (
-        replace(diagnosis.found, causes=several),
+        replace(diagnosis.findings, causes=several),
         replace(diagnosis.left_open, next_measurements=()),
     )
     said = diagnosis_report(replace(diagnosis, found=found, verdict=Verdict.NAMED, left_open=left_open), "")
@@ -108,13 +110,13 @@ def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) 
 def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
     other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
     (one,) = diagnosis.causes
-    found = replace(diagnosis.found, causes=(replace(one, alternatives=(other,)),))
+    found = replace(diagnosis.findings, causes=(replace(one, alternatives=(other,)),))
     assert "could as well be axis_gain (25%)." in as_text(replace(diagnosis, found=found))
 
 
 def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
     (one,) = diagnosis.causes
-    found = replace(diagnosis.found, causes=(), stand_ins=(one.cause,))
+    found = replace(diagnosis.findings, causes=(), stand_ins=(one.cause,))
     unexplained = replace(diagnosis, found=found, verdict=Verdict.UNEXPLAINED)
     said = as_text(unexplained)
     label = diagnosis.label(one.cause)
@@ -129,18 +131,18 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
-    first, *rest = diagnosis.found.search.stages
-    again = replace(diagnosis.found.search, stages=(first, first, *rest))
+    first, *rest = diagnosis.findings.search.additions
+    again = replace(diagnosis.findings.search, additions=(first, first, *rest))
     (ladder,) = [
         p
-        for p in pictures(replace(diagnosis, found=replace(diagnosis.found, search=again)))
+        for p in pictures(replace(diagnosis, found=replace(diagnosis.findings, search=again)))
         if p.title == "What each cause brought"
     ]
     labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
-    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_stage(first)}"
+    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_addition(first)}"
 
 
 def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
     causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
-    stage = Stage(tuple(causes), diagnosis.fits.final)
-    assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"
+    addition = Addition(tuple(causes), diagnosis.fits.final)
+    assert diagnosis.label_of_addition(addition) == "sensor_offset at 2 places + axis_gain"

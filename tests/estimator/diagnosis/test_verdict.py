@@ -13,7 +13,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Search
-from estimator.diagnosis.hypotheses.step import Rival, Step, credible_set
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy, families
 from estimator.diagnosis.verdict import (
     Alternative,
@@ -49,8 +49,8 @@ def left(log_bayes_factor: float) -> Discrepancy:
 
 def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -3.0) -> Step:
     """One step: causes of a credible set with their log Bayes factors."""
-    credible = tuple(Rival(cause, cause.label, value) for cause, value in evidence.items())
-    nothing = (Rival(None, "nothing", 0.0), Rival(None, "unexplained", structure))
+    credible = tuple(Hypothesis(cause, cause.label, value) for cause, value in evidence.items())
+    nothing = (Hypothesis(None, "nothing", 0.0), Hypothesis(None, "unexplained", structure))
     return Step((*credible, *nothing), taken, credible, left(structure))
 
 
@@ -104,9 +104,9 @@ def test_a_little_evidence_for_structure_changes_nothing(base, both):
 
 def test_what_explains_no_more_than_nothing_is_no_alternative_however_many_such_there_are():
     """A hundred idle causes hold 11 % of the probability beside one of log evidence 6.7."""
-    weak = Rival(GAIN, GAIN.label, 3.0)
-    idle = [Rival(Cause("current_gain", f"coil{i}"), f"{i}", 0.0) for i in range(100)]
-    taken = Rival(OFFSET, OFFSET.label, 6.7)
+    weak = Hypothesis(GAIN, GAIN.label, 3.0)
+    idle = [Hypothesis(Cause("current_gain", f"coil{i}"), f"{i}", 0.0) for i in range(100)]
+    taken = Hypothesis(OFFSET, OFFSET.label, 6.7)
     assert credible_set([taken, weak, *idle], OFFSET) == (taken, weak)
     assert credible_set([taken, *idle], None) == (taken,)
     assert idle[99] in credible_set([taken, *idle], idle[99].cause)
@@ -130,8 +130,8 @@ def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_s
     seen = small_session.observations.calibration
     wrong = with_wrong(small_rig, seen, OFFSET, {"x_T": 2e-4, "y_T": -1e-4})
     fits = {cause: fit_of(small_rig, wrong, cause) for cause in (OFFSET, room, GAIN)}
-    rivals = tuple(Rival(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
-    taken = Step(rivals, OFFSET, rivals, left(-3.0))
+    hypotheses = tuple(Hypothesis(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
+    taken = Step(hypotheses, OFFSET, hypotheses, left(-3.0))
     (one,) = named_causes(found(base, fits[OFFSET], taken, LAST))
     twin, other = one.alternatives
     assert (twin.cause, other.cause) == (room, GAIN)

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import record_mistakes
-from estimator.diagnosis.hypotheses.record_mistakes import without_faults
+from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.record import DisplacementFrameError
 from estimator.rig.rig import Cause, Rig
@@ -18,7 +18,7 @@ from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
     fit = fit_of(small_rig, small_session.observations.calibration)
-    assert without_faults(fit) == (fit, [])
+    assert without_record_mistakes(fit) == (fit, [])
 
 
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
@@ -32,7 +32,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     truth_rig = small_rig.with_values(small_truth)
     cause = Cause("sensor_offset", "hall")
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
-    _, faults = without_faults(fit_of(small_rig, readings))
+    _, faults = without_record_mistakes(fit_of(small_rig, readings))
     assert [fault.cause.name for fault in faults] == []
 
 

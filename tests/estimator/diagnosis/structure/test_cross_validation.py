@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.gain import judged
 from estimator.diagnosis.structure.cross_validation import (
     HeldOut,
     held_out,
     jackknife_covariance,
     log_predictive,
 )
+from estimator.diagnosis.validation import validation_scores
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -44,7 +44,7 @@ def test_each_block_is_predicted_as_a_fit_of_the_others_predicts_it(fit, block):
         # The fit again has its own noise, and takes the readings of a block as independent of each other.
         n = 3 * len(mine)
         assert float(quick[numbers.tolist().index(number)]) == pytest.approx(
-            judged(again, mine).elpd, abs=0.05 * n
+            validation_scores(again, mine).elpd, abs=0.05 * n
         )
 
 

@@ -11,7 +11,7 @@ import torch
 from scipy import stats
 
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.gain import Gain, gain, judged
+from estimator.diagnosis.validation import Improvement, improvement_of, validation_scores
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
@@ -44,14 +44,14 @@ def found(small_rig: Rig, wrong_zero: Observations) -> tuple[Fit, Fit]:
 
 
 @pytest.fixture(scope="module")
-def won(found: tuple[Fit, Fit], wrong_zero: Observations) -> Gain:
-    return gain(*found, wrong_zero.validation)
+def won(found: tuple[Fit, Fit], wrong_zero: Observations) -> Improvement:
+    return improvement_of(*found, wrong_zero.validation)
 
 
 def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together(found, wrong_zero):
     """The spread of the prediction by 4000 draws of the parameters, instead of by its slope."""
     fit, unseen = found[1], wrong_zero.validation
-    own = judged(fit, unseen)
+    own = validation_scores(fit, unseen)
     draws = torch.from_numpy(
         np.random.default_rng(3).multivariate_normal(fit.vector.numpy(), fit.covariance.numpy(), 4000)
     )
@@ -71,11 +71,11 @@ def test_errors_are_those_of_the_prediction_at_the_maximum(found, wrong_zero):
     with torch.no_grad():
         mean_T = model.predict(fit.values).expand(len(unseen), 3)
     expected = error_metrics(unseen.field_sensor_T.numpy(), mean_T.numpy())
-    assert judged(fit, unseen).errors.vector_T == pytest.approx(expected.vector_T, rel=1e-5)
+    assert validation_scores(fit, unseen).errors.vector_T == pytest.approx(expected.vector_T, rel=1e-5)
 
 
 def test_right_cause_gains_on_unseen_readings(won):
-    assert won.is_there
+    assert won.is_significant
     assert won.after.errors.vector_T < 0.75 * won.before.errors.vector_T
     assert won.after.errors.component_T == pytest.approx(NOISE_T, rel=0.4)
     assert won.before.coverage90 < won.after.coverage90
@@ -99,8 +99,8 @@ def test_parameters_that_stood_in_for_the_cause_move_back(won, found, small_trut
 
 def test_superfluous_cause_gains_nothing(small_rig, small_session):
     seen, unseen = small_session.observations.calibration, small_session.observations.validation
-    own = gain(fit_of(small_rig, seen), fit_of(small_rig, seen, GAIN), unseen)
-    assert not own.is_there
+    own = improvement_of(fit_of(small_rig, seen), fit_of(small_rig, seen, GAIN), unseen)
+    assert not own.is_significant
     assert abs(own.elpd_difference) < 3.0
 
 
@@ -112,7 +112,7 @@ def many(truth_rig: Rig, small_plan: Plan) -> Observations:
 
 def test_intervals_of_a_right_model_cover_what_they_say(small_rig, many):
     """540 components: 1.3 and 2.2 % are one standard error of 90 and 50 %."""
-    own = judged(fit_of(small_rig, many.calibration), many.validation)
+    own = validation_scores(fit_of(small_rig, many.calibration), many.validation)
     assert own.coverage90 == pytest.approx(0.9, abs=0.04)
     assert own.coverage50 == pytest.approx(0.5, abs=0.065)
 
@@ -121,8 +121,8 @@ def test_missing_components_do_not_count_and_nothing_becomes_nan_in_json(found, 
     unseen = wrong_zero.validation
     holes = unseen.field_sensor_T.clone()
     holes[0, 1:], holes[1:, 2] = math.nan, math.nan
-    own = judged(found[1], unseen.with_field(holes))
-    whole = judged(found[1], unseen)
+    own = validation_scores(found[1], unseen.with_field(holes))
+    whole = validation_scores(found[1], unseen)
     assert len(own.log_density) == len(unseen)
     assert own.elpd < whole.elpd  # densities in tesla are large: fewer components, less of them
     assert math.isnan(own.errors.angular_deviation_rad)
@@ -147,4 +147,4 @@ def test_naming_outliers_gains_on_unseen_readings_that_have_them(small_rig, many
         mixed, seen, wide.start_with(mixed) | {"hall.noise_T": NOISE_T}, wide.posterior.model.rules
     )
     assert narrow.posterior.log_likelihood(narrow.vector) > wide.posterior.log_likelihood(wide.vector) + 100.0
-    assert gain(wide, narrow, spoilt.validation).elpd_difference > 0.0
+    assert improvement_of(wide, narrow, spoilt.validation).elpd_difference > 0.0

@@ -17,7 +17,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.screening import screening
 from estimator.diagnosis.hypotheses.step import (
-    Rival,
+    Hypothesis,
     Step,
     credible_set,
     least_log_evidence,
@@ -30,7 +30,7 @@ from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
 
-def of_one_kind(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
+def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """A fit with a cause at two places or more, where that explains more than any cause at one; None where none does.
 
     The kind is that with the highest evidence, in the linear model, for its places together, those left out that only cost. After the
@@ -105,12 +105,12 @@ def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
     return wider
 
 
-def steps_of(
+def comparison_steps(
     fit: Fit, causes: Sequence[Cause], pool: Sequence[Candidate], smooth: Sequence[Family]
 ) -> list[Step]:
     """How each of some causes of a fit compares, in the linear model, with every other hypothesis in its place.
 
-    Much may be left beside them that others explain as well: of a rival counts what it loses where the cause is there.
+    Much may be left beside them that others explain as well: of a hypothesis counts what it loses where the cause is there.
 
     Args:
         fit: With the causes.
@@ -127,16 +127,18 @@ def steps_of(
         asked = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
         screened = screening(without, asked)
         curve = discrepancy(without, [family.weighed(lighter) for family in smooth])
-        rivals = [
-            Rival(None, "nothing", 0.0),
-            Rival(None, "unexplained", curve.log_bayes_factor - left),
+        hypotheses = [
+            Hypothesis(None, "nothing", 0.0),
+            Hypothesis(None, "unexplained", curve.log_bayes_factor - left),
             *(
-                Rival(other, other.label, value - beside.get(other, 0.0), fit=fit if other == cause else None)
+                Hypothesis(
+                    other, other.label, value - beside.get(other, 0.0), fit=fit if other == cause else None
+                )
                 for other, (value, _, _) in screened.items()
             ),
         ]
-        ranked = with_probabilities(rivals, len(screened))
-        named = [rival for rival in ranked if rival.cause is not None]
+        ranked = with_probabilities(hypotheses, len(screened))
+        named = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
         steps.append(Step(tuple(ranked), cause, credible_set(named, cause), curve))
     return steps
 
