@@ -257,7 +257,7 @@ def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str)
             _percent(share.get(hypothesis.name)),
             "—"
             if hypothesis.held_out is None
-            else f"{_signed(hypothesis.held_out.gain)} ± {hypothesis.held_out.se:.1f}",
+            else f"{_signed(hypothesis.held_out.elpd_difference)} ± {hypothesis.held_out.elpd_se:.1f}",
             _why(step, hypothesis),
         ]
         for i, hypothesis in enumerate(step.hypotheses)

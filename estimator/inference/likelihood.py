@@ -75,13 +75,13 @@ class LogPosterior:
         """Predicted value of every measured component, in tesla."""
         return self._predicted_at(self.coordinates.values(vector), vector.shape[:-1])
 
-    def slope(
+    def jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
-        """Derivative of every prediction in every coordinate that is no whole number.
+        """Jacobian of the predictions in every continuous coordinate.
 
-        All of a batch take the same step: the derivative in it is that of each. Numbers that do not move the field, a gain or a noise, are
-        stepped apart from those that do, or their derivatives would be carried through the field.
+        All rows of a batch take the same step, so that one forward pass serves all. Coordinates that do not move the field, such as a gain
+        or a noise, are differentiated apart from those that do; otherwise their derivatives would be carried through the field.
         """
         total = self._zero_jacobian(vector)
         for is_dear in (True, False):
@@ -93,7 +93,7 @@ class LogPosterior:
     def log_sigma_jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
-        """Derivative of the logarithm of every component's noise in every coordinate that is no whole number."""
+        """Jacobian of the logarithm of every component's noise in every continuous coordinate."""
         total, columns = self._zero_jacobian(vector), self._columns(is_dear=False)
 
         def moved(step: Tensor) -> Tensor:
@@ -106,7 +106,7 @@ class LogPosterior:
         return total
 
     def _jacobian_along(self, vector: Tensor, columns: Tensor, is_dear: bool) -> Tensor:
-        """Derivative of the predictions in some coordinates, with all numbers of the other kind held still."""
+        """Jacobian of the predictions in some coordinates, with all numbers of the other kind held fixed."""
 
         def moved(step: Tensor) -> Tensor:
             there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
@@ -116,8 +116,8 @@ class LogPosterior:
             }
             return self._for_jacobian._predicted_at(values, vector.shape[:-1])
 
-        slope: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
-        return slope
+        jacobian: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+        return jacobian
 
     def _zero_jacobian(self, vector: Tensor) -> Tensor:
         return torch.zeros(

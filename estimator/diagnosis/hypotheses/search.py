@@ -132,7 +132,7 @@ class _Trail:
                 continue
             if step.taken is not None and len(self.added(fit)) >= self.most_causes:
                 self.tell(
-                    f"{step.taken.label} has enough evidence too, but the search ends at {self.most_causes} causes"
+                    f"{step.taken.label} has enough evidence too, but the number of causes is limited to {self.most_causes}"
                 )
                 step = replace(step, taken=None)
             self.steps.append(step)
@@ -191,7 +191,7 @@ class _Trail:
             if hypothesis.fit is None or hypothesis.cause == step.taken:
                 continue
             if not leaves_structure(discrepancy(hypothesis.fit, self._smooth(hypothesis.fit))):
-                self.tell(f"exchanging it for {hypothesis.name}, which leaves less")
+                self.tell(f"{hypothesis.name} leaves less structure and replaces it")
                 assert hypothesis.cause is not None
                 self.steps = [replace(step, taken=hypothesis.cause)]
                 self.additions = [Addition((hypothesis.cause,), hypothesis.fit)]

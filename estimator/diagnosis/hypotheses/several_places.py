@@ -1,6 +1,6 @@
-"""One kind of cause at several places at once: what one sensor or coil has wrong, others of its make may have too.
+"""One name of cause at several places together: what is wrong with one sensor or coil may be wrong with others of its make.
 
-One after another they would take a step each, with all hypotheses, and until the last of them is there something else stands in for it.
+Taken one after another, each would cost a step with all hypotheses, and other causes would stand in for those not yet taken.
 """
 
 from __future__ import annotations
@@ -31,51 +31,53 @@ from estimator.rig.rig import Cause
 
 
 def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
-    """A fit with a cause at two places or more, where that explains more than any cause at one; None where none does.
+    """The fit with one name of cause at two or more new places; None where a cause at one place does better.
 
-    The kind is that with the highest evidence, in the linear model, for its places together, those left out that only cost. After the
-    fit each place has to earn its cause beside the others, by as much as if it had been asked alone; the others stay in the race.
+    The name is that with the highest evidence in the linear model, over the best set of its places. After the fit, the evidence for each
+    place beside the others must suffice as if it had been tested alone; the other places are left to later steps.
 
     Args:
-        fit: With the causes that were taken so far.
+        fit: With the causes taken so far.
         pool: Columns of every cause at the fit.
     """
-    absent = [c for c in pool if c.cause not in fit.rig.effects]
-    count = Counter(cause.name for cause in {c.cause for c in absent})
-    if max(count.values(), default=0) < policy.FEWEST_PLACES:
+    absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
+    n_places = Counter(cause.name for cause in {candidate.cause for candidate in absent})
+    if max(n_places.values(), default=0) < policy.FEWEST_PLACES:
         return None
     screened = screening(fit, absent)
-    alone = max(highest for _, highest, _ in screened.values())
-    least = max(alone, 0.0) + least_log_evidence(len(screened))
-    kinds = [
+    best_alone = max(highest for _, highest, _ in screened.values())
+    least = max(best_alone, 0.0) + least_log_evidence(len(screened))
+    starts_by_name = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
-        for name, n in count.items()
+        for name, n in n_places.items()
         if n >= policy.FEWEST_PLACES
     ]
-    value, kind = max((together(fit, starts) for starts in kinds), key=itemgetter(0))
-    if value <= least:
+    evidence, best_starts = max((joint_evidence(fit, starts) for starts in starts_by_name), key=itemgetter(0))
+    if evidence <= least:
         return None
-    wider = _kept(fit, kind, least_log_evidence(len(screened)))
-    n_more = len(wider.rig.effects) - len(fit.rig.effects)
-    is_more = wider.log_evidence - fit.log_evidence > least
-    return wider if n_more >= policy.FEWEST_PLACES and is_more else None
+    wider = _fit_with_needed(fit, best_starts, least_log_evidence(len(screened)))
+    n_new = len(wider.rig.effects) - len(fit.rig.effects)
+    is_better = wider.log_evidence - fit.log_evidence > least
+    return wider if n_new >= policy.FEWEST_PLACES and is_better else None
 
 
-def together(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
-    """Log evidence in the linear model of several causes at once, and of which: one after another goes that costs more than it explains.
+def joint_evidence(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
+    """Log Bayes factor of several causes together in the linear model, and the causes, less those that lower it (removed one by one).
 
-    Where one starts away from its null that model does not hold.
+    -inf where one starts away from its null, for there the linear model does not hold.
     """
     if any(bool(start.shift.any()) for start in starts):
         return -math.inf, []
     columns = torch.cat([start.columns for start in starts], dim=1)
     prior_sd = torch.cat([start.prior_sd for start in starts])
     gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
-    owner = torch.repeat_interleave(torch.tensor([start.columns.shape[1] for start in starts]))
+    start_of_column = torch.repeat_interleave(torch.tensor([start.columns.shape[1] for start in starts]))
 
     def evidence(members: frozenset[int]) -> float:
-        pick = torch.isin(owner, torch.tensor(sorted(members)))
-        return float(log_bayes_factor(gram[pick][:, pick], score[pick], prior_sd[pick], fit.free_noise))
+        columns = torch.isin(start_of_column, torch.tensor(sorted(members)))
+        return float(
+            log_bayes_factor(gram[columns][:, columns], score[columns], prior_sd[columns], fit.free_noise)
+        )
 
     members = frozenset(range(len(starts)))
     best = evidence(members)
@@ -87,19 +89,19 @@ def together(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candida
     return best, [starts[i] for i in sorted(members)]
 
 
-def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
-    """The fit with those of several causes that earn their places beside each other."""
+def _fit_with_needed(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
+    """The fit with those of several causes whose evidence suffices beside the others."""
     rig, rules = fit.rig, fit.posterior.model.rules
     for start in starts:
         rig = with_effect(rig, start.cause, fit.observations, start.shapes)
-    asked = [start.cause for start in starts]
+    causes = [start.cause for start in starts]
     wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
-    while idle := [cause for cause in asked if wider.log_evidence_for(cause) <= least]:
+    while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
         for cause in idle:
             rig = rig.without_cause(cause)
-        asked = [cause for cause in asked if cause not in idle]
-        if not asked:
+        causes = [cause for cause in causes if cause not in idle]
+        if not causes:
             return fit
         wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE)
     return wider
@@ -108,55 +110,57 @@ def _kept(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
 def comparison_steps(
     fit: Fit, causes: Sequence[Cause], pool: Sequence[Candidate], smooth: Sequence[Family]
 ) -> list[Step]:
-    """How each of some causes of a fit compares, in the linear model, with every other hypothesis in its place.
+    """Compare each of some causes of a fit, in the linear model, with every other hypothesis in its place.
 
-    Much may be left beside them that others explain as well: of a hypothesis counts what it loses where the cause is there.
+    A hypothesis may also explain what remains beside the cause. Its log Bayes factor without the cause is therefore reduced by that beside
+    the cause.
 
     Args:
         fit: With the causes.
         causes: Those that were taken together.
         pool, smooth: Columns of every cause and families of flexible curves at the fit.
     """
-    absent = [c for c in pool if c.cause not in fit.rig.effects]
+    absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
     beside = {cause: max(value, 0.0) for cause, (value, _, _) in screening(fit, absent).items()}
-    left = max(discrepancy(fit, list(smooth)).log_bayes_factor, 0.0)
+    curve_beside = max(discrepancy(fit, list(smooth)).log_bayes_factor, 0.0)
     steps = []
     for cause in causes:
         without, growth = _without(fit, cause)
         lighter = torch.full_like(fit.residual, 1.0 / growth)
-        asked = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
-        screened = screening(without, asked)
+        candidates = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
+        screened = screening(without, candidates)
         curve = discrepancy(without, [family.weighed(lighter) for family in smooth])
         hypotheses = [
             Hypothesis(None, "nothing", 0.0),
-            Hypothesis(None, "unexplained", curve.log_bayes_factor - left),
+            Hypothesis(None, "unexplained", curve.log_bayes_factor - curve_beside),
             *(
                 Hypothesis(
-                    other, other.label, value - beside.get(other, 0.0), fit=fit if other == cause else None
+                    rival, rival.label, value - beside.get(rival, 0.0), fit=fit if rival == cause else None
                 )
-                for other, (value, _, _) in screened.items()
+                for rival, (value, _, _) in screened.items()
             ),
         ]
         ranked = with_probabilities(hypotheses, len(screened))
-        named = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
-        steps.append(Step(tuple(ranked), cause, credible_set(named, cause), curve))
+        of_causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
+        steps.append(Step(tuple(ranked), cause, credible_set(of_causes, cause), curve))
     return steps
 
 
 def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
-    """The fit as it would be without one of its causes, to first order, and by how much its noise would be larger."""
+    """The fit without one of its causes, to first order, and the factor by which its noise would grow."""
     coordinates = fit.posterior.coordinates
     nulls = {
         f"{cause.label}.{q.key}": q.null
         for q in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
         if not q.is_shape
     }
-    own = [i for i, name in enumerate(coordinates.names) if name in nulls]
-    rest = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
-    null = torch.tensor([nulls[coordinates.names[i]] for i in own], dtype=torch.float64)
-    moved = fit.covariance[:, own] @ torch.linalg.solve(fit.covariance[own][:, own], null - fit.vector[own])
-    residual = fit.residual - fit.jacobian @ moved
+    of_cause = [i for i, name in enumerate(coordinates.names) if name in nulls]
+    others = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
+    null = torch.tensor([nulls[coordinates.names[i]] for i in of_cause], dtype=torch.float64)
+    covariance = fit.covariance[of_cause][:, of_cause]
+    shift = fit.covariance[:, of_cause] @ torch.linalg.solve(covariance, null - fit.vector[of_cause])
+    residual = fit.residual - fit.jacobian @ shift
     growth = 1.0 if fit.free_noise is None else max(float(residual.norm() / fit.residual.norm()), 1.0)
-    jacobian = fit.jacobian[:, rest] / growth
-    prior = (fit.optimum.precision - fit.optimum.information)[0][rest][:, rest]
+    jacobian = fit.jacobian[:, others] / growth
+    prior = (fit.optimum.precision - fit.optimum.information)[0][others][:, others]
     return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), growth

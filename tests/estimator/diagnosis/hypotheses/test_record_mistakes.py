@@ -45,6 +45,12 @@ def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     (place,) = EFFECTS[name].places(small_rig)
     starts = EFFECTS[name].starts(circumstances, place)[:20]
     cause, few = Cause(name, place), base.observations
-    one_by_one = [value for start in starts for value in record_mistakes._coarse(base, cause, [start], few)]
-    assert record_mistakes._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
+    one_by_one = [
+        value
+        for start in starts
+        for value in record_mistakes._start_log_likelihoods(base, cause, [start], few)
+    ]
+    assert record_mistakes._start_log_likelihoods(base, cause, starts, few) == pytest.approx(
+        one_by_one, rel=1e-9
+    )
     assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

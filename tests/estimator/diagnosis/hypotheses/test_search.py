@@ -70,4 +70,4 @@ def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
     assert taken[-1] is None
     assert tuple(taken[:-1]) == found.final.rig.effects
     assert len(found.final.rig.effects) == 1
-    assert told[-1].endswith("would earn a place too, but 1 causes are the most")
+    assert told[-1].endswith("has enough evidence too, but the number of causes is limited to 1")

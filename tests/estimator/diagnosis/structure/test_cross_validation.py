@@ -102,9 +102,9 @@ def test_cause_in_the_readings_gains_on_unseen_blocks_and_one_that_is_not_does_n
     readings = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     plain, right = fit_of(small_rig, readings), fit_of(small_rig, readings, OFFSET)
     found = held_out(plain, right, block)
-    assert found.gain > 2.0 * found.se > 0.0
+    assert found.elpd_difference > 2.0 * found.elpd_se > 0.0
     beyond = held_out(right, fit_of(small_rig, readings, OFFSET, GAIN), block)
-    assert beyond.gain < 2.0 * max(beyond.se, 1.0)
+    assert beyond.elpd_difference < 2.0 * max(beyond.elpd_se, 1.0)
 
 
 def test_loss_is_one_that_exceeds_its_error():
