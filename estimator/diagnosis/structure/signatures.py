@@ -167,7 +167,7 @@ WORDS: Mapping[str, str] = {
     "even": "is proportional to the square of the current (even)",
     "cubic": "grows with the cube of the current (cubic)",
     "a magnetic field": "obeys div B = 0 and curl B = 0 where the sensor was: it can be the field of a source",
-    "no magnetic field": "violates div B = 0 or curl B = 0 where the sensor was: no steady source does so, but errors of sensor, positions or time can",
+    "no magnetic field": "violates div B = 0 or curl B = 0 where the sensor was: an error of sensor, position or time, not a steady source",
 }
 
 

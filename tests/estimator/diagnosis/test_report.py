@@ -47,9 +47,11 @@ def as_text(diagnosis: Diagnosis) -> str:
 
 
 def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
-    assert re.search(r"Found, but not down to one cause: (sensor_offset|background_field) \(", text)
     assert re.search(
-        r"could as well be .*these readings tell the two apart by (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
+        r"Found, but other causes explain the readings as well: (sensor_offset|background_field) \(", text
+    )
+    assert re.search(
+        r"the cause may be .*expected log evidence between the two (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
     )
 
 
@@ -83,48 +85,51 @@ def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnos
         assert low == pytest.approx(-high)
 
 
-def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
+def test_improvement_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
     before, after = (
-        1e6 * judged.errors.vector_T for judged in (diagnosis.improvement.before, diagnosis.improvement.after)
+        1e6 * scores.errors.vector_T for scores in (diagnosis.improvement.before, diagnosis.improvement.after)
     )
-    assert f"the error falls from {before:.4g} µT to {after:.4g} µT" in text
+    assert f"the rms error falls from {before:.4g} µT to {after:.4g} µT" in text
     assert after < 0.2 * before
 
 
 def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
-    assert "Who was considered, step 1" in text
+    assert "Hypotheses considered, step 1" in text
     assert re.search(r"explains less: \d+\.\d behind", text)
     assert re.search(r"explains nothing: \d+\.\d behind", text)
 
 
 def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
     several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
-    found, left_open = (
+    findings, left_open = (
         replace(diagnosis.findings, causes=several),
         replace(diagnosis.left_open, next_measurements=()),
     )
-    said = diagnosis_report(replace(diagnosis, found=found, verdict=Verdict.NAMED, left_open=left_open), "")
-    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in said
+    page = diagnosis_report(
+        replace(diagnosis, findings=findings, verdict=Verdict.NAMED, left_open=left_open), ""
+    )
+    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in page
 
 
 def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
     other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
-    (one,) = diagnosis.causes
-    found = replace(diagnosis.findings, causes=(replace(one, alternatives=(other,)),))
-    assert "could as well be axis_gain (25%)." in as_text(replace(diagnosis, found=found))
+    (named,) = diagnosis.causes
+    findings = replace(diagnosis.findings, causes=(replace(named, alternatives=(other,)),))
+    assert "the cause may be axis_gain (25%)." in as_text(replace(diagnosis, findings=findings))
 
 
 def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
-    (one,) = diagnosis.causes
-    found = replace(diagnosis.findings, causes=(), stand_ins=(one.cause,))
-    unexplained = replace(diagnosis, found=found, verdict=Verdict.UNEXPLAINED)
-    said = as_text(unexplained)
-    label = diagnosis.label(one.cause)
+    (named,) = diagnosis.causes
+    findings = replace(diagnosis.findings, causes=(), stand_ins=(named.cause,))
+    unexplained = replace(diagnosis, findings=findings, verdict=Verdict.UNEXPLAINED)
+    page = as_text(unexplained)
+    label = diagnosis.label(named.cause)
     assert (
-        f"The extended rig also has {label}: needed here, but something unknown may look like them." in said
+        f"The extended rig also has {label}: the fit needs them, but they may stand in for something unknown."
+        in page
     )
-    assert f"{label} (stands in) x_T" in said
-    assert f"{label} (" not in said.partition("The extended rig")[0]
+    assert f"{label} (stands in) x_T" in page
+    assert f"{label} (" not in page.partition("The extended rig")[0]
     assert f"rig_extended.yaml also has {label}: needed here" in _text(unexplained, Path("out"))
     assert "also has" not in _text(diagnosis, Path("out"))
 
@@ -135,8 +140,8 @@ def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None
     again = replace(diagnosis.findings.search, additions=(first, first, *rest))
     (ladder,) = [
         p
-        for p in pictures(replace(diagnosis, found=replace(diagnosis.findings, search=again)))
-        if p.title == "What each cause brought"
+        for p in pictures(replace(diagnosis, findings=replace(diagnosis.findings, search=again)))
+        if p.title == "What each cause contributes"
     ]
     labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
     assert labels[1] == labels[2] == f"+ {diagnosis.label_of_addition(first)}"
