@@ -53,7 +53,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
             yield Picture(f"Residual around {name}, before and after", words, figure)
         else:
             figure = plots.residual_map(powered_m, residuals[0][is_on], winding, one_sigma, title=rig.name)
-            words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern would be an error of the model."
+            words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern means a model error."
             yield Picture(f"Residual around {name}", words, figure)
 
 

@@ -61,7 +61,7 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict is Verdict.NAMED:
         first = f"Found: {listed}."
     elif diagnosis.verdict is Verdict.INDISTINGUISHABLE:
-        first = f"Found, but other causes explain the readings as well: {listed}."
+        first = f"Found, but not distinguishable from other causes: {listed}."
     elif diagnosis.verdict is Verdict.UNEXPLAINED:
         known = f" Named beside it: {listed}." if listed else ""
         first = f"Something is wrong that no known cause explains.{known}"
@@ -249,7 +249,7 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
             ]
         )
     return Table(
-        "Parameters that the plain model had biased",
+        "Parameters biased in the plain model",
         ["parameter", "before", "after", "unit", "moved (sd)"],
         rows,
         "Parameters of the rig that the extension moves by more than one standard deviation of the plain fit.",

@@ -118,8 +118,8 @@ def envelope(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> F
         tensor([[9., 0.],
                 [0., 4.]])
     """
-    map_ = stretch(covariance, other)
-    return map_ @ covariance @ map_.T
+    stretched = stretch(covariance, other)
+    return stretched @ covariance @ stretched.T
 
 
 def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:

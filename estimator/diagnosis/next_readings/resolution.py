@@ -95,7 +95,7 @@ def _span(columns: Tensor) -> Tensor:
     return basis
 
 
-def _follows(basis: Tensor, other: Tensor) -> bool:
+def _follows(basis: Tensor, followed: Tensor) -> bool:
     """Whether a basis follows a typical direction of another so closely that the log evidence hardly differs."""
-    followed = (basis.T @ other).square().sum() / other.shape[1]
-    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - followed)) < policy.CONFUSED_WITHIN
+    share = (basis.T @ followed).square().sum() / followed.shape[1]
+    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - share)) < policy.CONFUSED_WITHIN

@@ -133,9 +133,9 @@ def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "componen
     return _orthonormal(fit.projector.rest(columns), columns.norm(dim=0).max())
 
 
-def _without(basis: Tensor, other: Tensor) -> Tensor:
+def _without(basis: Tensor, removed: Tensor) -> Tensor:
     """Orthonormal basis of what one basis spans beyond another."""
-    return _orthonormal(basis - other @ (other.T @ basis), torch.ones((), dtype=torch.float64))
+    return _orthonormal(basis - removed @ (removed.T @ basis), torch.ones((), dtype=torch.float64))
 
 
 def _orthonormal(

@@ -87,14 +87,16 @@ class Resolved:
 def resolved(rig: Rig, observations: Observations, names: Iterable[str], middle_mm: float) -> Resolved:
     """Fit the rig and take the columns of some causes."""
     truth = at(rig, middle_mm)
-    own = rig.with_values(truth)
-    rules = MeasurementModel.build(own, observations).rules
-    fit = fit_rig(own, observations, truth, rules)
+    true_rig = rig.with_values(truth)
+    rules = MeasurementModel.build(true_rig, observations).rules
+    fit = fit_rig(true_rig, observations, truth, rules)
     wanted = set(names)
-    return Resolved(fit, candidates(fit, [cause for cause in causes_of(own, fit) if cause.name in wanted]))
+    return Resolved(
+        fit, candidates(fit, [cause for cause in causes_of(true_rig, fit) if cause.name in wanted])
+    )
 
 
-def columns_of(found: Resolved, cause: Cause, key: str) -> torch.Tensor:
+def columns_of(result: Resolved, cause: Cause, key: str) -> torch.Tensor:
     """Whitened column of one quantity."""
-    candidate = next(c for c in found.pool if c.cause == cause)
+    candidate = next(c for c in result.pool if c.cause == cause)
     return candidate.columns[:, candidate.keys.index(key)]

@@ -54,9 +54,9 @@ def test_extended_file_loads_and_predicts_what_the_fit_predicts(
     assert loaded == rig
     assert loaded.hash == rig.hash
     assert loaded.effects == CAUSES
-    own = {name: value for name, value in untied(extended).items() if "[" not in name}
+    extended_values = {name: value for name, value in untied(extended).items() if "[" not in name}
     assert torch.equal(
-        predicted_T(loaded.with_values(own), readings),
+        predicted_T(loaded.with_values(extended_values), readings),
         predicted_T(extended.rig.with_values(untied(extended)), readings),
     )
 

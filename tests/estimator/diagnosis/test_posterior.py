@@ -48,8 +48,8 @@ def test_draws_are_wider_and_counts_are_not(small_calibration: Calibration, wide
 def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calibration, widened: Calibration):
     """Numbers that the readings tie to each other stay tied: spread one by one they would open the field far more."""
     widths = [
-        torch.diff(torch.stack(one.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
-        for one in (small_calibration, widened)
+        torch.diff(torch.stack(calibration.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
+        for calibration in (small_calibration, widened)
     ]
     assert (widths[1] / widths[0]).numpy() == pytest.approx(3.0, rel=0.15)
 

@@ -48,7 +48,7 @@ def as_text(diagnosis: Diagnosis) -> str:
 
 def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
     assert re.search(
-        r"Found, but other causes explain the readings as well: (sensor_offset|background_field) \(", text
+        r"Found, but not distinguishable from other causes: (sensor_offset|background_field) \(", text
     )
     assert re.search(
         r"the cause may be .*expected log evidence between the two (0|-?\d\.?\d*e-\d+|0\.0\d*)", text

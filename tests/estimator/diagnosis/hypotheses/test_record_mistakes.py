@@ -32,8 +32,8 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     truth_rig = small_rig.with_values(small_truth)
     cause = Cause("sensor_offset", "hall")
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
-    _, faults = without_record_mistakes(fit_of(small_rig, readings))
-    assert [fault.cause.name for fault in faults] == []
+    _, mistakes = without_record_mistakes(fit_of(small_rig, readings))
+    assert [mistake.cause.name for mistake in mistakes] == []
 
 
 @pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.is_record_mistake])

@@ -64,9 +64,9 @@ def pool(rig: Rig, base: Fit):
 
 @pytest.fixture(scope="module")
 def wider(base: Fit, pool) -> Fit:
-    found = at_several_places(base, pool)
-    assert found is not None
-    return found
+    result = at_several_places(base, pool)
+    assert result is not None
+    return result
 
 
 def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_left_out(wider):
@@ -86,8 +86,8 @@ def test_evidence_of_a_kind_is_that_of_its_best_places(base, pool):
         values[places] = float(log_bayes_factor(gram, columns.T @ base.residual, prior_sd, base.free_noise))
     best = max(values, key=values.__getitem__)
     assert {offsets[i].cause for i in best} == WITH_IT
-    value, kept = joint_evidence(base, offsets)
-    assert {start.cause for start in kept} == WITH_IT
+    value, needed = joint_evidence(base, offsets)
+    assert {start.cause for start in needed} == WITH_IT
     assert value == pytest.approx(values[best])
 
 
@@ -143,11 +143,11 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
     monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)  # each is not asked again
     told: list[str] = []
-    found = search(base, told.append)
-    assert set(found.final.rig.effects) == WITH_IT
-    assert [step.taken for step in found.steps[:-1]] == list(found.final.rig.effects)
-    assert [set(addition.causes) for addition in found.additions] == [WITH_IT]
-    assert found.additions[0].fit.log_evidence > base.log_evidence + 100.0
+    result = search(base, told.append)
+    assert set(result.final.rig.effects) == WITH_IT
+    assert [step.taken for step in result.steps[:-1]] == list(result.final.rig.effects)
+    assert [set(addition.causes) for addition in result.additions] == [WITH_IT]
+    assert result.additions[0].fit.log_evidence > base.log_evidence + 100.0
     assert any(words.startswith("taking ") and "," in words for words in told)
 
 
@@ -186,4 +186,4 @@ def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(b
     assert set(fewer.rig.effects) == WITH_IT
     assert {step.taken for step in trail.steps} == WITH_IT
     assert trail.dropped == [OFFSET["three"]]
-    assert set(trail.kept(fewer)[0].causes) == WITH_IT
+    assert set(trail.additions_in(fewer)[0].causes) == WITH_IT

@@ -73,9 +73,9 @@ def test_scatter_is_that_of_linear_fits_without_one_block_after_another(fit, blo
         )
     moved = torch.stack(moves)
     expected = (1.0 - 1.0 / len(moved)) * moved.T @ moved
-    found = jackknife_covariance(fit, block)
+    result = jackknife_covariance(fit, block)
     sd = torch.sqrt(torch.diagonal(expected))
-    torch.testing.assert_close(found / sd / sd[:, None], expected / sd / sd[:, None], rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(result / sd / sd[:, None], expected / sd / sd[:, None], rtol=1e-6, atol=1e-6)
 
 
 def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(fit, block):
@@ -85,8 +85,8 @@ def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(
     for _ in range(60):
         noise = torch.randn(len(fit.residual), generator=generator, dtype=torch.float64)
         noisy = fit.to_first_order(fit.projector, fit.projector.rest(noise))
-        own = torch.diagonal(jackknife_covariance(noisy, block))
-        ratios.append(torch.sqrt(own / torch.diagonal(fit.covariance)))
+        jackknife_variance = torch.diagonal(jackknife_covariance(noisy, block))
+        ratios.append(torch.sqrt(jackknife_variance / torch.diagonal(fit.covariance)))
     determined = torch.diagonal(fit.projector.gram(fit.jacobian, fit.jacobian)) < 0.05 * torch.diagonal(
         fit.optimum.information[0]
     )
@@ -101,8 +101,8 @@ def test_cause_in_the_readings_gains_on_unseen_blocks_and_one_that_is_not_does_n
 ):
     readings = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     plain, right = fit_of(small_rig, readings), fit_of(small_rig, readings, OFFSET)
-    found = held_out(plain, right, block)
-    assert found.elpd_difference > 2.0 * found.elpd_se > 0.0
+    result = held_out(plain, right, block)
+    assert result.elpd_difference > 2.0 * result.elpd_se > 0.0
     beyond = held_out(right, fit_of(small_rig, readings, OFFSET, GAIN), block)
     assert beyond.elpd_difference < 2.0 * max(beyond.elpd_se, 1.0)
 
