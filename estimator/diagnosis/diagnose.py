@@ -62,7 +62,7 @@ def diagnose(
         session: Readings. Those marked as validation are kept out of the fits; where none is marked, a fifth is, in blocks.
         rig: Another description of the session's rig.
         validation: Another session of the same rig; validates the extension instead.
-        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
+        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is sampled.
         seed: Of the split, the thinning, the starts and the sampling.
         has_posterior: Sample the posterior of the extended rig from all readings but those for validation. It needs a coil that carried
             current, and a cause or something unexplained, which widens the posterior.
@@ -158,9 +158,9 @@ def diagnose(
 
 
 def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:
-    """Whether undoing the mistakes of the record may only have bent the readings towards a wrong model.
+    """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
-    It may if more remains unexplained than a mistake explained, or if the causes that were found explain the record as it stands better.
+    It may if more remains unexplained than a mistake explained, or if the causes that were found explain the unchanged record better.
     """
     remainder, final = search_result.steps[-1].discrepancy, search_result.final
     least = min(mistake.log_bayes_factor for mistake in mistakes)

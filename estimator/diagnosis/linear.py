@@ -99,8 +99,8 @@ def log_bayes_factor(
     size = size.clamp(min=0.0)
     square = ((vectors.mT @ (score * prior_sd)[..., None])[..., 0]) ** 2
     if noise is None:
-        known: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
-        return known
+        evidence: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
+        return evidence
     # Together the directions explain at most n. Rounding inflates those that the fit follows, so they come last.
     reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=noise.n)
     square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))

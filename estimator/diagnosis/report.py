@@ -63,7 +63,7 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
     elif diagnosis.verdict is Verdict.INDISTINGUISHABLE:
         first = f"Found, but not distinguishable from other causes: {listed}."
     elif diagnosis.verdict is Verdict.UNEXPLAINED:
-        known = f" Named beside it: {listed}." if listed else ""
+        known = f" Named causes: {listed}." if listed else ""
         first = f"Something is wrong that no known cause explains.{known}"
     else:
         first = "These readings show nothing wrong."
@@ -221,11 +221,11 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
         "in 90 %",
         "elpd",
     ]
-    says = (
+    caption = (
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
         "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
     )
-    return Table("Improvement on readings not used for fitting", header, rows, says)
+    return Table("Improvement on readings not used for fitting", header, rows, caption)
 
 
 def _moved_table(diagnosis: Diagnosis) -> Table:
@@ -340,12 +340,12 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
         )
     rows = [[label, "; ".join(words)] for label, words in sizes.items()]
     twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
-    says = "Sizes that would change these readings by five standard deviations if nothing else were wrong."
+    caption = "Sizes that would change these readings by five standard deviations if nothing else were wrong."
     if hidden:
-        says += f" Not visible at any likely size: {', '.join(sorted(hidden))}."
+        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
     if twins:
-        says += f" These readings cannot tell apart: {twins}."
-    return Table("What these readings can show", ["cause", "smallest visible size"], rows, says)
+        caption += f" These readings cannot tell apart: {twins}."
+    return Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)
 
 
 def _names(diagnosis: Diagnosis) -> list[str]:

@@ -129,7 +129,7 @@ class SizedCause:
     """A cause of the verdict, or a mistake of the record, with the sizes of its quantities.
 
     Attributes:
-        cause: Kind and place.
+        cause: Name and place.
         name: Of the cause, with its place where the rig has several for it.
         probability: Posterior probability among itself and its alternatives.
         alternatives: The other causes that it could be.

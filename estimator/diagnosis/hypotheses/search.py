@@ -1,6 +1,6 @@
 """The search for causes: take the best cause while its evidence suffices, then test each again beside the others.
 
-Where one name of cause at several places explains more than any cause at one place, it is taken at all of them together
+Where one effect at several places explains more than any cause at one place, it is taken at all of them together
 (`several_places`). Where no single cause suffices, two are tested together, for one may hide the other (`pairs`).
 """
 
@@ -80,24 +80,24 @@ def search(base: Fit, tell: Callable[[str], None], most_causes: int = policy.MOS
         most_causes: Number of causes at which the search ends.
     """
     pool = candidates(base, causes_of(base.rig, base))
-    trail = _Trail(base, pool, families(base), tell, most_causes)
-    base_discrepancy = discrepancy(base, trail.smooth)
-    fit = trail.forward(base)
-    if 1 < len(trail.added(fit)) <= policy.MOST_CAUSES_REFITTED:
-        fit = trail.forward(trail.revisited(fit))
+    state = _SearchState(base, pool, families(base), tell, most_causes)
+    base_discrepancy = discrepancy(base, state.smooth)
+    fit = state.forward(base)
+    if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED:
+        fit = state.forward(state.revisited(fit))
     else:
-        trail.compare_again(fit)
-    if len(trail.added(fit)) == 1 and leaves_structure(trail.steps[-1].discrepancy):
-        fit = trail.with_alternative(fit)
-    if trail.added(fit):
+        state.compare_again(fit)
+    if len(state.added(fit)) == 1 and leaves_structure(state.steps[-1].discrepancy):
+        fit = state.with_alternative(fit)
+    if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules)
-    dropped = tuple(cause for cause in dict.fromkeys(trail.dropped) if cause not in fit.rig.effects)
+    dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
-        base, fit, tuple(trail.steps), trail.additions_in(fit), dropped, tuple(pool), base_discrepancy
+        base, fit, tuple(state.steps), state.additions_in(fit), dropped, tuple(pool), base_discrepancy
     )
 
 
-class _Trail:
+class _SearchState:
     """State of a search: its steps, and what they share (columns of the causes, smooth families, blocks)."""
 
     def __init__(
@@ -199,7 +199,7 @@ class _Trail:
         return fit
 
     def _with_several_places(self, fit: Fit) -> Fit | None:
-        """The fit with one name of cause at several more places; None where a cause at one place does better."""
+        """The fit with one effect at several more places; None where a cause at one place does better."""
         wider = at_several_places(fit, self._pool(fit))
         if wider is None or held_out(fit, wider, self.block).is_loss:
             return None

@@ -1,4 +1,4 @@
-"""One name of cause at several places together: what is wrong with one sensor or coil may be wrong with others of its make.
+"""One effect at several places together: what is wrong with one sensor or coil may be wrong with others of its make.
 
 Taken one after another, each would cost a step with all hypotheses, and other causes would stand in for those not yet taken.
 """
@@ -31,9 +31,9 @@ from estimator.rig.rig import Cause
 
 
 def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
-    """The fit with one name of cause at two or more new places; None where a cause at one place does better.
+    """The fit with one effect at two or more new places; None where a cause at one place does better.
 
-    The name is that with the highest evidence in the linear model, over the best set of its places. After the fit, the evidence for each
+    The effect is that with the highest evidence in the linear model, over the best set of its places. After the fit, the evidence for each
     place beside the others must suffice as if it had been tested alone; the other places are left to later steps.
 
     Args:

@@ -87,9 +87,9 @@ def _all(fit: Fit) -> Iterator[Covariate]:
         yield from _axes(f"last move of {mover.name}", "m", circumstances.last_move_m(mover.name))
         yield from _axes(f"direction of approach of {mover.name}", "1", circumstances.approach(mover.name))
     for place in observations.temperature_C:
-        warmth_K = circumstances.temperature_K(place)
-        if warmth_K is not None:
-            yield Covariate(f"temperature of {place}", "K", warmth_K)
+        temperature_K = circumstances.temperature_K(place)
+        if temperature_K is not None:
+            yield Covariate(f"temperature of {place}", "K", temperature_K)
     for i, sensor in enumerate(rig.sensors):
         if len(rig.sensors) > 1:
             yield Covariate(f"reading of {sensor.name}", "1", (circumstances.sensor == i).to(torch.float64))

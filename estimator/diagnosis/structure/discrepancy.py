@@ -182,26 +182,26 @@ def _add_positions(collection: Collection, model: MeasurementModel, coil: Coil, 
     points_m = points_m.expand(len(all_rows), 3)[model.pose_row]
     if not bool((points_m != points_m[0]).any()):
         return  # coil and sensor do not move relative to each other
-    turn = sensor_from_coil.expand(len(all_rows), 3, 3)[model.pose_row]
+    rotation = sensor_from_coil.expand(len(all_rows), 3, 3)[model.pose_row]
     current = circumstances.current_A[:, list(model.rig.coils).index(coil)] / circumstances.largest_current_A
     position = unit_interval(points_m)
     middle = points_m.mean(0)
     inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
     fields = [
-        torch.einsum("rij,rtj->rti", turn, harmonic_gradients(inner, degree)) / degree**2
+        torch.einsum("rij,rtj->rti", rotation, harmonic_gradients(inner, degree)) / degree**2
         for degree in range(2, policy.HARMONIC_DEGREE + 1)
     ]
     source = torch.cat(fields, dim=1)
     winding = winding_of(model.rig, coil, fit.values)
-    nearby = torch.einsum("rij,rtj->rti", turn, dipoles(points_m / winding.radius_m))
-    shapes = torch.einsum("rij,rtj->rti", turn, shape_fields(points_m, winding))
+    nearby = torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m))
+    shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
     collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
     drives = {f"place relative to {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
         drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
-        collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], turn)
-        collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], turn)
+        collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], rotation)
+        collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], rotation)
         collection.add_fields(name, source * drive[:, None, None])
         collection.add_fields(name, nearby * drive[:, None, None])
 

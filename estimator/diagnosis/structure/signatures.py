@@ -73,11 +73,11 @@ def _stays_with(fit: Fit) -> Evidence:
     along_field = torch.diag_embed(field_T / largest_T)
     collection = Collection(fit)
     for i, (coil, position_m) in enumerate(sensor_in_coils(fit).items()):
-        turn = _sensor_from_coil(fit, fit.rig.coils[i])
+        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
         for degree in policy.SIGNATURE_DEGREES:
             position = polynomials(unit_interval(position_m), 0, degree)
-            collection.add(coil, position * _drive(fit, i)[:, None], turn)
-            collection.add(coil, position, turn)
+            collection.add(coil, position * _drive(fit, i)[:, None], rotation)
+            collection.add(coil, position, rotation)
     collection.add("constant", constant, axes)
     position_m, sensor_from_world = sensor_in_room(fit)
     for degree in policy.SIGNATURE_DEGREES:
@@ -98,18 +98,18 @@ def _current(fit: Fit) -> Evidence | None:
     collection = Collection(fit)
     for i, position_m in enumerate(sensor_in_coils(fit).values()):
         drive = _drive(fit, i)
-        turn = _sensor_from_coil(fit, fit.rig.coils[i])
+        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
         if float(drive.max() - drive.min()) < SAME:
             continue
         sizes = torch.unique((drive.abs() / SAME).round())
         for degree in policy.SIGNATURE_DEGREES:
             position = polynomials(unit_interval(position_m), 0, degree)
-            collection.add("independent", position, turn)
-            collection.add("odd", position * drive[:, None], turn)
+            collection.add("independent", position, rotation)
+            collection.add("odd", position * drive[:, None], rotation)
             if len(sizes) > 1:
-                collection.add("even", position * drive[:, None] ** 2, turn)
+                collection.add("even", position * drive[:, None] ** 2, rotation)
             if len(sizes[sizes > 0.0]) > 1:
-                collection.add("cubic", position * drive[:, None] ** 3, turn)
+                collection.add("cubic", position * drive[:, None] ** 3, rotation)
     return _evidence(fit, collection.families) if collection.families and len(circumstances) else None
 
 
@@ -118,7 +118,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
     for i, position_m in enumerate(sensor_in_coils(fit).values()):
         if bool((unit_interval(position_m).std(0) < SAME).any()):
             continue  # in a plane or on a line any vector field can be magnetic
-        turn = _sensor_from_coil(fit, fit.rig.coils[i])
+        rotation = _sensor_from_coil(fit, fit.rig.coils[i])
         drive = _drive(fit, i)
         middle_m = position_m.mean(0)
         inner = (position_m - middle_m) / (position_m - middle_m).norm(dim=-1).max()
@@ -126,13 +126,13 @@ def _field_equations(fit: Fit) -> Evidence | None:
             harmonic_gradients(inner, degree) / degree**2 for degree in range(1, policy.HARMONIC_DEGREE + 1)
         ]
         near = dipoles(position_m / winding_of(fit.rig, fit.rig.coils[i], fit.values).radius_m)
-        for now in (drive, torch.ones_like(drive)):
+        for drive_factor in (drive, torch.ones_like(drive)):
             for fields in (torch.cat(sources, dim=1), near):
-                turned = torch.einsum("rij,rtj->rti", turn, fields)
-                collection.add_fields("a magnetic field", turned * now[:, None, None])
+                rotated = torch.einsum("rij,rtj->rti", rotation, fields)
+                collection.add_fields("a magnetic field", rotated * drive_factor[:, None, None])
             for degree in policy.SIGNATURE_DEGREES:
                 position = polynomials(unit_interval(position_m), 0, degree)
-                collection.add("no magnetic field", position * now[:, None], turn)
+                collection.add("no magnetic field", position * drive_factor[:, None], rotation)
     return _evidence(fit, collection.families) if collection.families else None
 
 

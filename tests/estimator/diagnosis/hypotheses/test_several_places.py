@@ -12,7 +12,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.screening import in_full, screening
-from estimator.diagnosis.hypotheses.search import Addition, _Trail, search
+from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps, joint_evidence
 from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import families
@@ -164,26 +164,26 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
         readings = with_wrong(rig, readings, cause, {"x_at_z_m": 2e-3, "z_at_z_m": -2e-3, "y_at_x_m": 2e-3})
     base = fit_of(rig, readings)
     asked = [c for c in causes_of(rig, base) if c.name in ("element_displacement", "sensor_misplaced")]
-    trail = _Trail(base, candidates(base, asked), families(base), lambda words: None, 10)
+    state = _SearchState(base, candidates(base, asked), families(base), lambda words: None, 10)
     fit = fit_of(rig, readings, *apart)
-    trail.additions.append(Addition(tuple(apart), fit))
-    early = [c for c in trail.pool if c.cause != misplaced]
-    trail.steps += comparison_steps(fit, apart, early, trail.smooth)
-    assert [step.credible[0].cause for step in trail.steps] == apart
-    trail.compare_again(fit)
-    assert [step.taken for step in trail.steps] == apart
-    assert [step.credible[0].cause for step in trail.steps] == [*apart[:2], misplaced]
+    state.additions.append(Addition(tuple(apart), fit))
+    early = [c for c in state.pool if c.cause != misplaced]
+    state.steps += comparison_steps(fit, apart, early, state.smooth)
+    assert [step.credible[0].cause for step in state.steps] == apart
+    state.compare_again(fit)
+    assert [step.taken for step in state.steps] == apart
+    assert [step.credible[0].cause for step in state.steps] == [*apart[:2], misplaced]
 
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
     """With its comparison: where it is taken again later, that is not the old one."""
-    trail = _Trail(base, pool, families(base), lambda words: None, 10)
+    state = _SearchState(base, pool, families(base), lambda words: None, 10)
     taken = list(OFFSET.values())
     fit = fit_of(rig, readings, *taken)
-    trail.additions.append(Addition(tuple(taken), fit))
-    trail.steps += comparison_steps(fit, taken, pool, trail.smooth)
-    fewer = trail.revisited(fit)
+    state.additions.append(Addition(tuple(taken), fit))
+    state.steps += comparison_steps(fit, taken, pool, state.smooth)
+    fewer = state.revisited(fit)
     assert set(fewer.rig.effects) == WITH_IT
-    assert {step.taken for step in trail.steps} == WITH_IT
-    assert trail.dropped == [OFFSET["three"]]
-    assert set(trail.additions_in(fewer)[0].causes) == WITH_IT
+    assert {step.taken for step in state.steps} == WITH_IT
+    assert state.dropped == [OFFSET["three"]]
+    assert set(state.additions_in(fewer)[0].causes) == WITH_IT
