@@ -27,7 +27,7 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import LogNormal, Parameter
 from estimator.rig.rig import Cause, Rig
 
-ROUNDING = 1e-12  # readings that differ by less of the largest are the same
+ROUNDING = 1e-12  # readings that differ by less than this share of the largest are the same
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def _is_as_expected(fit: Fit) -> bool:
 
 
 def _fits_with_mistake(base: Fit) -> list[Fit]:
-    """Full fits of the best mistakes on a few readings, of those that fit these readings no worse than the rig as it is."""
+    """Full fits of the mistakes that fit a few readings best, and no worse than the rig as it is."""
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
     rows = (
