@@ -1,4 +1,4 @@
-"""The page of a diagnosis: sentences and tables a reader can take at their word."""
+"""Sentences and tables of the report agree with the diagnosis."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RADIUS = "coil1.radius_m"
 
 @pytest.fixture(scope="module")
 def diagnosis(small_rig: Rig, small_session: Session) -> Diagnosis:
-    """Of the small rig with an offset that a fixed sensor cannot tell from a field of the room."""
+    """The small rig with an offset, which a fixed sensor cannot tell from a field of the room."""
     flawed = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": OFFSET_T})
     return diagnose(replace(small_session, observations=flawed), seed=1)
 
@@ -41,7 +41,7 @@ def text(diagnosis: Diagnosis) -> str:
 
 
 def as_text(diagnosis: Diagnosis) -> str:
-    """The page without its pictures and tags."""
+    """The page without figures and tags."""
     page = re.sub(r"<img[^>]*>", "", diagnosis_report(diagnosis, "coilcal diagnose session.zarr"))
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
 
@@ -61,7 +61,7 @@ def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
 
 
 def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
-    """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
+    """Without a thermometer nothing determines the loss per kelvin, so 0 with no uncertainty would be wrong."""
     fit = diagnosis.fits.final
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
     final = fit_rig(rig, fit.observations, {}, fit.posterior.model.rules)

@@ -1,4 +1,4 @@
-"""Hypotheses that differ in how readings scatter: when they are fitted, and what tells them apart."""
+"""Causes that change the scatter of readings: when they are fitted, and how they are told apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an extension is worth on unseen readings, against SciPy's densities and against sessions of known truth."""
+"""Scores and improvement on unseen readings, against SciPy's densities and against sessions of known truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def truth_rig(small_rig: Rig, small_truth: dict[str, float]) -> Rig:
 
 @pytest.fixture(scope="module")
 def wrong_zero(truth_rig: Rig, small_session: Session) -> Observations:
-    """The small session read with a zero that is off by eight times the noise."""
+    """The small session with a sensor offset of eight times the noise."""
     return with_wrong(truth_rig, small_session.observations, OFFSET, {"z_T": 40e-6})
 
 
@@ -110,7 +110,7 @@ def test_superfluous_cause_gains_nothing(small_rig, small_session):
 
 @pytest.fixture(scope="module")
 def large_session(truth_rig: Rig, small_plan: Plan) -> Observations:
-    """Twenty visits of the small plan."""
+    """The small plan, repeated twenty times."""
     return simulate(truth_rig, replace(small_plan, repeats=20), {}, seed=5)
 
 

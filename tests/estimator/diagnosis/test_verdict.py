@@ -1,4 +1,4 @@
-"""What a search amounts to, for searches put together by hand, and which causes stand beside something unknown."""
+"""Verdicts of searches put together by hand, and causes that keep their name beside something unknown."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(b
 
 
 def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_session, base):
-    """Exact twins are never told apart; of others the residuals hold just the evidence that was expected, but for noise."""
+    """Exact twins are never told apart; for other causes the residuals hold the expected evidence, but for noise."""
     room = Cause("background_field", "room")
     seen = small_session.observations.calibration
     wrong = with_wrong(small_rig, seen, OFFSET, {"x_T": 2e-4, "y_T": -1e-4})

@@ -1,4 +1,4 @@
-"""Intervals hold the truth where a curve that no cause explains is in the readings too."""
+"""Widened intervals contain the truth where the readings hold a curve that no cause explains."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 
 def test_blocks_know_of_curves_that_the_noise_does_not(fit):
-    """Over many draws of curve and noise, in the linear model about the fit; a block must not be smaller than what varies in it."""
+    """Over many draws of curve and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
     curves = [f for f in families(fit) if f.name == "place relative to coil1, with its current"]
     generator = torch.Generator().manual_seed(13)
     block = pose_blocks(fit.observations, np.random.default_rng(0))
@@ -64,7 +64,7 @@ def test_nothing_is_made_surer(fit):
 
 
 def test_envelope_is_in_no_direction_surer_than_either():
-    """However different in size the numbers are, and if one of the two knows nothing of some of them."""
+    """Also for numbers of very different size, and where one covariance leaves some of them open."""
     generator = torch.Generator().manual_seed(2)
     size = torch.tensor([1e-6, 1.0, 1e3, 1e-3], dtype=torch.float64)
     direction = torch.randn(500, 4, generator=generator, dtype=torch.float64) / size
@@ -81,7 +81,7 @@ def test_envelope_is_in_no_direction_surer_than_either():
 def test_draws_are_spread_about_the_mean_of_their_counts_which_keep_their_probabilities(
     fit, small_calibration
 ):
-    """Readings of three times the noise leave every number three times as open, in every direction, where the counts are known."""
+    """With three times the noise all standard deviations triple, in every direction, given the counts."""
     coordinates = Coordinates(small_calibration.rig, integer_counts=True)
     n = coordinates.n_continuous
     assert 1 < n < coordinates.n

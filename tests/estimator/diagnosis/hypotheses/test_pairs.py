@@ -1,4 +1,4 @@
-"""Two causes asked together: the algebra of the batch, and a pair in which one hides the other."""
+"""Two causes tested together: the algebra of the batch, and a pair in which one hides the other."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pool(base: Fit) -> list[Candidate]:
 
 
 def with_residual(fit: Fit, residual: torch.Tensor) -> Fit:
-    """The fit with other whitened residuals, beside what it can follow."""
+    """The fit with other whitened residuals, less what it can follow."""
     copy = Fit(fit.posterior, fit.optimum)
     projector = fit.projector
     followed = projector.factor @ (projector.factor.T @ (fit.jacobian.T @ residual))

@@ -1,4 +1,4 @@
-"""Mistakes of the record are not invented where something else is wrong."""
+"""No mistake of the record is found where something else is wrong."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
 ):
-    """From one of the rotations alone: the whole search takes half a minute."""
+    """With one rotation only, for the whole search takes half a minute."""
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
     monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}

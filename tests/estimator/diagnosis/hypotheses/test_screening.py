@@ -18,7 +18,7 @@ OFFSET = Cause("sensor_offset", "hall")
 def test_fit_that_has_left_its_cause_is_no_evidence_for_it(
     small_rig: Rig, small_session: Session, monkeypatch, is_itself
 ):
-    """Though it explains much."""
+    """A cause that is no longer itself has no evidence, though it explains much."""
     monkeypatch.setattr(SensorOffset, "is_itself", lambda *_: is_itself)
     plain = fit_of(small_rig, with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": 100e-6}))
     value, _, start = screening(plain, candidates(plain, [OFFSET]))[OFFSET]

@@ -1,4 +1,4 @@
-"""What causes would change weighs, at every step of a search, what the readings weigh there; and where a search ends."""
+"""Columns of causes are weighted like the readings at every step of a search; and a search ends where it should."""
 
 from __future__ import annotations
 

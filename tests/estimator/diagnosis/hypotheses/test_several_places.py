@@ -1,4 +1,4 @@
-"""A kind of cause that several sensors have is taken at all of them at once; those that have it not are left alone."""
+"""An effect that several sensors have is taken at all of them together, and at no others."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_le
 
 
 def test_evidence_of_a_kind_is_that_of_its_best_places(base, pool):
-    """Against every choice of them."""
+    """Against every subset of the places."""
     offsets = [c for c in pool if c.cause.name == "sensor_offset"]
     values = {}
     for places in (chosen for n in range(1, 5) for chosen in combinations(range(4), n)):
@@ -96,7 +96,7 @@ def test_a_cause_that_is_left_at_one_place_only_is_asked_alone(rig, readings, po
 
 
 def test_where_one_cause_does_as_well_it_is_left_to_be_asked_alone(rig, small_session):
-    """A room's field is the offset of every sensor; the simpler of the two is asked first."""
+    """A field of the room equals an offset of every sensor; the single cause is preferred."""
     known = small_session.observations
     known = replace(known, sensor=torch.arange(len(known)) % len(OFFSETS_T)).calibration
     room = Cause("background_field", "room")
@@ -123,7 +123,7 @@ def test_one_of_several_is_compared_with_all_others_as_if_it_alone_were_asked_la
 
 
 def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
-    """A wrong gain that nobody has taken yet is as strong without the offset as with it; a drift of the sensor is not."""
+    """A wrong gain that is not taken yet has the same evidence without the offset as with it; a drift of the sensor has not."""
     gain, drift = Cause("axis_gain", "three"), Cause("offset_drift", "two")
     rig = rig.with_fixed(
         ["coil1.radius_m", "coil1.axial_loops"]
@@ -152,7 +152,7 @@ def test_a_search_takes_them_in_one_go(base, monkeypatch):
 
 
 def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_the_end(rig, small_session):
-    """A sensor that stands elsewhere has passed for one whose three elements do, as they do in the others."""
+    """A displaced sensor was taken for displaced elements, which the other sensors have."""
     apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]
     misplaced = Cause("sensor_misplaced", "three")
     known = small_session.observations
@@ -176,7 +176,7 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
 
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
-    """With its comparison: where it is taken again later, that is not the old one."""
+    """The comparison is dropped too; one that takes the cause again later is new."""
     state = _SearchState(base, pool, families(base), lambda words: None, 10)
     taken = list(OFFSET.values())
     fit = fit_of(rig, readings, *taken)

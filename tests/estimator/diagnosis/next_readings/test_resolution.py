@@ -89,7 +89,7 @@ def test_drift_over_the_session_shows_from_19_to_27_microtesla(near, order):
 
 @pytest.mark.parametrize(("order", "percent"), [("raster", 0.8), ("random", 0.4)])
 def test_heating_shows_sooner_in_random_order(near, order, percent):
-    """The loss of a coil that is warm through at 3 A."""
+    """The loss of a coil in thermal equilibrium at 3 A."""
     loss = near[order].sizes("coil_heating")["loss_per_A2"] * 3.0**2
     assert 100.0 * loss == pytest.approx(percent, rel=0.25)
 
@@ -229,7 +229,7 @@ def test_smallest_visible_size_falls_with_the_square_root_of_the_readings(config
 
 
 def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_mean():
-    """Where the radius alone is free, symmetry keeps it from following a field across the axis."""
+    """Where only the radius is free, symmetry keeps it from following a transverse field."""
     rig = paper_rig()
     alone = paper_rig(
         p.name for p in rig.parameters.values() if p.prior is not None or p.name == "hall.noise_T"
@@ -257,7 +257,7 @@ def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_m
     ],
 )
 def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured, cause, key):
-    """Perfect readings with the cause, fitted without it: what is left, squared, and what the priors take, add up to 25."""
+    """Noise-free readings with the cause, fitted without it: squared residuals and prior penalties add up to 25."""
     fit, size = configured.fit, configured.sizes(cause.name)[key]
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
         {**at(fit.rig, 40.0), f"{cause.label}.{key}": size}

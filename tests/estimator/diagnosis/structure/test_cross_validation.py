@@ -1,4 +1,4 @@
-"""Blocks predicted from all others without fitting again, against fits without them."""
+"""Blocks predicted from all others without a further fit, against fits without them."""
 
 from __future__ import annotations
 

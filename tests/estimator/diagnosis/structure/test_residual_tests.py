@@ -9,7 +9,7 @@ from tests.estimator.diagnosis.sessions import plain_fit
 
 
 def with_noise(fit: Fit, seed: int) -> Fit:
-    """The same fit whose residual is what is left of pure noise."""
+    """The fit with the residual of pure noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), 1, generator=generator, dtype=torch.float64)
     copy = Fit(fit.posterior, fit.optimum)
