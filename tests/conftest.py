@@ -54,7 +54,7 @@ WHOLE = (
         HERE / f"estimator/{name}.py"
         for name in (
             "calibration/test_calibrate",
-            "diagnosis/hypotheses/test_kinds",
+            "diagnosis/hypotheses/test_several_places",
             "diagnosis/hypotheses/test_search",
             "diagnosis/next_readings/test_design",
             "diagnosis/structure/test_cross_validation",

@@ -103,7 +103,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
 
-    left_open, gain = diagnosis.left_open, diagnosis.gain
+    left_open, improvement = diagnosis.left_open, diagnosis.improvement
     lines = [f"verdict: {diagnosis.verdict}"]
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
@@ -114,13 +114,13 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             lines.append(
                 f"    {name:16} {quantity.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {quantity.unit}"
             )
-    if diagnosis.found.stand_ins:
-        names = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
+    if diagnosis.findings.stand_ins:
+        names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         lines.append(
             f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        remainder = diagnosis.found.search.steps[-1].left
+        remainder = diagnosis.findings.search.steps[-1].discrepancy
         lines.append(
             f"  something is left that no known cause explains: it depends on {remainder.family}, {remainder.rms_sigma:.2g} of the "
             f"noise rms, log evidence {remainder.log_bayes_factor:.3g}"
@@ -128,12 +128,12 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     if left_open.twins:
         groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)
         lines.append(f"  this session cannot tell apart: {groups}")
-    if gain is not None:
-        before, after = gain.before, gain.after
+    if improvement is not None:
+        before, after = improvement.before, improvement.after
         lines.append(
             f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
             f"of 90 % intervals {before.coverage90:.1%} -> {after.coverage90:.1%}; log predictive density "
-            f"{gain.elpd_difference:+.1f} +- {gain.elpd_se:.1f}"
+            f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
         )
     if left_open.next_measurements:
         best = left_open.next_measurements[0]

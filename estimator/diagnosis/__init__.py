@@ -1,1 +1,1 @@
-"""From a fitted session to a verdict: what could be wrong, what evidence there is for it, and what is left."""
+"""From a fitted session to a verdict: possible causes, the evidence for each, and what remains unexplained."""

@@ -1,4 +1,4 @@
-"""The heart: what the simulation gets wrong in a session, which cause that has, the rig extended by it, and what is gained."""
+"""Diagnose a session: fit the rig, search for causes, extend the rig by them, validate the extension on unseen readings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 from estimator.diagnosis import policy
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.gain import gain
-from estimator.diagnosis.hypotheses.record_mistakes import Fault, without_faults
+from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
 from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
@@ -19,13 +18,14 @@ from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.result import (
     CALIBRATION_FOLDER,
     Diagnosis,
+    Findings,
     Fits,
-    Found,
     LeftOpen,
     Question,
     label_of,
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
+from estimator.diagnosis.validation import improvement_of
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,
@@ -56,18 +56,18 @@ def diagnose(
     most_causes: int = policy.MOST_CAUSES,
     on_stage: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Find what the simulation gets wrong, name the cause, extend the rig and measure the gain.
+    """Find what the simulation gets wrong, name the cause, extend the rig and validate the extension.
 
     Args:
-        session: Readings; those marked as validation judge the gain. Where none is marked, a fifth is kept out in blocks.
+        session: Readings. Those marked as validation are kept out of the fits; where none is marked, a fifth is, in blocks.
         rig: Another description of the session's rig.
-        validation: Another session of the same rig to judge the gain by.
-        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is asked for.
+        validation: Another session of the same rig; validates the extension instead.
+        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is sampled.
         seed: Of the split, the thinning, the starts and the sampling.
-        has_posterior: Sample the extended rig where a cause was found or something remains unexplained, and a coil carried current, with
-            all readings but those for validation. What remains unexplained widens it.
-        most_causes: Where the search ends though another would earn its place; each further one takes longer.
-        on_stage: Told what is going on.
+        has_posterior: Sample the posterior of the extended rig from all readings but those for validation. It needs a coil that carried
+            current, and a cause or something unexplained, which widens the posterior.
+        most_causes: Number of causes at which the search ends; each further one takes longer.
+        on_stage: Called with a message at the start of each stage.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
         InvalidInput: The readings cannot support a fit.
@@ -81,41 +81,45 @@ def diagnose(
     seen, unseen = _split(session, validation, seed)
     few = thinned(seen, policy.MOST_READINGS_SEARCHED, seed)
 
-    tell("fit of the rig as it is described")
+    tell("fitting the rig as described")
     model = MeasurementModel.build(rig, few)
     plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
-    tell("mistakes of the record")
-    base, faults = without_faults(plain)
-    tell("screening and naming of causes")
-    found = search(base, tell, most_causes)
-    if faults and _is_doubtful(faults, found):
-        tell("the mistakes of the record are doubtful: again without undoing them")
-        base, faults = plain, []
-        found = search(base, tell, most_causes)
-    named = named_causes(found)
-    verdict = verdict_of(found, named)
+    tell("looking for mistakes of the record")
+    base, mistakes = without_record_mistakes(plain)
+    tell("searching for causes")
+    search_result = search(base, tell, most_causes)
+    if mistakes and _are_doubtful(mistakes, search_result):
+        tell("the mistakes of the record are doubtful: searching again with the record as it is")
+        base, mistakes = plain, []
+        search_result = search(base, tell, most_causes)
+    named = named_causes(search_result)
+    verdict = verdict_of(search_result, named)
     if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(found, named)
-    extended = extended_fit(found, named)
-    if verdict is Verdict.NOTHING_FOUND and faults:
-        verdict = Verdict.INDISTINGUISHABLE if any(fault.twins for fault in faults) else Verdict.NAMED
-    tell("gain on readings not used for fitting")
+        named = beside_discrepancy(search_result, named)
+    extended = extended_fit(search_result, named)
+    if verdict is Verdict.NOTHING_FOUND and mistakes:
+        verdict = Verdict.INDISTINGUISHABLE if any(mistake.twins for mistake in mistakes) else Verdict.NAMED
+    tell("validating on readings not used for fitting")
     before, after = plain, extended
     if len(seen) > len(few):
-        many = thinned(seen, policy.MOST_READINGS_FITTED, seed)
-        before, after = (fit_rig(fit.rig, many, fit.values, model.rules) for fit in (plain, extended))
-    judged = gain(before, after, thinned(unseen, policy.MOST_READINGS_FITTED, seed)) if len(unseen) else None
-    if judged is not None and judged.is_loss:
-        verdict = Verdict.UNEXPLAINED  # what was named predicts worse: it stands in for something else
+        fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
+        before, after = (fit_rig(fit.rig, fitted, fit.values, model.rules) for fit in (plain, extended))
+    improvement = (
+        improvement_of(before, after, thinned(unseen, policy.MOST_READINGS_FITTED, seed))
+        if len(unseen)
+        else None
+    )
+    if improvement is not None and improvement.is_loss:
+        verdict = Verdict.UNEXPLAINED  # the named causes predict worse: they stand in for something else
     is_unexplained = verdict is Verdict.UNEXPLAINED
     result = Diagnosis(
         question=Question(rig, session.source, seed),
         verdict=verdict,
-        found=Found(
-            search=found,
-            faults=tuple(faults),
+        findings=Findings(
+            search=search_result,
+            record_mistakes=tuple(mistakes),
             causes=tuple(named),
-            stand_ins=tuple(stand_ins(found, named)),
+            stand_ins=tuple(stand_ins(search_result, named)),
         ),
         fits=Fits(
             plain=plain,
@@ -123,20 +127,22 @@ def diagnose(
             final=after,
             before=Symptoms.of(plain, seed),
             after=Symptoms.of(extended, seed),
-            gain=judged,
+            improvement=improvement,
         ),
         left_open=LeftOpen(
-            visible=tuple(smallest_visible(base, found.pool)),
-            twins=tuple(indistinguishable(base, found.pool)),
-            next_measurements=tuple(_next_measurements(found, named, rig)),
-            widening=Widening.of(extended, after, found.steps[-1].left) if is_unexplained else None,
+            visible=tuple(smallest_visible(base, search_result.pool)),
+            twins=tuple(indistinguishable(base, search_result.pool)),
+            next_measurements=tuple(_next_measurements(search_result, named, rig)),
+            widening=Widening.of(extended, after, search_result.steps[-1].discrepancy)
+            if is_unexplained
+            else None,
         ),
         extended_rig=extended_rig(rig, after),
     )
     folder = None if out is None else Path(out)
     is_changed = bool(result.fits.final.rig.effects) or is_unexplained
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
-        tell("posterior of the extended rig")
+        tell("sampling the posterior of the extended rig")
         sampled = extended_posterior(
             session,
             result.extended_rig,
@@ -151,17 +157,18 @@ def diagnose(
     return result
 
 
-def _is_doubtful(faults: Sequence[Fault], found: Search) -> bool:
-    """Whether a mistake of the record may only have bent a wrong model towards the readings.
+def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:
+    """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
-    Either more is left than it explained, or the causes that were found beside it explain the record as well as it stands.
+    It may if more remains unexplained than a mistake explained, or if the causes that were found explain the unchanged record better.
     """
-    left, final = found.steps[-1].left, found.final
-    if leaves_structure(left) and min(fault.log_bayes_factor for fault in faults) < left.log_bayes_factor:
+    remainder, final = search_result.steps[-1].discrepancy, search_result.final
+    least = min(mistake.log_bayes_factor for mistake in mistakes)
+    if leaves_structure(remainder) and least < remainder.log_bayes_factor:
         return True
     rig = final.rig
-    for fault in faults:
-        rig = rig.without_cause(fault.cause)
+    for mistake in mistakes:
+        rig = rig.without_cause(mistake.cause)
     if not rig.effects:
         return False
     rules = final.posterior.model.rules
@@ -178,18 +185,22 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
     return observations.calibration, observations.validation
 
 
-def _next_measurements(found: Search, named: list[NamedCause], rig: Rig) -> list[Proposal]:
-    """What would tell the members of each credible set apart, as far as their fits show a difference: the best few for each."""
+def _next_measurements(search_result: Search, named: list[NamedCause], rig: Rig) -> list[Proposal]:
+    """The best few proposals that would tell the fitted members of each credible set apart."""
     best: list[Proposal] = []
-    for one in named:
-        step = found.step_of(one.cause)
-        rivals = {
-            label_of(r.cause, rig): r.fit for r in step.credible if r.fit is not None and r.cause is not None
+    for named_cause in named:
+        step = search_result.step_of(named_cause.cause)
+        hypotheses = {
+            label_of(hypothesis.cause, rig): hypothesis.fit
+            for hypothesis in step.credible
+            if hypothesis.fit is not None and hypothesis.cause is not None
         }
-        if len(rivals) > 1:
-            possible = actions(next(iter(rivals.values())).observations, rig)
+        if len(hypotheses) > 1:
+            possible = actions(next(iter(hypotheses.values())).observations, rig)
             clear = [
-                p for p in proposals(rivals, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE
+                p
+                for p in proposals(hypotheses, possible)
+                if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE
             ]
             best += clear[: policy.MOST_PROPOSALS]
     return best

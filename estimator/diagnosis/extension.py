@@ -1,4 +1,4 @@
-"""The rig with the causes that were found: what the posterior is sampled of, and what `rig_extended.yaml` holds."""
+"""The rig extended by the causes that were found: the rig that is sampled, and the content of `rig_extended.yaml`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ NOTE = (
 
 
 def extended_rig(rig: Rig, fit: Fit) -> Rig:
-    """The rig with the effects of a fit: those that it had stay as they were described, new ones have values at the maximum.
+    """The rig with the effects of a fit. Effects that it had stay as described; new ones get the values at the maximum.
 
     Args:
-        rig: As it was described; its other numbers keep their nominal values.
-        fit: Of that rig with some effects.
+        rig: As described; its numbers keep their nominal values.
+        fit: Of that rig with further effects.
     """
     extended = rig
     for cause in rig.effects:
@@ -32,6 +32,6 @@ def extended_rig(rig: Rig, fit: Fit) -> Rig:
 
 
 def _at_maximum(parameter: Parameter, fit: Fit) -> Parameter:
-    """A parameter with the fitted value for its nominal one; by rounding that may lie a last digit beyond a bound of the prior."""
+    """A parameter with the fitted value as its nominal one, clamped: rounding may put it a last digit beyond a bound of the prior."""
     value, prior = float(fit.values[parameter.name]), parameter.prior
     return replace(parameter, value=value if prior is None else min(max(value, prior.lower), prior.upper))

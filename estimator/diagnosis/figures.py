@@ -1,4 +1,4 @@
-"""The figures of one diagnosis: residual before and after, what the extension explains, structure, and who else was in the race."""
+"""The figures of one diagnosis: residuals before and after, what the extension explains, structure, and all hypotheses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_IN_TITLE, LEAST_STEPS = 3, 2
 
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
-    """The figures of the report, each with a title and a sentence on what to look for."""
+    """The figures of the report, each with a title and a caption that says what to look for."""
     parts = (_maps, _explained, _ladder, _structure, _ranking)
     return [picture for part in parts for picture in part(diagnosis)]
 
@@ -34,22 +34,26 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
     is_extended = bool(after.rig.effects)
     rig = diagnosis.rig
     is_powered = (after.observations.current_A != 0.0).numpy()
-    powered = [found for found in enumerate(sensor_in_coils(after).items()) if is_powered[:, found[0]].any()]
-    for i, (name, place_m) in powered[:MOST_COILS]:
+    coils = enumerate(sensor_in_coils(after).items())
+    powered = [(i, coil) for i, coil in coils if is_powered[:, i].any()]
+    for i, (name, position_m) in powered[:MOST_COILS]:
         is_on = is_powered[:, i]
         winding = winding_of(after.rig, after.rig.coils[i], after.values)
         sigma_T = _sigma_T(after)
         one_sigma = float(sigma_T.max()) if np.ptp(sigma_T) < 1e-12 else None
-        places = place_m.numpy()[is_on]
+        powered_m = position_m.numpy()[is_on]
         if is_extended:
             figure = plots.before_and_after_map(
-                places, residuals[0][is_on], residuals[1][is_on], winding, one_sigma, title=rig.name
+                powered_m, residuals[0][is_on], residuals[1][is_on], winding, one_sigma, title=rig.name
             )
-            words = "Length of the residual where the sensor stood, in the same colours: what is left below should look like noise."
+            words = (
+                "Magnitude of the residual vector at the sensor's positions, in the coil's frame; both maps share one colour scale. "
+                "After the extension (below) it should look like noise."
+            )
             yield Picture(f"Residual around {name}, before and after", words, figure)
         else:
-            figure = plots.residual_map(places, residuals[0][is_on], winding, one_sigma, title=rig.name)
-            words = "Length of the residual where the sensor stood, in the coil's frame: patterns would be a flaw."
+            figure = plots.residual_map(powered_m, residuals[0][is_on], winding, one_sigma, title=rig.name)
+            words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern means a model error."
             yield Picture(f"Residual around {name}", words, figure)
 
 
@@ -64,54 +68,55 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
     assert isinstance(figure, Figure)
     yield Picture(
         "What the extension explains",
-        "Residual of the plain model over what the extended model changes in the same reading: the means should follow the slanted line.",
+        "Residual of the plain model against the change of the prediction by the extension, for each reading. The means should follow the "
+        "slanted line.",
         figure,
     )
 
 
 def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    stages = diagnosis.found.search.stages
-    if len(stages) < LEAST_STEPS:
+    additions = diagnosis.findings.search.additions
+    if len(additions) < LEAST_STEPS:
         return
-    fits = [diagnosis.found.search.base, *(stage.fit for stage in stages)]
+    fits = [diagnosis.findings.search.base, *(addition.fit for addition in additions)]
     figure = plots.stepwise_residual(
-        [diagnosis.label_of_stage(stage) for stage in stages],
+        [diagnosis.label_of_addition(addition) for addition in additions],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)
     yield Picture(
-        "What each cause brought",
-        "Causes in the order in which they were taken, and what was left of the residual after each.",
+        "What each cause contributes",
+        "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence.",
         figure,
     )
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
     before = diagnosis.fits.before.structure
-    after = {one.covariate.name: one for one in diagnosis.fits.after.structure}
-    chosen = [one for one in before if one.covariate.name in after][:MOST_COVARIATES]
-    names = [one.covariate.name for one in chosen]
+    after = {test.covariate.name: test for test in diagnosis.fits.after.structure}
+    tests = [test for test in before if test.covariate.name in after][:MOST_COVARIATES]
+    names = [test.covariate.name for test in tests]
     yield Picture(
-        "Along what the residual has structure",
-        "Bars that leave the grey zone: the residual depends on that. Probabilities are for all covariates together, so chance passes "
-        "the zone's edge in 5 % of sessions.",
+        "Structure of the residual along covariates",
+        "The residual depends on a covariate whose bar leaves the grey zone. p-values are adjusted for testing all covariates together: "
+        "pure noise leaves the zone in 5 % of sessions.",
         plots.structure_bars(
             names,
-            [one.p_value for one in chosen],
+            [test.p_value for test in tests],
             [after[name].p_value for name in names],
             title=diagnosis.rig.name,
         ),
     )
-    if not chosen:
+    if not tests:
         return
-    first = chosen[0].covariate
-    now = after[first.name].covariate
+    first = tests[0].covariate
+    first_after = after[first.name].covariate
     factor, unit = _display(first.unit)
     for fit, covariate, when in (
         (diagnosis.fits.plain, first, "before"),
-        (diagnosis.fits.extended, now, "after"),
+        (diagnosis.fits.extended, first_after, "after"),
     )[: 2 if diagnosis.fits.extended.rig.effects else 1]:
         figure = plots.residual_against(
             covariate.by_reading.numpy() * factor,
@@ -122,24 +127,27 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
         ).figure
         assert isinstance(figure, Figure)
         yield Picture(
-            f"Residual along the most telling covariate, {when}",
-            "Means of neighbours that leave the band by several of their error bars are structure.",
+            f"Residual along the most significant covariate, {when}",
+            "Points are means of neighbouring readings. Means that leave the band by several of their error bars show structure.",
             figure,
         )
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, (title, step) in enumerate(diagnosis.races[:MOST_STEPS], start=1):
-        evidence = {diagnosis.label_of_rival(rival): rival.log_bayes_factor for rival in step.rivals}
+    for number, (title, step) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
+        evidence = {
+            diagnosis.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
+            for hypothesis in step.hypotheses
+        }
         taken = None if step.taken is None else diagnosis.label(step.taken)
         figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
         assert isinstance(figure, Figure)
-        words = f"{title} was taken." if taken else "Nothing earned its place any more."
+        words = f"{title} was taken." if taken else "No further cause has enough evidence."
         if taken and title != taken:
-            words += f" Shown is {taken}, beside the others of them."
+            words += f" The bars compare {taken}, given the other causes of this step."
         yield Picture(
-            f"Who explains it, step {number}",
-            f"Log evidence of each cause, of a flexible curve that no cause explains, and of nothing. {words}",
+            f"Hypotheses, step {number}",
+            f"Log Bayes factor of each cause, and of a flexible curve for what no known cause explains, against nothing wrong. {words}",
             figure,
         )
 
@@ -150,14 +158,14 @@ def _residual_T(fit: Fit) -> np.ndarray:
 
 
 def _sigma_T(fit: Fit) -> np.ndarray:
-    """Noise of each component of each reading."""
+    """Noise of each component of each reading, in tesla."""
     with torch.no_grad():
         by_sensor = fit.posterior.sigma_T(fit.vector)
     return by_sensor[fit.observations.sensor][:, None].expand(-1, 3).numpy()
 
 
 def _display(unit: str) -> tuple[float, str]:
-    """Factor and unit in which laboratories speak."""
+    """Factor and unit for display."""
     shown = SHOWN_IN.get(unit, unit)
     factor = UNITS[unit].to_si / UNITS[shown].to_si if unit in UNITS and shown in UNITS else 1.0
     return factor, shown.replace("u", "µ")

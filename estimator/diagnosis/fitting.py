@@ -1,4 +1,4 @@
-"""One hypothesis fitted: a rig with its effects, the maximum of its posterior, and the Laplace evidence."""
+"""The fit of one hypothesis: a rig with its effects, the maximum of its posterior density, and the Laplace evidence."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import LogNormal, Parameter
 from estimator.rig.rig import Cause, Rig
 
-ROUNDING = 1e-12  # of the largest reading: two that differ by less are the same
+ROUNDING = 1e-12  # readings that differ by less than this share of the largest are the same
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The maximum of the posterior of one rig over some readings.
+    """The maximum of the posterior density of one rig, given some readings.
 
     Attributes:
-        posterior: The density, with continuous loop counts.
-        optimum: The maximum and its curvature; one start.
+        posterior: Log posterior density, with continuous loop counts.
+        optimum: The maximum and its curvature; one row.
     """
 
     posterior: LogPosterior
@@ -54,7 +54,7 @@ class Fit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Laplace estimate, with normalised priors of the effects and a constant common to all rigs that differ only in effects."""
+        """Laplace evidence with normalised priors of the effects, up to a constant that rigs share if they differ only in effects."""
         return float(log_evidence(self.optimum)[0]) + sum(_log_normaliser(p) for p in _of_effects(self.rig))
 
     @cached_property
@@ -69,13 +69,13 @@ class Fit:
         return self.posterior.model.circumstances.observations
 
     def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
-        """Values to start another rig from: those of this fit, and what the other rig has beyond it at its nominal values."""
-        more = {name: p.value for name, p in rig.parameters.items() if name not in self.rig.parameters}
-        return {**self.values, **more}
+        """Values to start another rig from: those of this fit; nominal ones for parameters that only the other rig has."""
+        new = {name: p.value for name, p in rig.parameters.items() if name not in self.rig.parameters}
+        return {**self.values, **new}
 
     @cached_property
     def whitening_per_T(self) -> Float[Tensor, " component"]:
-        """What a change of each component weighs: one over its noise, less where it is probably an outlier."""
+        """Weight of each component: one over its noise, less where it is probably an outlier."""
         with torch.no_grad():
             sigma_T = self.posterior.component_sigma_T(self.vector)
             weight = self.posterior.weight(self.posterior.whitened(self.vector), self.vector)
@@ -83,27 +83,29 @@ class Fit:
         return whitening
 
     def weight_over(self, other: Fit) -> Float[Tensor, " component"]:
-        """What a component weighs here over what it weighs in another fit: noise shrinks as causes are taken, outliers fade."""
-        theirs = other.whitening_per_T
-        return torch.where(theirs > 0.0, self.whitening_per_T / theirs, 0.0)
+        """Weight of each component over its weight in another fit: as causes are taken, noise shrinks and outliers fade."""
+        denominator = other.whitening_per_T
+        return torch.where(denominator > 0.0, self.whitening_per_T / denominator, 0.0)
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
-        """Whitened residuals of the measured components, less what a last Newton step would take of them.
+        """Whitened residuals of the measured components after one last Newton step.
 
-        Flexible curves that run nearly along the Jacobian would see any rest of the climb as structure.
+        Without that step, flexible curves that run nearly along the Jacobian would take incomplete convergence for structure.
         """
         with torch.no_grad():
-            here = (self.posterior.measured_T - self.posterior.predicted(self.vector)) * self.whitening_per_T
+            residual = (
+                self.posterior.measured_T - self.posterior.predicted(self.vector)
+            ) * self.whitening_per_T
         free = ~self._is_at_bound
-        gradient = self.jacobian.T @ here + jacrev(self.posterior.coordinates.log_prior)(self.vector)
+        gradient = self.jacobian.T @ residual + jacrev(self.posterior.coordinates.log_prior)(self.vector)
         step = solve(self.optimum.precision[0][free][:, free], gradient[free])
-        left: Tensor = here - self.jacobian[:, free] @ step
-        return left
+        after_step: Tensor = residual - self.jacobian[:, free] @ step
+        return after_step
 
     @property
     def _is_at_bound(self) -> Bool[Tensor, " coordinate"]:
-        """Whose value lies at an end of its prior, where the density may still rise."""
+        """Coordinates at a prior bound."""
         coordinates = self.posterior.coordinates
         lower, upper = coordinates.bounds()
         value = torch.stack([self.values[name] for name in coordinates.names])
@@ -112,28 +114,28 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
-        """Whitened derivative of the predictions in the coordinates."""
-        slope: Tensor = self.posterior.slope(self.vector)
-        return slope * self.whitening_per_T[:, None]
+        """Whitened Jacobian of the predictions in the coordinates."""
+        jacobian_T: Tensor = self.posterior.jacobian(self.vector)
+        return jacobian_T * self.whitening_per_T[:, None]
 
     @cached_property
     def projector(self) -> Projector:
-        """What the fit can follow."""
+        """Projects on what the fit cannot follow."""
         prior = (self.optimum.precision - self.optimum.information)[0]
         return Projector.of(self.jacobian, prior)
 
     @cached_property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
-        """Of the coordinates, by Laplace."""
+        """Laplace covariance of the coordinates."""
         return covariance(self.optimum.precision)[0]
 
     def covariance_beside(
         self, columns: Float[Tensor, "component column"]
     ) -> Float[Tensor, "coordinate coordinate"]:
-        """Covariance of the coordinates where a discrepancy with standard normal coefficients may be in the readings as well."""
-        across = self.jacobian.T @ columns
-        own = columns.T @ columns + torch.eye(columns.shape[1], dtype=torch.float64)
-        lost = across @ torch.linalg.solve(own, across.T)
+        """Covariance of the coordinates with a discrepancy fitted as well, given by columns with standard normal coefficients."""
+        cross = self.jacobian.T @ columns
+        precision = columns.T @ columns + torch.eye(columns.shape[1], dtype=torch.float64)
+        lost = cross @ torch.linalg.solve(precision, cross.T)
         return covariance((self.optimum.precision[0] - lost)[None])[0]
 
     def value_sd(self, name: str, covariance: Tensor | None = None) -> float:
@@ -143,24 +145,28 @@ class Fit:
             name: Of the parameter.
             covariance: Of the coordinates; that of the fit by default.
         """
-        slope = self._value_slopes[name]
-        return float(torch.sqrt(slope @ (self.covariance if covariance is None else covariance) @ slope))
+        gradient = self._value_gradients[name]
+        if covariance is None:
+            covariance = self.covariance
+        return float(torch.sqrt(gradient @ covariance @ gradient))
 
     @cached_property
-    def _value_slopes(self) -> dict[str, Float[Tensor, " coordinate"]]:
-        """Derivative of every number of the rig in the coordinates."""
+    def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
+        """Gradient of every number of the rig in the coordinates."""
         values = self.posterior.coordinates.values
-        slopes: Tensor = jacfwd(lambda vector: torch.stack(list(values(vector).values())))(self.vector)
-        return dict(zip(self.values, slopes, strict=True))
+        gradients: Tensor = jacfwd(lambda vector: torch.stack(list(values(vector).values())))(self.vector)
+        return dict(zip(self.values, gradients, strict=True))
 
     def log_evidence_for(
         self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
     ) -> float:
-        """Log Bayes factor of one of the rig's causes against its null, beside all others; infinite where it has no null to be told from.
+        """Log Bayes factor of one of the rig's causes against its null, beside all others, by the Savage-Dickey ratio.
+
+        It is infinite where no quantity is free, or where one is positive and so never at its null.
 
         Args:
             cause: One that the rig has.
-            beside: Columns of a discrepancy with standard normal coefficients that may be in the readings as well.
+            beside: Columns of a discrepancy with standard normal coefficients, fitted as well.
         References: Dickey and Lientz, Ann. Math. Stat. 41, 214 (1970): ratio of prior and posterior density at the null.
         """
         quantities = {
@@ -171,38 +177,38 @@ class Fit:
         names = [name for name in quantities if name in self.posterior.coordinates.names]
         if not names or any(quantities[name].is_positive for name in names):
             return math.inf
-        columns = [self.posterior.coordinates.names.index(name) for name in names]
+        rows = [self.posterior.coordinates.names.index(name) for name in names]
         null = torch.tensor([quantities[name].null for name in names], dtype=torch.float64)
         vector, covariance = self.vector, self.covariance
         if beside is not None:
             covariance = self.covariance_beside(beside)
-            weight = beside.T @ beside + torch.eye(beside.shape[1], dtype=torch.float64)
-            pull = self.jacobian.T @ (beside @ torch.linalg.solve(weight, beside.T @ self.residual))
+            precision = beside.T @ beside + torch.eye(beside.shape[1], dtype=torch.float64)
+            pull = self.jacobian.T @ (beside @ torch.linalg.solve(precision, beside.T @ self.residual))
             vector = vector - covariance @ pull
-        own = torch.distributions.MultivariateNormal(vector[columns], covariance[columns][:, columns])
+        posterior = torch.distributions.MultivariateNormal(vector[rows], covariance[rows][:, rows])
         log_prior = 0.0
         for name in names:
             prior = self.rig.parameters[name].prior
             assert prior is not None
             log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
-        return log_prior - float(own.log_prob(null))
+        return log_prior - float(posterior.log_prob(null))
 
     def still_has(self, cause: Cause) -> bool:
-        """Whether one of the rig's causes still is itself at the values that were fitted."""
+        """Whether one of the rig's causes is still itself at the fitted values, as its effect defines it."""
         effect = EFFECTS[cause.name]
         return effect.is_itself(
             Use(effect, cause.place).theta(self.values), self.posterior.model.circumstances
         )
 
     def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
-        """The fit in another linear model about it, as far as evidence of more columns goes: that takes these two."""
+        """The fit with another projector and residual, all that the evidence of further columns depends on."""
         copy = Fit(self.posterior, self.optimum)
         copy.__dict__.update(projector=projector, residual=residual)
         return copy
 
     @property
     def free_noise(self) -> FreeNoise | None:
-        """How the noise of the sensors may follow; None where it is known."""
+        """The fitted noise of the sensors, as far as it may shrink; None where the noise is known."""
         priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]
         widths = [p.relative_sd if isinstance(p, LogNormal) else 1.0 for p in priors if p is not None]
         if not widths:
@@ -218,7 +224,7 @@ class Fit:
 
 
 def resolution_T(measured_T: Float[Tensor, " component"]) -> float:
-    """The step in which readings were written down, as far as they show it: the smallest difference between two of them; 0 for one.
+    """Resolution of the recorded readings: the smallest difference between two of them; 0 where there is none.
 
     Examples:
         >>> resolution_T(torch.tensor([1.20e-3, 1.21e-3, 1.20e-3, 1.26e-3], dtype=torch.float64))
@@ -238,13 +244,15 @@ def fit_rig(
     more_starts: int = 0,
     tolerance: float | None = None,
 ) -> Fit:
-    """Climb from given values of the rig's parameters, and from some draws of the prior, to the highest maximum.
+    """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
     Args:
-        rig, observations, rules: What is fitted to what.
-        start: Values by parameter; names that the rig has not got are left out.
-        more_starts: Draws of the prior.
-        tolerance: In log density, of what a further step would gain; `policy.FINE_TOLERANCE` by default.
+        rig: The rig with its effects.
+        observations: The readings.
+        start: Values by parameter; names that the rig does not have are ignored.
+        rules: Quadrature rule of each winding.
+        more_starts: Number of draws of the prior.
+        tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)

@@ -1,7 +1,7 @@
-"""Evidence for more columns in a linear model with normal noise and priors: the algebra behind screening and resolution.
+"""Evidence for further columns in a linear model with normal noise and priors: the algebra behind screening and resolution.
 
-At the maximum of a fit the whitened residual r is what new columns T could explain after the fitted columns J have taken their part.
-With priors on both the gain in evidence is closed; where the noise is fitted too, its profile replaces the quadratic.
+At the maximum of a fit, new columns T can explain of the whitened residual r what the fitted columns J leave. With normal priors on both
+the log Bayes factor has a closed form. Where the noise is fitted too, its profile replaces the quadratic.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 
-N_SHRINKS = 101  # logarithms of the noise that are looked at
-TINY = 1e-12  # square of a column, in units of the noise and its prior, below which nothing is said of it
+N_SHRINKS = 101  # grid of the logarithm of the noise
+TINY = 1e-12  # smallest square of a column, in units of the noise and its prior, that is divided by
 
 
 @dataclass(frozen=True)
 class Projector:
-    """Takes out of whitened vectors what the fitted parameters can follow, within their priors.
+    """Removes from whitened vectors what the fitted parameters can follow, within their priors.
 
     Attributes:
         jacobian: Whitened derivative of the predictions.
@@ -45,27 +45,27 @@ class Projector:
         return cls(jacobian, factor)
 
     def gram(
-        self, one: Float[Tensor, "component column"], other: Float[Tensor, "component column2"]
+        self, first: Float[Tensor, "component column"], second: Float[Tensor, "component column2"]
     ) -> Float[Tensor, "column column2"]:
         """Inner products of two sets of vectors after projection."""
-        follow_one, follow_other = (self.factor.T @ (self.jacobian.T @ v) for v in (one, other))
-        product: Tensor = one.T @ other - follow_one.T @ follow_other
+        followed_first, followed_second = (self.factor.T @ (self.jacobian.T @ v) for v in (first, second))
+        product: Tensor = first.T @ second - followed_first.T @ followed_second
         return product
 
     def rest(self, change: Float[Tensor, "component ..."]) -> Float[Tensor, "component ..."]:
-        """What the fit cannot follow of one change of the readings, or of several."""
+        """The part of one or several changes of the readings that the fit cannot follow."""
         followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
         return change - followed
 
 
 @dataclass(frozen=True)
 class FreeNoise:
-    """A noise that was fitted and would shrink if more were explained, as far as its prior allows.
+    """A fitted noise, which shrinks within its prior when further columns explain more.
 
     Attributes:
         n: Number of components.
-        width: Of its prior, in the logarithm. The slope of the prior at the fit is balanced by that of the data there.
-        most_shrink: Logarithm of the smallest noise that the digits of the readings allow, over the fitted one.
+        width: Standard deviation of its prior, in the logarithm. At the fit the gradients of prior and likelihood cancel.
+        most_shrink: Logarithm of the ratio of the smallest noise that the digits of the readings allow to the fitted one.
     """
 
     n: float
@@ -80,14 +80,14 @@ def log_bayes_factor(
     noise: FreeNoise | None = None,
     started: float = 0.0,
 ) -> Float[Tensor, "*batch"]:
-    """Log evidence gained by columns with normal priors about zero.
+    """Log Bayes factor of columns with normal priors about zero, against none.
 
     Args:
         gram: T^T P T of the projected columns.
         score: T^T r, with r the whitened residual of the fit.
         prior_sd: Of the columns' coefficients.
-        noise: Where the noise was fitted; it then follows. None where it is known.
-        started: Gain in log density of the start about which the columns are taken, where that is not the fit itself.
+        noise: The fitted noise, which shrinks; None where the noise is known.
+        started: Rise in log density at the start about which the columns are taken, where that is not the fit itself.
     References: MacKay, Information Theory, Inference, and Learning Algorithms (2003), section 28.1.
     Examples:
         >>> one = torch.ones(1, dtype=torch.float64)
@@ -99,12 +99,12 @@ def log_bayes_factor(
     size = size.clamp(min=0.0)
     square = ((vectors.mT @ (score * prior_sd)[..., None])[..., 0]) ** 2
     if noise is None:
-        known: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
-        return known
-    # All directions explain no more together than there is. Rounding blows up those that the fit follows: they come last.
+        evidence: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
+        return evidence
+    # Together the directions explain at most n. Rounding inflates those that the fit follows, so they come last.
     reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=noise.n)
     square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))
-    # Over the logarithm of the noise; columns weigh more where it is smaller, and their freedom costs more.
+    # Profile over the logarithm of the noise: at smaller noise the columns weigh more, and so does their Occam factor.
     shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
     grown = torch.exp(-2.0 * shrink)
     size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
@@ -115,5 +115,5 @@ def log_bayes_factor(
 
 
 def log_mean_exp(values: Float[Tensor, " value"]) -> float:
-    """Logarithm of the mean of exponentials: evidence averaged over equally likely alternatives."""
+    """Logarithm of the mean of exponentials: log evidence averaged over equally probable alternatives."""
     return float(torch.logsumexp(values, 0)) - math.log(len(values))

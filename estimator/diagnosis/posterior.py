@@ -1,4 +1,4 @@
-"""The posterior of a rig that a diagnosis has extended, as wide as what remains unexplained asks for."""
+"""The posterior of an extended rig, widened by what remains unexplained."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def extended_posterior(
     seed: int = 0,
     settings: SamplerSettings | None = None,
 ) -> Calibration:
-    """Calibrate the extended rig; where something remains unexplained, spread the draws for that.
+    """Calibrate the extended rig; widen the draws where something remains unexplained.
 
     Args:
         session: Readings; those marked as validation are kept out.
-        rig: With the causes that were found.
-        widening: What the fit of that rig leaves open for what remains unexplained; None where nothing does.
+        rig: The extended rig.
+        widening: By how much to widen; None where nothing remains unexplained.
         out, seed, settings: As in `calibrate`; what `out` holds is replaced.
-    Returns: The calibrated model. Where its draws were spread, `summary()["widening"]` says by what factor the standard deviation of each
-        parameter grew.
+    Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation
+        of each parameter grew.
     """
     sampled = calibrate(session, rig, out=out, overwrite=True, seed=seed, settings=settings)
     if widening is None:

@@ -1,4 +1,4 @@
-"""The page of one diagnosis: what the simulation gets wrong, which cause that has, and what is gained by knowing it."""
+"""The HTML report of one diagnosis: verdict, causes with their sizes, validation, and all hypotheses that were considered."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
-from estimator.diagnosis.gain import Judged
-from estimator.diagnosis.hypotheses.step import Rival, Step, shares_of
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.result import Diagnosis, Interval
+from estimator.diagnosis.validation import ValidationScores
 from estimator.diagnosis.verdict import Alternative, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.units import split_unit
 
-MOST_RIVALS = 8
+MOST_HYPOTHESES = 8
 MOST_STEPS = 6
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
@@ -24,8 +24,8 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
     """HTML of one diagnosis, self-contained.
 
     Args:
-        diagnosis: As `estimator.diagnosis.diagnose` returns it.
-        command: What produced it, shown as provenance.
+        diagnosis: The result of `estimator.diagnose`.
+        command: Command that produced it, shown as provenance.
     """
     page = ReportPage(
         title=f"Diagnosis of {diagnosis.rig.name}",
@@ -61,37 +61,40 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict is Verdict.NAMED:
         first = f"Found: {listed}."
     elif diagnosis.verdict is Verdict.INDISTINGUISHABLE:
-        first = f"Found, but not down to one cause: {listed}."
+        first = f"Found, but not distinguishable from other causes: {listed}."
     elif diagnosis.verdict is Verdict.UNEXPLAINED:
-        known = f" What can be named: {listed}." if listed else ""
+        known = f" Named causes: {listed}." if listed else ""
         first = f"Something is wrong that no known cause explains.{known}"
     else:
-        first = "Nothing is wrong that these readings could show."
+        first = "These readings show nothing wrong."
     sentences = [first]
-    for one in diagnosis.causes:
-        if one.alternatives:
-            others = ", or ".join(_alternative(diagnosis, other) for other in one.alternatives)
+    for named in diagnosis.causes:
+        if named.alternatives:
+            alternatives = ", or ".join(_alternative(diagnosis, other) for other in named.alternatives)
             sentences.append(
-                f"{diagnosis.label(one.cause)} ({one.probability:.0%}) could as well be {others}."
+                f"Instead of {diagnosis.label(named.cause)} ({named.probability:.0%}) the cause may be {alternatives}."
             )
-    if diagnosis.found.stand_ins:
-        kept = ", ".join(diagnosis.label(cause) for cause in diagnosis.found.stand_ins)
+    if diagnosis.findings.stand_ins:
+        labels = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         sentences.append(
-            f"The extended rig also has {kept}: needed here, but something unknown may look like them."
+            f"The extended rig also has {labels}: the fit needs them, but they may stand in for something unknown."
         )
     sentences += [_next(diagnosis)] if diagnosis.left_open.next_measurements else []
-    left = diagnosis.found.search.steps[-1].left
+    remainder = diagnosis.findings.search.steps[-1].discrepancy
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        seen = left if left.log_bayes_factor > 0.0 else diagnosis.found.search.whole
-        sentences.append(f"What is left looks like {seen.family}: {seen.rms_sigma:.2g} of the noise rms.")
-    gain = diagnosis.gain
-    if gain is not None and diagnosis.fits.extended.rig.effects:
+        if remainder.log_bayes_factor <= 0.0:
+            remainder = diagnosis.findings.search.base_discrepancy
         sentences.append(
-            f"On {len(gain.before.log_density)} readings kept out of all fits the error falls from "
-            f"{_microtesla(gain.before)} to {_microtesla(gain.after)}."
-            if gain.is_there
-            else f"On {len(gain.before.log_density)} readings kept out of all fits the extension gains nothing that is certain: "
-            f"{_microtesla(gain.before)} before, {_microtesla(gain.after)} after."
+            f"What remains unexplained looks like {remainder.family}; its rms is {remainder.rms_sigma:.2g} times the noise."
+        )
+    improvement = diagnosis.improvement
+    if improvement is not None and diagnosis.fits.extended.rig.effects:
+        sentences.append(
+            f"On {len(improvement.before.log_density)} readings not used for fitting the rms error falls from "
+            f"{_microtesla(improvement.before)} to {_microtesla(improvement.after)}."
+            if improvement.is_significant
+            else f"On {len(improvement.before.log_density)} readings not used for fitting the extension brings no significant "
+            f"improvement: rms error {_microtesla(improvement.before)} before, {_microtesla(improvement.after)} after."
         )
     sentences.append("Before: " + " ".join(diagnosis.fits.before.sentences()))
     if diagnosis.fits.extended.rig.effects:
@@ -100,10 +103,10 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
 
 
 def _alternative(diagnosis: Diagnosis, other: Alternative) -> str:
-    """Another name, how probable it is, and whether the readings could have told."""
-    apart = other.expected_log_evidence
-    why = "" if apart is None else f"; these readings tell the two apart by {apart:.2g} in log evidence"
-    return f"{diagnosis.label(other.cause)} ({other.probability:.0%}{why})"
+    """An alternative, its probability, and the expected log evidence between it and the named cause."""
+    expected = other.expected_log_evidence
+    words = "" if expected is None else f"; expected log evidence between the two {expected:.2g}"
+    return f"{diagnosis.label(other.cause)} ({other.probability:.0%}{words})"
 
 
 def _next(diagnosis: Diagnosis) -> str:
@@ -112,19 +115,20 @@ def _next(diagnosis: Diagnosis) -> str:
 
 
 def _warnings(diagnosis: Diagnosis) -> list[str]:
-    found = []
-    gain = diagnosis.gain
-    if gain is None:
-        found.append("No readings were kept out of the fits, so nothing judges the gain.")
-    elif not policy.LEAST_COVERAGE90 < gain.after.coverage90 < policy.MOST_COVERAGE90:
-        found.append(
-            f"The 90 % intervals of the extended model hold {gain.after.coverage90:.0%} of the components of unseen readings."
+    warnings = []
+    improvement = diagnosis.improvement
+    if improvement is None:
+        warnings.append("No readings were kept out of the fits, so the extension is not validated.")
+    elif not policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
+        warnings.append(
+            f"The 90 % predictive intervals of the extended model contain {improvement.after.coverage90:.0%} of the components of "
+            "unseen readings."
         )
-    for cause in diagnosis.found.search.dropped:
-        found.append(
-            f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained what it had explained."
+    for cause in diagnosis.findings.search.dropped:
+        warnings.append(
+            f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
         )
-    return found
+    return warnings
 
 
 def _tables(diagnosis: Diagnosis) -> list[Table]:
@@ -136,37 +140,44 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
     ]  # fmt: skip
     if rows:
         header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
-        tables.append(Table("What was found", header, rows, "In the extended rig, rig_extended.yaml."))
-    if diagnosis.gain is not None:
-        tables.append(_gain_table(diagnosis))
+        tables.append(
+            Table(
+                "What was found",
+                header,
+                rows,
+                "Quantities of the causes in the extended rig (rig_extended.yaml).",
+            )
+        )
+    if diagnosis.improvement is not None:
+        tables.append(_validation_table(diagnosis))
         moved = _moved_table(diagnosis)
         tables += [moved] if moved.rows else []
     if diagnosis.left_open.next_measurements:
         proposals = [
-            [one.action.words, " or ".join(one.splits), f"{one.expected_log_evidence:.1f}"]
-            for one in diagnosis.left_open.next_measurements
+            [proposal.action.words, " or ".join(proposal.splits), f"{proposal.expected_log_evidence:.1f}"]
+            for proposal in diagnosis.left_open.next_measurements
         ]
         tables.append(
             Table(
                 "What to measure next",
                 ["readings", "tells apart", "expected log evidence"],
                 proposals,
-                "What they add to the readings so far, the best few; 3 is 20 to 1, and what adds less is not listed.",
+                "Expected log evidence that each adds, best first. Programmes that add less than 3 (odds of 20 to 1) are not listed.",
             )
         )
     return tables
 
 
 def _appendix(diagnosis: Diagnosis) -> list[Table]:
-    races = enumerate(diagnosis.races[:MOST_STEPS], start=1)
+    comparisons = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
     return [
-        *(_rivals_table(diagnosis, step, number, title) for number, (title, step) in races),
+        *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons),
         _visible_table(diagnosis),
     ]
 
 
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
-    found = []
+    parameters = []
     for cause in diagnosis.fits.final.rig.effects:
         for key, p in diagnosis.quantities(cause).items():
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
@@ -177,27 +188,27 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
             else:
                 factor, unit = display.factor, display.unit or p.unit
             label = diagnosis.label(cause)
-            role = " (stands in)" if cause in diagnosis.found.stand_ins else ""
-            found.append((label + role, key, p, factor, unit))
-    return found
+            role = " (stands in)" if cause in diagnosis.findings.stand_ins else ""
+            parameters.append((label + role, key, p, factor, unit))
+    return parameters
 
 
-def _gain_table(diagnosis: Diagnosis) -> Table:
-    gain = diagnosis.gain
-    assert gain is not None
+def _validation_table(diagnosis: Diagnosis) -> Table:
+    improvement = diagnosis.improvement
+    assert improvement is not None
     rows = []
-    for name, judged in (("before", gain.before), ("after", gain.after)):
-        angle = judged.errors.angular_deviation_rad
+    for name, scores in (("before", improvement.before), ("after", improvement.after)):
+        angle = scores.errors.angular_deviation_rad
         rows.append(
             [
                 name,
-                _microtesla(judged),
-                f"{judged.errors.relative:.3%}",
-                f"{judged.errors.max_T * 1e6:.4g} µT",
+                _microtesla(scores),
+                f"{scores.errors.relative:.3%}",
+                f"{scores.errors.max_T * 1e6:.4g} µT",
                 f"{math.degrees(angle):.3f}°" if math.isfinite(angle) else "—",
-                f"{judged.coverage50:.0%}",
-                f"{judged.coverage90:.0%}",
-                f"{judged.elpd:.1f}",
+                f"{scores.coverage50:.0%}",
+                f"{scores.coverage90:.0%}",
+                f"{scores.elpd:.1f}",
             ]
         )
     header = [
@@ -208,22 +219,22 @@ def _gain_table(diagnosis: Diagnosis) -> Table:
         "mean angle",
         "in 50 %",
         "in 90 %",
-        "log density",
+        "elpd",
     ]
-    says = (
-        f"Log predictive density changes by {gain.elpd_difference:+.1f} ± {gain.elpd_se:.1f} (standard error over readings). "
-        "The columns `in` give the share of components inside intervals of that probability."
+    caption = (
+        f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
+        "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
     )
-    return Table("Gain on readings not used for fitting", header, rows, says)
+    return Table("Improvement on readings not used for fitting", header, rows, caption)
 
 
 def _moved_table(diagnosis: Diagnosis) -> Table:
-    gain = diagnosis.gain
-    assert gain is not None
-    names = [name for name, sd in gain.moved_sd.items() if abs(sd) > policy.MOVED_SD]
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    names = [name for name, sd in improvement.moved_sd.items() if abs(sd) > policy.MOVED_SD]
     display = displays(names)
     rows = []
-    for name in sorted(names, key=lambda n: -abs(gain.moved_sd[n])):
+    for name in sorted(names, key=lambda n: -abs(improvement.moved_sd[n])):
         show = display[name]
         old, new = (
             float(fit.values[name]) * show.factor for fit in (diagnosis.fits.plain, diagnosis.fits.final)
@@ -234,38 +245,41 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
                 with_sd(old, diagnosis.fits.plain.value_sd(name) * show.factor),
                 with_sd(new, diagnosis.value_sd(name) * show.factor),
                 show.unit or "1",
-                f"{gain.moved_sd[name]:+.1f}".replace("-", "−"),
+                f"{improvement.moved_sd[name]:+.1f}".replace("-", "−"),
             ]
         )
     return Table(
-        "What the plain model had bent to hide it",
+        "Parameters biased in the plain model",
         ["parameter", "before", "after", "unit", "moved (sd)"],
         rows,
-        "Parameters of the rig that the extension moved by more than one standard deviation.",
+        "Parameters of the rig that the extension moves by more than one standard deviation of the plain fit.",
     )
 
 
-def _rivals_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
-    """Who else was in the race."""
-    causes = [rival for rival in step.rivals if rival.cause is not None]
-    share = dict(zip((rival.name for rival in causes), shares_of(causes), strict=True))
+def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
+    """All hypotheses of a step."""
+    causes = [hypothesis for hypothesis in step.hypotheses if hypothesis.cause is not None]
+    probability = dict(zip((hypothesis.name for hypothesis in causes), shares_of(causes), strict=True))
     rows = [
         [
-            diagnosis.label_of_rival(rival),
-            _words(rival),
-            _signed(rival.log_bayes_factor),
-            _percent(share.get(rival.name)),
-            "—" if rival.held_out is None else f"{_signed(rival.held_out.gain)} ± {rival.held_out.se:.1f}",
-            _why(step, rival),
+            diagnosis.label_of_hypothesis(hypothesis),
+            _words(hypothesis),
+            _signed(hypothesis.log_bayes_factor),
+            _percent(probability.get(hypothesis.name)),
+            "—"
+            if hypothesis.held_out is None
+            else f"{_signed(hypothesis.held_out.elpd_difference)} ± {hypothesis.held_out.elpd_se:.1f}",
+            _why(step, hypothesis),
         ]
-        for i, rival in enumerate(step.rivals)
-        if i < MOST_RIVALS or rival.cause is None  # nothing and the unexplained are always in the race
+        for i, hypothesis in enumerate(step.hypotheses)
+        if i < MOST_HYPOTHESES or hypothesis.cause is None  # `nothing` and `unexplained` are always listed
     ]
     return Table(
-        f"Who was considered, step {number}: {title} taken",
-        ["hypothesis", "meaning", "log evidence", "among causes", "unseen blocks", "outcome"],
+        f"Hypotheses considered, step {number}: {title} taken",
+        ["hypothesis", "meaning", "log Bayes factor", "among causes", "unseen blocks", "outcome"],
         rows,
-        "Unseen blocks: gain in log density where each block of places is predicted from the others; ± is its standard error.",
+        "Log Bayes factors are against nothing wrong. Unseen blocks: change in log predictive density where each block of neighbouring "
+        "positions is predicted from the others, with its standard error.",
     )
 
 
@@ -285,62 +299,67 @@ def _percent(share: float | None) -> str:
     return f"{share:.1%}" if share > 1e-3 else "< 0.1 %"
 
 
-def _words(rival: Rival) -> str:
-    if rival.cause is not None:
-        return EFFECTS[rival.cause.name].words
-    return "no flaw" if rival.name == "nothing" else "a flexible curve that stands for what no cause explains"
+def _words(hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None:
+        return EFFECTS[hypothesis.cause.name].words
+    return (
+        "nothing wrong"
+        if hypothesis.name == "nothing"
+        else "a flexible curve, for what no known cause explains"
+    )
 
 
-def _why(step: Step, rival: Rival) -> str:
-    if rival.cause is not None and rival.cause == step.taken:
+def _why(step: Step, hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None and hypothesis.cause == step.taken:
         return "taken"
-    if rival in step.credible and step.taken is not None:
-        return "cannot be told from what was taken"
-    best = next((r for r in step.rivals if r.cause == step.taken), None)
-    if rival.name == "unexplained":
-        return "asked again at the end"
+    if hypothesis in step.credible and step.taken is not None:
+        return "cannot be told apart from what was taken"
+    best = next((r for r in step.hypotheses if r.cause == step.taken), None)
+    if hypothesis.name == "unexplained":
+        return "tested again at the end"
     if best is None or step.taken is None:
-        return "not needed" if rival.cause is not None else ""
-    if rival.held_out is not None and rival.held_out.is_loss:
-        return "predicts unseen places worse"
-    behind = best.log_bayes_factor - rival.log_bayes_factor
-    if rival.name == "nothing":
+        return "not needed" if hypothesis.cause is not None else ""
+    if hypothesis.held_out is not None and hypothesis.held_out.is_loss:
+        return "predicts unseen blocks worse"
+    behind = best.log_bayes_factor - hypothesis.log_bayes_factor
+    if hypothesis.name == "nothing":
         return f"explains nothing: {behind:.1f} behind"
-    return f"explains less: {behind:.1f} behind" if behind > 0.0 else "asked again after what was taken"
+    return f"explains less: {behind:.1f} behind" if behind > 0.0 else "tested again later"
 
 
 def _visible_table(diagnosis: Diagnosis) -> Table:
-    visible = [one for one in diagnosis.left_open.visible if one.is_visible]
-    hidden = {diagnosis.label(one.cause) for one in diagnosis.left_open.visible} - {
-        diagnosis.label(o.cause) for o in visible
+    visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
+    hidden = {diagnosis.label(quantity.cause) for quantity in diagnosis.left_open.visible} - {
+        diagnosis.label(quantity.cause) for quantity in visible
     }
     sizes: dict[str, list[str]] = {}
-    for one in visible:
-        quantity = split_unit(one.key)[0] if one.unit != "T/h" else one.key[0]
-        sizes.setdefault(diagnosis.label(one.cause), []).append(
-            f"{quantity} {size_with_unit(one.size, one.unit)}"
+    for quantity in visible:
+        name = split_unit(quantity.key)[0] if quantity.unit != "T/h" else quantity.key[0]
+        sizes.setdefault(diagnosis.label(quantity.cause), []).append(
+            f"{name} {size_with_unit(quantity.size, quantity.unit)}"
         )
     rows = [[label, "; ".join(words)] for label, words in sizes.items()]
     twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
-    says = "Sizes that these readings would show at five standard deviations, were nothing else wrong."
+    caption = "Sizes that would change these readings by five standard deviations if nothing else were wrong."
     if hidden:
-        says += f" Not visible at any likely size: {', '.join(sorted(hidden))}."
+        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
     if twins:
-        says += f" Never to be told apart here: {twins}."
-    return Table("What these readings can show", ["cause", "smallest visible"], rows, says)
+        caption += f" These readings cannot tell apart: {twins}."
+    return Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)
 
 
 def _names(diagnosis: Diagnosis) -> list[str]:
-    """What was found, with its meaning; a kind of cause that is there in several places once."""
-    causes = [fault.cause for fault in diagnosis.faults] + [one.cause for one in diagnosis.causes]
-    found = []
+    """The causes that were found, with their meaning; several places of one cause are listed together."""
+    causes = [mistake.cause for mistake in diagnosis.record_mistakes]
+    causes += [named.cause for named in diagnosis.causes]
+    names = []
     for name in dict.fromkeys(cause.name for cause in causes):
         labels = [diagnosis.label(cause) for cause in causes if cause.name == name]
         places = ", ".join(cause.place for cause in causes if cause.name == name)
         label = labels[0] if len(labels) == 1 else f"{name}[{places}]"
-        found.append(f"{label} ({EFFECTS[name].words})")
-    return found
+        names.append(f"{label} ({EFFECTS[name].words})")
+    return names
 
 
-def _microtesla(judged: Judged) -> str:
-    return f"{judged.errors.vector_T * 1e6:.4g} µT"
+def _microtesla(scores: ValidationScores) -> str:
+    return f"{scores.errors.vector_T * 1e6:.4g} µT"

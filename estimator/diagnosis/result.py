@@ -1,11 +1,11 @@
-"""The verdict on a session, and how `diagnosis.json` says it (docs/file-formats.md)."""
+"""The result of a diagnosis, and its JSON form `diagnosis.json` (docs/file-formats.md)."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ import torch
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.gain import Gain
-from estimator.diagnosis.hypotheses.record_mistakes import Fault
-from estimator.diagnosis.hypotheses.search import Search, Stage
-from estimator.diagnosis.hypotheses.step import Rival, Step
+from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
+from estimator.diagnosis.hypotheses.search import Addition, Search
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.structure.symptoms import Symptoms
+from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
@@ -38,7 +38,7 @@ DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
 
 
 def label_of(cause: Cause, rig: Rig) -> str:
-    """Name of a cause; with its place where the rig has several."""
+    """Name of a cause, with its place where the rig has several for it."""
     return cause.name if len(EFFECTS[cause.name].places(rig)) < 2 else cause.label
 
 
@@ -47,7 +47,7 @@ class Question:
     """What was asked.
 
     Attributes:
-        rig: As it was described.
+        rig: As described.
         source: Where the readings come from.
         seed: Of the split, the thinning, the starts and the sampling.
     """
@@ -58,32 +58,32 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What the search came to.
+class Findings:
+    """Results of the search.
 
     Attributes:
-        search: How the causes were found, step by step.
-        faults: Mistakes of the record that were undone first.
-        causes: What was named after that, in order.
-        stand_ins: What the extended rig has beside them: taken, but not named, for something unknown may look like it.
+        search: The steps by which the causes were found.
+        record_mistakes: Mistakes of the record, undone before the search.
+        causes: The named causes, in order.
+        stand_ins: Further causes of the extended rig. They are not named, for something unknown may look like them.
     """
 
     search: Search
-    faults: tuple[Fault, ...] = ()
+    record_mistakes: tuple[RecordMistake, ...] = ()
     causes: tuple[NamedCause, ...] = ()
     stand_ins: tuple[Cause, ...] = ()
 
 
 @dataclass(frozen=True)
 class Fits:
-    """The rig without and with what was found.
+    """Fits of the rig without and with the causes that were found.
 
     Attributes:
-        plain: The rig as it was described, fitted.
-        extended: The rig with what was named and what stands in for the rest, fitted to the readings of the search.
-        final: The same, fitted to many readings.
-        before, after: What the residuals of `plain` and `extended` show.
-        gain: On readings that were not used for fitting; None where there are none.
+        plain: The rig as described.
+        extended: The extended rig, fitted to the readings of the search.
+        final: The extended rig, fitted to more readings.
+        before, after: Symptoms in the residuals of `plain` and `extended`.
+        improvement: Of the predictions of unseen readings; None where there are none.
     """
 
     plain: Fit
@@ -91,7 +91,7 @@ class Fits:
     final: Fit
     before: Symptoms
     after: Symptoms
-    gain: Gain | None = None
+    improvement: Improvement | None = None
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class LeftOpen:
 
     Attributes:
         visible: Smallest visible size of every quantity of every cause.
-        twins: Groups of causes that this session could not tell apart.
-        next_measurements: What would tell the alternatives apart, best first.
-        widening: By what the intervals of the extended rig grow for what remains unexplained; None where nothing does.
+        twins: Groups of causes that this session cannot tell apart.
+        next_measurements: Proposals that would tell the alternatives apart, best first.
+        widening: Growth of the intervals of the extended rig; None where nothing remains unexplained.
     """
 
     visible: tuple[Visible, ...] = ()
@@ -130,14 +130,14 @@ class SizedCause:
     """A cause of the verdict, or a mistake of the record, with the sizes of its quantities.
 
     Attributes:
-        cause: Kind and place.
-        name: Of the cause; with its place where the rig has several.
-        probability: Among its alternatives.
-        alternatives: The others that it could be.
-        alternative_names: Of these, as `name`.
+        cause: Name and place.
+        name: Of the cause, with its place where the rig has several for it.
+        probability: Posterior probability among itself and its alternatives.
+        alternatives: The other causes that it could be.
+        alternative_names: Their names, written like `name`.
         log_bayes_factor: Against nothing, when it was taken.
-        quantities: By their SI keys, those that the session can see.
-        is_fault: A mistake of the record.
+        quantities: Those that the session can see, by SI key.
+        is_record_mistake: Whether it is a mistake of the record.
     """
 
     cause: Cause
@@ -147,13 +147,13 @@ class SizedCause:
     alternative_names: tuple[str, ...]
     log_bayes_factor: float
     quantities: Mapping[str, Interval]
-    is_fault: bool = False
+    is_record_mistake: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it; between mistakes of the record nothing is expected of further readings."""
+        """As `diagnosis.json` holds it; mistakes of the record have no expected log evidence."""
         alternatives = [
             {"name": name, "probability": alternative.probability}
-            | ({} if self.is_fault else {"expected_log_evidence": alternative.expected_log_evidence})
+            | ({} if self.is_record_mistake else {"expected_log_evidence": alternative.expected_log_evidence})
             for name, alternative in zip(self.alternative_names, self.alternatives, strict=True)
         ]
         return {
@@ -168,21 +168,21 @@ class SizedCause:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The verdict on a session.
+    """The result of a diagnosis.
 
     Attributes:
         question: What was asked.
         verdict: The outcome.
-        found: The causes, and how they were found.
-        fits: The rig without and with them.
+        findings: The causes, and the search that found them.
+        fits: The rig without and with the causes.
         left_open: What these readings cannot tell.
-        extended_rig: The rig with what was named and what stands in for the rest, as `rig_extended.yaml` holds it.
+        extended_rig: The rig with the named causes and the stand-ins, as `rig_extended.yaml` holds it.
         posterior: The extended rig, sampled and widened; None where that was not asked for or nothing was found.
     """
 
     question: Question
     verdict: Verdict
-    found: Found
+    findings: Findings
     fits: Fits
     left_open: LeftOpen
     extended_rig: Rig
@@ -190,87 +190,88 @@ class Diagnosis:
 
     @property
     def rig(self) -> Rig:
-        """As it was described."""
+        """The rig as described."""
         return self.question.rig
 
     @property
     def causes(self) -> tuple[NamedCause, ...]:
-        """What was named, in order."""
-        return self.found.causes
+        """The named causes, in order."""
+        return self.findings.causes
 
     @property
-    def faults(self) -> tuple[Fault, ...]:
-        """Mistakes of the record that were undone first."""
-        return self.found.faults
+    def record_mistakes(self) -> tuple[RecordMistake, ...]:
+        """Mistakes of the record, undone before the search."""
+        return self.findings.record_mistakes
 
     @property
-    def gain(self) -> Gain | None:
-        """On readings that were not used for fitting; None where there are none."""
-        return self.fits.gain
+    def improvement(self) -> Improvement | None:
+        """Of the predictions of unseen readings; None where there are none."""
+        return self.fits.improvement
 
     def label(self, cause: Cause) -> str:
-        """Name of a cause; with its place where the rig has several."""
+        """Name of a cause, with its place where the rig has several for it."""
         return label_of(cause, self.rig)
 
-    def label_of_stage(self, stage: Stage) -> str:
-        """What the search took in one go."""
-        number = Counter(cause.name for cause in stage.causes)
-        alone = {cause.name: self.label(cause) for cause in stage.causes}
-        return " + ".join(alone[name] if n == 1 else f"{name} at {n} places" for name, n in number.items())
+    def label_of_addition(self, addition: Addition) -> str:
+        """Names of the causes that the search took together."""
+        n_places = Counter(cause.name for cause in addition.causes)
+        label = {cause.name: self.label(cause) for cause in addition.causes}
+        return " + ".join(label[name] if n == 1 else f"{name} at {n} places" for name, n in n_places.items())
 
     @property
-    def races(self) -> list[tuple[str, Step]]:
-        """What was taken in one go, and how the first of each kind of it compares with all other hypotheses; the last took nothing."""
-        search = self.found.search
-        first = [
-            (self.label_of_stage(stage), search.step_of(cause))
-            for stage in search.stages
-            for cause in {cause.name: cause for cause in reversed(stage.causes)}.values()
+    def comparisons(self) -> list[tuple[str, Step]]:
+        """For each addition its label and the step of the first cause of each name; last, the step that took nothing."""
+        search = self.findings.search
+        steps = [
+            (self.label_of_addition(addition), search.step_of(cause))
+            for addition in search.additions
+            for cause in {cause.name: cause for cause in reversed(addition.causes)}.values()
         ]
-        return [*first, ("nothing more", search.steps[-1])]
+        return [*steps, ("nothing more", search.steps[-1])]
 
     @property
     def sized_causes(self) -> tuple[SizedCause, ...]:
-        """Mistakes of the record, then what was named, with their sizes."""
-        return (*map(self._sized_fault, self.faults), *map(self._sized, self.causes))
+        """Mistakes of the record, then the named causes, with their sizes."""
+        return (*map(self._sized_mistake, self.record_mistakes), *map(self._sized, self.causes))
 
     def evidence(self) -> dict[str, float]:
         """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
         return {
-            self.label_of_rival(rival): rival.log_bayes_factor for rival in self.found.search.steps[0].rivals
+            self.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
+            for hypothesis in self.findings.search.steps[0].hypotheses
         }
 
-    def label_of_rival(self, rival: Rival) -> str:
-        """Name of a hypothesis: of its cause, where it has one."""
-        return rival.name if rival.cause is None else self.label(rival.cause)
+    def label_of_hypothesis(self, hypothesis: Hypothesis) -> str:
+        """Name of the hypothesis' cause; else `nothing` or `unexplained`."""
+        return hypothesis.name if hypothesis.cause is None else self.label(hypothesis.cause)
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:
-        """Each quantity of a cause that the session can see, by its SI key."""
+        """Quantities of a cause that the session can see, by SI key."""
         fit, prefix = self.fits.final, f"{cause.label}."
         unseen = EFFECTS[cause.name].unseen(fit.posterior.model.circumstances, cause.place)
         keys = [name.removeprefix(prefix) for name in fit.rig.parameters if name.startswith(prefix)]
         return {key: self._interval(prefix + key) for key in keys if key not in unseen}
 
     def rig_numbers(self) -> dict[str, Interval]:
-        """Each free number that the rig had before."""
+        """Free parameters of the rig as described."""
         parameters = self.fits.final.rig.parameters
         return {p.name: self._interval(p.name) for p in self.rig.free if p.name in parameters}
 
     def value_sd(self, name: str) -> float:
-        """Standard deviation of a free number of the extended rig by Laplace, with room for what remains unexplained."""
+        """Standard deviation of a free parameter of the extended rig by Laplace, widened by what remains unexplained."""
         widening = self.left_open.widening
         return (1.0 if widening is None else widening.factors[name]) * self.fits.final.value_sd(name)
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
-        search, left_open, gain = self.found.search, self.left_open, self.gain
-        left = search.steps[-1].left
+        search, left_open, improvement = self.findings.search, self.left_open, self.improvement
+        remainder = search.steps[-1].discrepancy
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
             "causes": [cause.to_json() for cause in self.sized_causes],
             "stand_ins": [
                 {"name": self.label(c), "place": c.place, "parameters": _to_json(self.quantities(c))}
-                for c in self.found.stand_ins
+                for c in self.findings.stand_ins
             ],
             "indistinguishable": [[self.label(cause) for cause in group] for group in left_open.twins],
             "next_measurement": [
@@ -290,9 +291,9 @@ class Diagnosis:
             },
             "signatures": {"before": self.fits.before.to_json(), "after": self.fits.after.to_json()},
             "unexplained": {
-                "log_bayes_factor": left.log_bayes_factor,
-                "looks_like": left.family,
-                "rms_sigma": left.rms_sigma,
+                "log_bayes_factor": remainder.log_bayes_factor,
+                "looks_like": remainder.family,
+                "rms_sigma": remainder.rms_sigma,
             },
             "rig_parameters": _to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
@@ -300,10 +301,11 @@ class Diagnosis:
             "dropped": [self.label(cause) for cause in search.dropped],
             "seed": self.question.seed,
         }
-        if gain is not None:
-            result["gain"] = {"before": gain.before.to_json(), "after": gain.after.to_json()}
-            result["elpd_difference"], result["elpd_se"] = gain.elpd_difference, gain.elpd_se
-            result["moved_sd"] = gain.moved_sd
+        if improvement is not None:
+            result["gain"] = {"before": improvement.before.to_json(), "after": improvement.after.to_json()}
+            result["elpd_difference"] = improvement.elpd_difference
+            result["elpd_se"] = improvement.elpd_se
+            result["moved_sd"] = improvement.moved_sd
         return result
 
     def save(self, folder: Path) -> None:
@@ -313,7 +315,7 @@ class Diagnosis:
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
 
     def _interval(self, name: str) -> Interval:
-        """Of a number of the extended rig, sampled or by Laplace, with room for what remains unexplained."""
+        """Of a number of the extended rig: from its posterior draws, else by Laplace; widened by what remains unexplained."""
         parameter = self.fits.final.rig.parameters[name]
         sampled = {} if self.posterior is None else self.posterior.summary()["parameters"]
         if name in sampled:
@@ -337,24 +339,24 @@ class Diagnosis:
             self.quantities(named.cause),
         )
 
-    def _sized_fault(self, fault: Fault) -> SizedCause:
-        weights = torch.softmax(torch.tensor([0.0, *(value for _, value in fault.twins)]), 0).tolist()
-        twins = zip((cause for cause, _ in fault.twins), weights[1:], strict=True)
+    def _sized_mistake(self, mistake: RecordMistake) -> SizedCause:
+        weights = torch.softmax(torch.tensor([0.0, *(value for _, value in mistake.twins)]), 0).tolist()
+        twins = zip((cause for cause, _ in mistake.twins), weights[1:], strict=True)
         alternatives = tuple(Alternative(cause, probability, None) for cause, probability in twins)
-        named = NamedCause(fault.cause, weights[0], alternatives, fault.log_bayes_factor)
-        return replace(self._sized(named), is_fault=True)
+        named = NamedCause(mistake.cause, weights[0], alternatives, mistake.log_bayes_factor)
+        return replace(self._sized(named), is_record_mistake=True)
 
     def _step_to_json(self, step: Step) -> dict[str, Any]:
         return {
             "taken": None if step.taken is None else self.label(step.taken),
             "considered": [
                 {
-                    "name": self.label_of_rival(rival),
-                    "log_bayes_factor": rival.log_bayes_factor,
-                    "probability": rival.probability,
-                    "held_out": None if rival.held_out is None else asdict(rival.held_out),
+                    "name": self.label_of_hypothesis(hypothesis),
+                    "log_bayes_factor": hypothesis.log_bayes_factor,
+                    "probability": hypothesis.probability,
+                    "held_out": None if hypothesis.held_out is None else hypothesis.held_out.to_json(),
                 }
-                for rival in step.rivals
+                for hypothesis in step.hypotheses
             ],
         }
 

@@ -1,4 +1,4 @@
-"""What the search amounts to: named, indistinguishable, unexplained, or nothing found."""
+"""The verdict from a search: named, indistinguishable, unexplained, or nothing found."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import (
-    Rival,
+    Hypothesis,
     leaves_structure,
     shares_of,
 )
@@ -39,9 +39,9 @@ class Alternative:
     """Another cause that a named one could be.
 
     Attributes:
-        probability: Among the causes of the step.
-        expected_log_evidence: What these readings should say for the named cause against this one, were the named one true; None where
-            this one was not fitted in full.
+        probability: Posterior probability among the causes of the step.
+        expected_log_evidence: Expected log Bayes factor of the named cause against this one from these readings, were the named one true;
+            None where this one was not fitted in full.
     """
 
     cause: Cause
@@ -55,8 +55,8 @@ class NamedCause:
 
     Attributes:
         cause: Name and place.
-        probability: Among the causes of its step.
-        alternatives: The others of its 95 % credible set.
+        probability: Posterior probability among the causes of its step.
+        alternatives: The other causes of its 95 % credible set.
         log_bayes_factor: Against nothing, when it was taken.
     """
 
@@ -67,98 +67,101 @@ class NamedCause:
 
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
-    """The outcome: whether structure is left, or was there that a flexible curve follows better than several causes do."""
+    """The outcome. `unexplained` where structure remains, or where a flexible curve does better than several causes together."""
     prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
-    left, whole = search.steps[-1].left, search.whole
-    if leaves_structure(left):
+    if leaves_structure(search.steps[-1].discrepancy):
         return Verdict.UNEXPLAINED
-    if len(named) > 1 and whole.log_bayes_factor + prior > max(policy.LEAST_LOG_ODDS, search.log_odds):
+    curve_log_odds = search.base_discrepancy.log_bayes_factor + prior
+    if len(named) > 1 and curve_log_odds > max(policy.LEAST_LOG_ODDS, search.log_odds):
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
-    if _pictures_one_thing_twice(named):
+    if _idealise_the_same(named):
         return Verdict.UNEXPLAINED
-    return Verdict.INDISTINGUISHABLE if any(one.alternatives for one in named) else Verdict.NAMED
+    return Verdict.INDISTINGUISHABLE if any(cause.alternatives for cause in named) else Verdict.NAMED
 
 
-def _pictures_one_thing_twice(named: list[NamedCause]) -> bool:
-    """Whether two different causes idealise the same thing, which then is neither: a plate and a sphere of iron, for one."""
+def _idealise_the_same(named: list[NamedCause]) -> bool:
+    """Whether two causes idealise the same object, such as a plate and a sphere of iron; then it is neither."""
     effects = [EFFECTS[name] for name in {cause.cause.name for cause in named}]
-    things = [effect.idealises for effect in effects if effect.idealises is not None]
-    return len(things) > len(set(things))
+    objects = [effect.idealises for effect in effects if effect.idealises is not None]
+    return len(objects) > len(set(objects))
 
 
 def named_causes(search: Search) -> list[NamedCause]:
-    """The causes that were taken and kept, in that order, each with its credible set."""
-    kept = set(search.final.rig.effects)
-    found = []
+    """The causes of the final fit in the order in which they were taken, each with its credible set."""
+    final_causes = set(search.final.rig.effects)
+    named = []
     for step in search.steps:
-        if step.taken is None or step.taken not in kept:
+        if step.taken is None or step.taken not in final_causes:
             continue
         shares = _shares(step.credible)
-        leader = next(rival for rival in step.credible if rival.cause == step.taken)
-        others = [rival for rival in step.credible if rival.cause != step.taken]
+        leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
+        others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]
         alternatives = tuple(
-            Alternative(rival.cause, shares[rival.cause], _expected(leader, rival))
-            for rival in others
-            if rival.cause is not None
+            Alternative(hypothesis.cause, shares[hypothesis.cause], _expected(leader, hypothesis))
+            for hypothesis in others
+            if hypothesis.cause is not None
         )
-        found.append(NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor))
-    return found
+        named.append(NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor))
+    return named
 
 
-def _expected(truth: Rival, rival: Rival) -> float | None:
-    """Log evidence that the readings so far should hold for one hypothesis against another, were it true."""
-    if truth.fit is None or rival.fit is None:
+def _expected(truth: Hypothesis, hypothesis: Hypothesis) -> float | None:
+    """Expected log evidence of the readings so far for one hypothesis, were it true, against another."""
+    if truth.fit is None or hypothesis.fit is None:
         return None
-    fits = {truth.name: truth.fit, rival.name: rival.fit}
+    fits = {truth.name: truth.fit, hypothesis.name: hypothesis.fit}
     return float(separation(fits, rows_seen(fits))[0])
 
 
 def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
-    """Of the causes, those that would be named even if the strongest curves, at first and at last, were there: others may imitate them.
+    """The causes that keep their evidence beside the strongest flexible curves of the first and of the last fit.
 
-    Of a few causes each is judged by a fit without it, of many to first order about the last fit.
+    A few causes are each judged by a fit without it, many to first order about the last fit.
     """
     final = search.final
-    whole = search.whole.weighed(final.weight_over(search.base))
-    columns = torch.cat((whole.columns, search.steps[-1].left.columns), dim=1)
+    of_base = search.base_discrepancy.weighed(final.weight_over(search.base))
+    columns = torch.cat((of_base.columns, search.steps[-1].discrepancy.columns), dim=1)
     if len(named) > policy.MOST_CAUSES_REFITTED:
         return [
             c
             for c in named
             if final.log_evidence_for(c.cause, columns) > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES
         ]
-    kept = []
-    for one in named:
+    still_named = []
+    for cause in named:
         without = fit_rig(
-            final.rig.without_cause(one.cause), final.observations, final.values, final.posterior.model.rules
+            final.rig.without_cause(cause.cause),
+            final.observations,
+            final.values,
+            final.posterior.model.rules,
         )
-        smooth = _with_columns(without, columns)
+        with_curves = _with_columns(without, columns)
         evidence = max(
-            (linear_evidence(smooth, c) for c in candidates(without, [one.cause])), default=-math.inf
+            (linear_evidence(with_curves, c) for c in candidates(without, [cause.cause])), default=-math.inf
         )
         if evidence > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES:
-            kept.append(one)
-    return kept
+            still_named.append(cause)
+    return still_named
 
 
 def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
-    """The last fit of a search where something was named, the first where nothing was.
+    """The last fit of a search where a cause was named, else the first.
 
-    Beside what was named it keeps what was taken: without those the named ones, and the coils, would bend to what they stand in for.
+    It keeps causes that were taken but not named. Without them, the named causes and the coils would bend to what they stand in for.
     """
     return search.final if named else search.base
 
 
 def stand_ins(search: Search, named: list[NamedCause]) -> list[Cause]:
     """Causes of the extended fit that are not named, for something unknown may look like them."""
-    known = {one.cause for one in named} | set(search.base.rig.effects)
+    known = {cause.cause for cause in named} | set(search.base.rig.effects)
     return [cause for cause in extended_fit(search, named).rig.effects if cause not in known]
 
 
 def _with_columns(fit: Fit, columns: Tensor) -> Fit:
-    """The fit as if curves with standard normal coefficients had been fitted too."""
+    """The fit as if columns with standard normal coefficients had been fitted too."""
     jacobian = torch.cat((fit.jacobian, columns), dim=1)
     prior = torch.block_diag(
         (fit.optimum.precision - fit.optimum.information)[0],
@@ -168,6 +171,6 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
     return fit.to_first_order(projector, projector.rest(fit.residual))
 
 
-def _shares(credible: tuple[Rival, ...]) -> dict[Cause, float]:
+def _shares(credible: tuple[Hypothesis, ...]) -> dict[Cause, float]:
     pairs = zip(credible, shares_of(credible), strict=True)
-    return {rival.cause: share for rival, share in pairs if rival.cause is not None}
+    return {hypothesis.cause: share for hypothesis, share in pairs if hypothesis.cause is not None}

@@ -1,4 +1,4 @@
-"""How much wider intervals are for what remains unexplained, and posterior draws spread to that width."""
+"""Widen intervals, and posterior draws, by what remains unexplained."""
 
 from __future__ import annotations
 
@@ -18,61 +18,61 @@ from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.readings.split import pose_blocks
 from estimator.rig.coordinates import Coordinates
 
-LEAST_SHARE = 1e-12  # of a variance, for what follows from others but for rounding
+LEAST_SHARE = 1e-12  # of a variance: added so that rounding leaves a correlation matrix positive definite
 
 
 @dataclass(frozen=True)
 class Widening:
-    """What a fit does not know for what remains unexplained.
+    """Uncertainty of a fit where something remains unexplained.
 
     Attributes:
-        fit: Whose intervals grow.
-        covariance: Of its coordinates, with that.
+        fit: The fit whose intervals grow.
+        covariance: Widened covariance of its coordinates.
     """
 
     fit: Fit
     covariance: Float[Tensor, "coordinate coordinate"]
 
     @classmethod
-    def of(cls, searched: Fit, fit: Fit, left: Discrepancy) -> Widening:
-        """The least covariance that makes nothing surer than three counts do.
+    def of(cls, searched: Fit, fit: Fit, remainder: Discrepancy) -> Widening:
+        """The smallest covariance that is nowhere below three others.
 
-        That of the fit; that of the search if the strongest curve that is left may be in the readings as well; and that by which blocks of
-        neighbouring places disagree. The last two are of the few readings of the search, for what a wrong model leaves does not average
-        out over more.
+        These are: the Laplace covariance of the fit; that of the search with the strongest remaining curve fitted as well; and the block
+        jackknife over neighbouring positions. The last two use the few readings of the search, for the error of a wrong model does not
+        average out over more.
 
         Args:
             searched: The last fit of the search.
             fit: The same model, fitted to all readings.
-            left: What the search left.
+            remainder: Structure in the residual at the end of the search.
         """
         block = pose_blocks(searched.observations, np.random.default_rng(0))
-        others = (searched.covariance_beside(left.columns), jackknife_covariance(searched, block))
+        others = (searched.covariance_beside(remainder.columns), jackknife_covariance(searched, block))
         return cls(fit, reduce(envelope, others, fit.covariance))
 
     @cached_property
     def factors(self) -> dict[str, float]:
-        """By which factor the standard deviation of each free parameter grows."""
+        """Factor by which the standard deviation of each free parameter grows."""
         names = [parameter.name for parameter in self.fit.rig.free]
         return {n: max(1.0, self.fit.value_sd(n, self.covariance) / self.fit.value_sd(n)) for n in names}
 
     def spread(self, coordinates: Coordinates, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Posterior draws of the same model, spread about their mean until they are nowhere surer than this.
+        """Posterior draws of the same model, stretched about their mean until their covariance is nowhere below this one.
 
-        Whole loop counts stay as they are, and so do their probabilities: what belongs to each is spread about its own mean. No draw leaves
-        its prior's bounds.
+        Whole loop counts and their probabilities stay: the draws of each are stretched about their own mean. No draw leaves the bounds of
+        its prior.
 
         Args:
-            coordinates: Those of the rig that was sampled.
+            coordinates: Of the rig that was sampled.
             draws: Of every free parameter, walker by step.
         """
         flat = {name: torch.from_numpy(array.reshape(-1)) for name, array in draws.items()}
         vector = coordinates.vector(flat)
-        known, counts = vector.tensor_split([coordinates.n_continuous], dim=1)
-        middle = _means_of_same(counts, known)
-        off = known - middle
-        own = off.T @ off / len(off)
-        wider = middle + off @ stretch(own, self._given_counts(coordinates)).T
+        continuous, counts = vector.tensor_split([coordinates.n_continuous], dim=1)
+        mean = _mean_by_counts(counts, continuous)
+        deviation = continuous - mean
+        sampled = deviation.T @ deviation / len(deviation)
+        wider = mean + deviation @ stretch(sampled, self._given_counts(coordinates)).T
         values = coordinates.values(torch.cat((wider, counts), dim=1))
         lower, upper = coordinates.bounds()
         return {
@@ -81,59 +81,62 @@ class Widening:
         }
 
     def _given_counts(self, coordinates: Coordinates) -> Float[Tensor, "continuous continuous"]:
-        """The covariance in other coordinates of the same parameters, where whole counts are known."""
-        here, at = self.fit.posterior.coordinates, self.fit.vector
+        """The covariance in other coordinates of the same parameters, given the whole counts."""
+        own_coordinates = self.fit.posterior.coordinates
         names = coordinates.names
 
-        def there(vector: Tensor) -> Tensor:
-            return coordinates.vector({name: here.values(vector)[name] for name in names})
+        def transformed(vector: Tensor) -> Tensor:
+            return coordinates.vector({name: own_coordinates.values(vector)[name] for name in names})
 
-        slope: Tensor = jacfwd(there)(at)
-        covariance = slope @ self.covariance @ slope.T
+        jacobian: Tensor = jacfwd(transformed)(self.fit.vector)
+        covariance = jacobian @ self.covariance @ jacobian.T
         n = coordinates.n_continuous
-        across = covariance[:n, n:]
-        given: Tensor = covariance[:n, :n] - across @ torch.linalg.solve(covariance[n:, n:], across.T)
+        cross = covariance[:n, n:]
+        given: Tensor = covariance[:n, :n] - cross @ torch.linalg.solve(covariance[n:, n:], cross.T)
         return given
 
 
-def _means_of_same(
-    counts: Float[Tensor, "draw count"], known: Float[Tensor, "draw coordinate"]
+def _mean_by_counts(
+    counts: Float[Tensor, "draw count"], continuous: Float[Tensor, "draw coordinate"]
 ) -> Float[Tensor, "draw coordinate"]:
-    """For each draw the mean of those with the same counts."""
+    """For each draw the mean over all draws with the same counts."""
     if not counts.shape[1]:
-        return known.mean(dim=0).expand_as(known)
+        return continuous.mean(dim=0).expand_as(continuous)
     _, group, size = torch.unique(counts, dim=0, return_inverse=True, return_counts=True)
-    total = torch.zeros(len(size), known.shape[1], dtype=known.dtype).index_add(0, group, known)
+    total = torch.zeros(len(size), continuous.shape[1], dtype=continuous.dtype).index_add(
+        0, group, continuous
+    )
     mean: Tensor = total / size[:, None]
     return mean[group]
 
 
-def envelope(own: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """The least covariance, in the axes of the pair, that is in no direction smaller than either.
+def envelope(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """The smallest covariance, in the principal axes of the pair, that is in no direction below either.
 
     Examples:
         >>> envelope(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
         tensor([[9., 0.],
                 [0., 4.]])
     """
-    move = stretch(own, other)
-    return move @ own @ move.T
+    stretched = stretch(covariance, other)
+    return stretched @ covariance @ stretched.T
 
 
-def stretch(own: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """The map that takes what has one covariance to the envelope with another; it moves nothing along what is wide enough.
+def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """The linear map from a covariance to its envelope with another; directions that are wide enough stay.
 
     Examples:
         >>> stretch(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
         tensor([[3., 0.],
                 [0., 1.]])
     """
-    sd = torch.sqrt(torch.diagonal(own))
-    correlation = own / (sd[:, None] * sd) + LEAST_SHARE * torch.eye(len(own), dtype=own.dtype)
+    sd = torch.sqrt(torch.diagonal(covariance))
+    unit = torch.eye(len(covariance), dtype=covariance.dtype)
+    correlation = covariance / (sd[:, None] * sd) + LEAST_SHARE * unit
     root = sd[:, None] * torch.linalg.cholesky(correlation)
-    inside = torch.linalg.solve_triangular(root, other, upper=False)
-    inside = torch.linalg.solve_triangular(root, inside.T, upper=False)
-    ratio, axes = torch.linalg.eigh(0.5 * (inside + inside.T))
-    grown = (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
-    moved: Tensor = torch.linalg.solve_triangular(root, root @ grown, upper=False, left=False)
-    return moved
+    whitened = torch.linalg.solve_triangular(root, other, upper=False)
+    whitened = torch.linalg.solve_triangular(root, whitened.T, upper=False)
+    ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
+    growth = (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
+    stretched: Tensor = torch.linalg.solve_triangular(root, root @ growth, upper=False, left=False)
+    return stretched

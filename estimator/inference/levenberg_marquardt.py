@@ -147,8 +147,8 @@ def _gradient_and_precision(
     sigma_T = posterior.component_sigma_T(vector)
     whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
     weight = posterior.weight(whitened, vector)
-    jacobian = posterior.slope(vector) / sigma_T[..., None]
-    log_sigma_jacobian = posterior.log_sigma_slope(vector)
+    jacobian = posterior.jacobian(vector) / sigma_T[..., None]
+    log_sigma_jacobian = posterior.log_sigma_jacobian(vector)
     chi2 = weight * whitened**2
     gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
     gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]

@@ -75,26 +75,26 @@ class LogPosterior:
         """Predicted value of every measured component, in tesla."""
         return self._predicted_at(self.coordinates.values(vector), vector.shape[:-1])
 
-    def slope(
+    def jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
-        """Derivative of every prediction in every coordinate that is no whole number.
+        """Jacobian of the predictions in every continuous coordinate.
 
-        All of a batch take the same step: the derivative in it is that of each. Numbers that do not move the field, a gain or a noise, are
-        stepped apart from those that do, or their derivatives would be carried through the field.
+        All rows of a batch take the same step, so that one forward pass serves all. Coordinates that do not move the field, such as a gain
+        or a noise, are differentiated apart from those that do; otherwise their derivatives would be carried through the field.
         """
-        total = self._no_slope(vector)
+        total = self._zero_jacobian(vector)
         for is_dear in (True, False):
             columns = self._columns(is_dear)
             if len(columns):
-                total[..., columns] = self._slope_along(vector, columns, is_dear)
+                total[..., columns] = self._jacobian_along(vector, columns, is_dear)
         return total
 
-    def log_sigma_slope(
+    def log_sigma_jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
-        """Derivative of the logarithm of every component's noise in every coordinate that is no whole number."""
-        total, columns = self._no_slope(vector), self._columns(is_dear=False)
+        """Jacobian of the logarithm of every component's noise in every continuous coordinate."""
+        total, columns = self._zero_jacobian(vector), self._columns(is_dear=False)
 
         def moved(step: Tensor) -> Tensor:
             return torch.log(
@@ -105,8 +105,8 @@ class LogPosterior:
             total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
         return total
 
-    def _slope_along(self, vector: Tensor, columns: Tensor, is_dear: bool) -> Tensor:
-        """Derivative of the predictions in some coordinates, with all numbers of the other kind held still."""
+    def _jacobian_along(self, vector: Tensor, columns: Tensor, is_dear: bool) -> Tensor:
+        """Jacobian of the predictions in some coordinates, with all numbers of the other kind held fixed."""
 
         def moved(step: Tensor) -> Tensor:
             there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
@@ -114,12 +114,12 @@ class LogPosterior:
                 name: value if self._is_dear(name) == is_dear else value.detach()
                 for name, value in self.coordinates.values(there).items()
             }
-            return self._for_slopes._predicted_at(values, vector.shape[:-1])
+            return self._for_jacobian._predicted_at(values, vector.shape[:-1])
 
-        slope: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
-        return slope
+        jacobian: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
+        return jacobian
 
-    def _no_slope(self, vector: Tensor) -> Tensor:
+    def _zero_jacobian(self, vector: Tensor) -> Tensor:
         return torch.zeros(
             *vector.shape[:-1], len(self._flat), self.coordinates.n_continuous, dtype=vector.dtype
         )
@@ -149,7 +149,7 @@ class LogPosterior:
         return tuple(f"{use.label}." for use in uses if not isinstance(use.effect, geometry))
 
     @cached_property
-    def _for_slopes(self) -> LogPosterior:
+    def _for_jacobian(self) -> LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
         other.model = self.model.with_mode(SumMode.FIRST_ORDER)

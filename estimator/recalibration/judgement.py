@@ -15,8 +15,8 @@ from estimator.calibration.summary import finite
 from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.gain import Gain, gain
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.diagnosis.verdict import Verdict
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
@@ -118,7 +118,7 @@ def _with_held_out(session: Session, seed: int) -> Session:
 
 def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
     diagnosis = diagnose(session, rig, seed=seed)
-    if diagnosis.faults:
+    if diagnosis.record_mistakes:
         return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=_causes(diagnosis))
     calibration = _sampled(session, diagnosis, seed, settings)
     named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""
@@ -164,7 +164,7 @@ class _Comparison:
                 Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
             )
         diagnosis = diagnose(self.session, self.widened, seed=self.seed)
-        if diagnosis.faults:
+        if diagnosis.record_mistakes:
             return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
         if _is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
             if earlier and (names := named_together([*earlier, diagnosis.evidence()])):
@@ -181,10 +181,10 @@ class _Comparison:
         what = f"disagrees with the current version ({self._p_value()})"
         if diagnosis.causes:
             what = sizes_of(diagnosis)
-        elif improvement.is_there:
+        elif improvement.is_significant:
             what = self._moved(diagnosis, improvement)
         reason = f"{what}; {words_of(improvement)}"
-        if not (improvement.is_there and may_replace):
+        if not (improvement.is_significant and may_replace):
             return self._judgement(stays, reason, diagnosis, improvement)
         successor = _sampled(self.session, diagnosis, self.seed, settings)
         is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_improvement(successor)
@@ -205,7 +205,7 @@ class _Comparison:
         conclusion: Conclusion,
         reason: str,
         diagnosis: Diagnosis | None = None,
-        improvement: Gain | None = None,
+        improvement: Improvement | None = None,
         successor: Calibration | None = None,
         sampled: Mapping[str, Any] | None = None,
     ) -> Judgement:
@@ -221,7 +221,7 @@ class _Comparison:
                 "verdict": str(diagnosis.verdict),
                 "lack_of_fit_p": diagnosis.fits.before.lack_of_fit.p_value,
             }
-            if not diagnosis.faults:
+            if not diagnosis.record_mistakes:
                 checks[EVIDENCE] = diagnosis.evidence()
         if improvement is not None:
             checks |= {
@@ -236,7 +236,7 @@ class _Comparison:
             successor,
             self.agreement.holds,
             _causes(diagnosis)
-            if diagnosis is not None and (diagnosis.faults or conclusion is Conclusion.DRIFTED)
+            if diagnosis is not None and (diagnosis.record_mistakes or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
             _estimate(self.refit),
@@ -255,14 +255,14 @@ class _Comparison:
         }
         return replace(self._judgement(Conclusion.DRIFTED, reason, diagnosis), causes=(cause,))
 
-    def _improvement(self, diagnosis: Diagnosis) -> Gain:
+    def _improvement(self, diagnosis: Diagnosis) -> Improvement:
         """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
         fitted = thinned(
             self.current.observations.calibration, diagnosis_policy.MOST_READINGS_FITTED, self.seed
         )
         rules = MeasurementModel.build(self.current.rig, fitted).rules
         before = fit_rig(self.current.rig, fitted, self.current.best, rules)
-        return gain(before, diagnosis.fits.final, self._unseen())
+        return improvement_of(before, diagnosis.fits.final, self._unseen())
 
     def _stored_improvement(self, successor: Calibration) -> float:
         """Difference of log predictive density, successor less current version, both from their stored draws."""
@@ -285,7 +285,7 @@ class _Comparison:
             f"neither a refit nor a cause that can be named explains them ({like})"
         )
 
-    def _moved(self, diagnosis: Diagnosis, improvement: Gain) -> str:
+    def _moved(self, diagnosis: Diagnosis, improvement: Improvement) -> str:
         """The parameter that moved most, in words."""
         name, distance = max(improvement.moved_sd.items(), key=lambda item: abs(item[1]))
         show, old, sd = (

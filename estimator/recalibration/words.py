@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from estimator.diagnosis.gain import Gain
 from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
+from estimator.diagnosis.validation import Improvement
 from estimator.reporting.numbers import displays, with_sd
 
 
@@ -38,11 +38,11 @@ def _quantity(name: str, interval: Interval) -> str:
     return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
 
 
-def words_of(improvement: Gain) -> str:
+def words_of(improvement: Improvement) -> str:
     """Whether a new fit predicts unseen readings better, with the numbers."""
     words = (
         "predicts unseen readings better"
-        if improvement.is_there
+        if improvement.is_significant
         else "does not predict unseen readings better"
     )
     return f"the new fit {words} than the current version (log density {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f})"

@@ -102,12 +102,12 @@ def verdict(diagnosis: Diagnosis) -> str:
         others = ", ".join(f"{name} {rival.probability:.2g}" for name, rival in rivals) or "none"
         lines.append(f"- {cause.name}: log evidence {cause.log_bayes_factor:+.0f}, alternatives: {others}")
         lines += [f"  {key} = {v.median:.4f} +- {v.sd:.4f}" for key, v in cause.quantities.items()]
-    assert diagnosis.gain is not None
-    before, after = diagnosis.gain.before, diagnosis.gain.after
+    assert diagnosis.improvement is not None
+    before, after = diagnosis.improvement.before, diagnosis.improvement.after
     lines.append(
         f"- improvement on readings not used for fitting: vector rms {1e3 * before.errors.vector_T:.3f} -> "
-        f"{1e3 * after.errors.vector_T:.3f} mT, log predictive density {diagnosis.gain.elpd_difference:+.0f} +- "
-        f"{diagnosis.gain.elpd_se:.0f}, "
+        f"{1e3 * after.errors.vector_T:.3f} mT, log predictive density {diagnosis.improvement.elpd_difference:+.0f} +- "
+        f"{diagnosis.improvement.elpd_se:.0f}, "
         f"90 % intervals hold {100 * before.coverage90:.0f} -> {100 * after.coverage90:.0f} % of the components"
     )
     return "\n".join((*lines, ""))

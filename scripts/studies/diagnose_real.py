@@ -90,26 +90,26 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, c
     for picture in pictures(diagnosis):
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
-    left = diagnosis.found.search.steps[-1].left
+    left = diagnosis.findings.search.steps[-1].discrepancy
     print(
         f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms along {left.family}, "
         f"log evidence {left.log_bayes_factor:.3g}"
     )
-    for stand_in in diagnosis.found.stand_ins:
+    for stand_in in diagnosis.findings.stand_ins:
         print(f"  stands in: {diagnosis.label(stand_in)}")
     for cause in diagnosis.sized_causes:
         others = f", or {', '.join(cause.alternative_names)}" if cause.alternatives else ""
         print(f"  {cause.name} ({cause.log_bayes_factor:.0f} in log evidence){others}")
         for key, p in cause.quantities.items():
             print(f"    {key:18} {p.median:12.4g} +- {p.sd:.1g} {p.unit}")
-    if (gain := diagnosis.gain) is not None:
-        for name, judged in (("before", gain.before), ("after", gain.after)):
+    if (improvement := diagnosis.improvement) is not None:
+        for name, scores in (("before", improvement.before), ("after", improvement.after)):
             print(
-                f"  {name}: {judged.errors.vector_T * 1e3:.3f} mT rms ({judged.errors.relative:.3%}), largest "
-                f"{judged.errors.max_T * 1e3:.2f} mT, coverage of 90 % intervals {judged.coverage90:.1%}"
+                f"  {name}: {scores.errors.vector_T * 1e3:.3f} mT rms ({scores.errors.relative:.3%}), largest "
+                f"{scores.errors.max_T * 1e3:.2f} mT, coverage of 90 % intervals {scores.coverage90:.1%}"
             )
-        print(f"  log predictive density {gain.elpd_difference:+.0f} +- {gain.elpd_se:.0f}")
-        moved = {name: round(value, 1) for name, value in gain.moved_sd.items() if abs(value) > 2.0}
+        print(f"  log predictive density {improvement.elpd_difference:+.0f} +- {improvement.elpd_se:.0f}")
+        moved = {name: round(value, 1) for name, value in improvement.moved_sd.items() if abs(value) > 2.0}
         print(f"  moved by more than two standard deviations: {moved}")
     for words, fit in (("before", diagnosis.fits.plain), ("after", diagnosis.fits.final)):
         print(f"  coils against their drawing, {words}: {against_prior(fit)}")

@@ -113,7 +113,7 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
             for name, value in truth["values"].items()
             if name in diagnosis.fits.plain.posterior.coordinates.names and not name.endswith("noise_T")
         },
-        "n_unseen": None if diagnosis.gain is None else len(diagnosis.gain.after.log_density),
+        "n_unseen": None if diagnosis.improvement is None else len(diagnosis.improvement.after.log_density),
         "seconds": seconds,
     }
 

@@ -196,7 +196,7 @@ def diagnosed(diagnosis: Diagnosis) -> Row:
     record = diagnosis.to_json()
     evidence = {
         "left": record["unexplained"]["log_bayes_factor"],
-        "final": diagnosis.found.search.final.log_evidence - diagnosis.found.search.base.log_evidence,
+        "final": diagnosis.findings.search.final.log_evidence - diagnosis.findings.search.base.log_evidence,
     }
     for rival in record["steps"][0]["considered"]:
         evidence[rival["name"]] = rival["log_bayes_factor"]

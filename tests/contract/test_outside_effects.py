@@ -96,7 +96,7 @@ def test_an_outside_cause_is_hidden_and_named(files: Path, hidden: str) -> None:
     )
     diagnosis = diagnose(Session(rig, readings, source="simulated"), out=files / "diagnosis", seed=1)
     name, key = hidden.split(".")
-    mistakes = [fault.cause.name for fault in diagnosis.faults]
+    mistakes = [mistake.cause.name for mistake in diagnosis.record_mistakes]
     assert [*mistakes, *(cause.cause.name for cause in diagnosis.causes)] == [name]
     extended = load_rig(files / "diagnosis" / "rig_extended.yaml")
     (cause,) = extended.effects

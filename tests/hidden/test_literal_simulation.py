@@ -59,5 +59,5 @@ def test_a_mistake_of_the_record_that_only_bent_the_literal_simulation_is_taken_
     literal = text.replace("carried_by: arm1\n", "carried_by: arm1\n    field_sum: spherical_components\n", 1)
     (tmp_path / "rig.yaml").write_text(literal, encoding="utf-8")
     found = diagnose(read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml")), seed=801)
-    assert found.faults == ()
+    assert found.record_mistakes == ()
     assert [one.cause for one in found.causes] == [SPHERICAL]

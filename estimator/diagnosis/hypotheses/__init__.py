@@ -1,1 +1,1 @@
-"""Which causes could explain a residual, and what evidence there is for each."""
+"""Causes that could explain a residual, and the evidence for each."""

@@ -1,4 +1,4 @@
-"""What each cause would look like in a session: its whitened columns at the base fit, for every place and every start of its shapes."""
+"""Design matrix columns of each cause: whitened, at a fit, for every place and every start of its shapes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ class Candidate:
 
     Attributes:
         cause: Name and place.
-        shapes: Where its shapes start.
-        keys: The quantities that its columns belong to.
-        shift: Whitened change of the predictions at the start itself; zero where that is the null.
+        shapes: Start of its shapes.
+        keys, units: Quantities that its columns belong to, and their units.
+        shift: Whitened change of the predictions at the start; zero where the start is the null.
         columns: Whitened change of the predictions per unit of each quantity.
         prior_sd: Of the quantities.
-        subsets: Which columns may be there alone: one of them, the pairs, or all.
     """
 
     cause: Cause
@@ -42,26 +41,26 @@ class Candidate:
     prior_sd: Float[Tensor, " column"]
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
-        """The same where each component weighs so many times what it did."""
+        """The candidate with each component's weight multiplied."""
         return replace(self, shift=self.shift * weight, columns=self.columns * weight[:, None])
 
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
-        """Columns that may be there alone: each, each pair, those of one element, and (last) all."""
+        """Columns that may be present alone: each, each pair, those of one sensor element, and (last) all."""
         n = len(self.keys)
         if n == 1:
             return ((0,),)
-        found: list[tuple[int, ...]] = [(i,) for i in range(n)]
+        subsets: list[tuple[int, ...]] = [(i,) for i in range(n)]
         if n > 2:
-            found += list(combinations(range(n), 2))
+            subsets += list(combinations(range(n), 2))
         if n > 6:
-            found += [tuple(i for i, key in enumerate(self.keys) if key[0] == first) for first in "xyz"]
-            found += [tuple(i for i, key in enumerate(self.keys) if key[0] != first) for first in "xyz"]
-        return (*found, tuple(range(n)))
+            subsets += [tuple(i for i, key in enumerate(self.keys) if key[0] == first) for first in "xyz"]
+            subsets += [tuple(i for i, key in enumerate(self.keys) if key[0] != first) for first in "xyz"]
+        return (*subsets, tuple(range(n)))
 
 
 def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
-    """Continuous causes that the rig has not got yet and that the session could show."""
+    """Continuous causes that the rig does not have yet and that concern the session."""
     circumstances = fit.posterior.model.circumstances
     present = set(rig.effects)
     return [
@@ -74,16 +73,16 @@ def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
 
 
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
-    """Columns of every cause at a fit, start by start; starts at which a cause has no effect are left out."""
-    found = []
+    """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
+    result = []
     for cause in causes:
         effect = EFFECTS[cause.name]
         circumstances = fit.posterior.model.circumstances
         for shapes in effect.starts(circumstances, cause.place):
             candidate = _candidate(fit, cause, shapes)
             if candidate is not None:
-                found.append(candidate)
-    return found
+                result.append(candidate)
+    return result
 
 
 def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
@@ -91,12 +90,12 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
     rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
     model = MeasurementModel.unruled(rig, observations).with_rules(fit.posterior.model.rules)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
-    own = {
+    start_values = {
         name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)
         for name in rig.parameters
         if name.startswith(f"{cause.label}.")
     }
-    values = {**fit.values, **own}
+    values = {**fit.values, **start_values}
     steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
     ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
     for i, quantity in enumerate(quantities):
@@ -122,7 +121,7 @@ def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | 
 
 
 def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
-    """Those that the session can show."""
+    """Quantities that the session can show."""
     circumstances, effect = fit.posterior.model.circumstances, EFFECTS[cause.name]
     unseen = effect.unseen(circumstances, cause.place)
     return tuple(q for q in effect.quantities(circumstances.extent) if q.key not in unseen)

@@ -1,4 +1,4 @@
-"""Causes that change how readings scatter. Residuals hint at them; their evidence comes from full fits."""
+"""Causes that change the scatter of readings: residuals hint at them, full fits give their evidence."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from estimator.rig.rig import Cause
 
 
 def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | None]]:
-    """The causes of scatter that the residuals hint at most, with log Bayes factor and fit: of each kind the one place that gains most.
+    """For each noise effect the place with the strongest hint: its cause, log Bayes factor and fit.
 
     Args:
         fit: Without them.
-        beside: Log Bayes factor from which on a hint is worth a full fit; below, the hint stands for the evidence.
+        beside: Hint from which on a full fit is worth its time; below, the hint stands for the log Bayes factor and the fit is None.
     """
     for effect in EFFECTS.values():
         if not isinstance(effect, NoiseEffect):
@@ -41,13 +41,13 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
 
 
 def _hint(fit: Fit, use: Use[NoiseEffect]) -> float:
-    """Gain in log likelihood at the residuals as they are."""
+    """Rise in log likelihood at the present residuals."""
     estimate = use.effect.estimate(_concerned(fit, use, fit.residual))
     return _score(fit, use) if estimate is None else estimate.log_likelihood_improvement
 
 
 def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
-    """Gain in log likelihood, to second order, of more variance where the effect adds some: half the square of the score test."""
+    """Rise in log likelihood, to second order, by the variance that the effect adds: half the square of the score statistic."""
     exposure = use.effect.exposure(NominalPrediction(fit.posterior.model), use.place)
     exposure, sigma_T, whitening_per_T, residual = (
         _concerned(fit, use, components)
@@ -70,7 +70,7 @@ def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
 def _concerned(
     fit: Fit, use: Use[NoiseEffect], components: Float[Tensor, " component"]
 ) -> Float[Tensor, " concerned"]:
-    """Those of the components that the effect concerns."""
+    """The components that the effect concerns."""
     readings = use.concerned(fit.posterior.model.circumstances)
     if readings is None:
         return components
@@ -78,7 +78,7 @@ def _concerned(
 
 
 def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
-    """Log Bayes factor and fit of everything beside the effect, which starts from what the residuals suggest."""
+    """Log Bayes factor and fit with the effect, which starts from its estimate by the residuals."""
     whitened = _concerned(fit, use, fit.residual)
     estimate = use.effect.estimate(whitened) or NoiseEstimate({}, 1.0, 0.0)
     rig = with_effect(fit.rig, use.cause, fit.observations, estimate.quantities)
@@ -87,6 +87,6 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
         noise = f"{use.place}.noise_T"
         start[noise] = fit.values[noise] * estimate.noise_factor
     full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
-    # What was set and not fitted costs half a logarithm each.
+    # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.
     occam = 0.5 * len(estimate.quantities) * math.log(max(len(whitened), 1))
     return full.log_evidence - fit.log_evidence - occam, full

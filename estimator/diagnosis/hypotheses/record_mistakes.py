@@ -1,7 +1,7 @@
-"""Discrete mistakes of the record, before anything is fitted finely: axes, signs, units, frames of displacements.
+"""Discrete mistakes of the record, undone before the search: axes, signs, units, frames of displacements.
 
-Each makes the readings absurd unless undone. All starts of all of them are compared at once on a few readings, at the nominal rig with its
-parameters let go to first order; the best few are fitted. A session whose noise is as expected has none of them.
+Each makes the readings absurd unless undone. All starts of all mistakes are compared on a few readings, with one linear step from the
+nominal rig; the best few are fitted. Where noise and parameters are as expected, no mistake is looked for.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 
-MOST_TOGETHER = 16  # starts in one batch: more of them leave the processor's cache
+MOST_TOGETHER = 16  # starts in one batch; more would not fit the processor's cache
 
 
 @dataclass(frozen=True)
-class Fault:
+class RecordMistake:
     """A mistake of the record.
 
     Attributes:
-        cause: The one that was undone.
+        cause: The mistake that was undone.
         log_bayes_factor: Against no mistake.
-        twins: Others that would explain the readings as well, with the difference in log evidence.
+        twins: Other mistakes that would explain the readings as well, with their log evidence relative to this one.
     """
 
     cause: Cause
@@ -41,14 +41,14 @@ class Fault:
     twins: tuple[tuple[Cause, float], ...]
 
 
-def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
-    """Undo mistakes of the record one after another while the evidence asks for it.
+def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
+    """Undo mistakes of the record one after another while the evidence suffices.
 
-    Returns: The fit with the mistakes as effects of its rig, and what was found.
+    Returns: The fit with the mistakes as effects of its rig, and the mistakes.
     """
-    found: list[Fault] = []
-    while len(found) < policy.MOST_MISTAKES and not _is_as_expected(base):
-        fits = sorted(_faults(base), key=lambda fit: -fit.log_evidence)
+    mistakes: list[RecordMistake] = []
+    while len(mistakes) < policy.MOST_MISTAKES and not _is_as_expected(base):
+        fits = sorted(_fits_with_mistake(base), key=lambda fit: -fit.log_evidence)
         if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
             break
         best = fits[0]
@@ -58,14 +58,14 @@ def without_faults(base: Fit) -> tuple[Fit, list[Fault]]:
             for cause, value in reversed(others)
             if value > -policy.TWINS_WITHIN and cause != best.rig.effects[-1]
         }
-        gain = best.log_evidence - base.log_evidence
-        found.append(Fault(best.rig.effects[-1], gain, tuple(twins.items())))
+        log_bayes_factor = best.log_evidence - base.log_evidence
+        mistakes.append(RecordMistake(best.rig.effects[-1], log_bayes_factor, tuple(twins.items())))
         base = best
-    return base, found
+    return base, mistakes
 
 
 def _is_as_expected(fit: Fit) -> bool:
-    """Whether the readings are followed down to a noise that was expected, by parameters that were expected."""
+    """Whether the residual, the fitted noise and the fitted parameters are all as expected."""
     if float(fit.residual.square().mean()) > policy.LARGEST_MEAN_SQUARE:
         return False
     noises = {f"{sensor.name}.noise_T" for sensor in fit.rig.sensors}
@@ -77,16 +77,16 @@ def _is_as_expected(fit: Fit) -> bool:
     return True
 
 
-def _faults(base: Fit) -> list[Fit]:
-    """Full fits of the mistakes that look best on a few readings, and follow those no worse than the rig as it is."""
+def _fits_with_mistake(base: Fit) -> list[Fit]:
+    """Full fits of the mistakes that fit a few readings best, and no worse than the rig as it is."""
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
-    some = (
+    rows = (
         torch.linspace(0, len(observations) - 1, min(policy.MOST_READINGS_COMPARED, len(observations)))
         .round()
         .long()
     )
-    few = observations.rows(some.unique())
+    few = observations.rows(rows.unique())
     present = {cause.name for cause in base.rig.effects}
     ranked = []
     for name, effect in EFFECTS.items():
@@ -94,9 +94,9 @@ def _faults(base: Fit) -> list[Fit]:
             continue
         for place in effect.places(base.rig):
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
-            values = _coarse(base, cause, starts, few)
+            values = _start_log_likelihoods(base, cause, starts, few)
             ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
-    ranked.sort(key=lambda one: -one[0])
+    ranked.sort(key=lambda scored: -scored[0])
     rules = base.posterior.model.rules
     least = (
         fit_rig(base.rig, few, base.values, rules, tolerance=policy.ROUGH_TOLERANCE).log_evidence
@@ -109,49 +109,51 @@ def _faults(base: Fit) -> list[Fit]:
     trials = [
         fit_rig(rig, few, rig.nominal_values(), rules, tolerance=policy.ROUGH_TOLERANCE) for rig in rigs
     ]
-    better = [
+    plausible = [
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]
-    fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in better]
+    fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in plausible]
     return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
 
 
-def _coarse(
+def _start_log_likelihoods(
     base: Fit, cause: Cause, starts: Sequence[Mapping[str, float]], observations: Observations
 ) -> list[float]:
     """Log likelihood of each start of a mistake, at the best common noise.
 
-    The parameters are let go to first order from the nominal rig, within their priors.
+    The parameters take one linear step from the nominal rig, within their priors.
     """
     rig = with_effect(base.rig, cause, base.observations, starts[0])
     model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
-    found = []
+    log_likelihoods = []
     for first in range(0, len(starts), MOST_TOGETHER):
-        some = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
-        found += _followed(LogPosterior(some, model, observations), some.start())
-    return found
+        coordinates = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
+        log_likelihoods += _after_linear_step(
+            LogPosterior(coordinates, model, observations), coordinates.start()
+        )
+    return log_likelihoods
 
 
-def _followed(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> list[float]:
-    """Log likelihood after one step to first order from each start."""
+def _after_linear_step(posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]) -> list[float]:
+    """Log likelihood after one linear step from each start."""
     with torch.no_grad():
         unit = posterior.component_sigma_T(vector).mean(-1) / posterior.sigma_T(vector).mean(-1)
         residual = (posterior.measured_T - posterior.predicted(vector)) / unit[:, None]
-        slope = posterior.slope(vector) / unit[:, None, None] * posterior.coordinates.scale
+        jacobian = posterior.jacobian(vector) / unit[:, None, None] * posterior.coordinates.scale
     prior = torch.eye(vector.shape[-1], dtype=torch.float64)
     noise_T = residual.square().mean(-1).sqrt()
     step = torch.zeros_like(vector)
-    for _ in range(2):  # the noise of the first step is that of the absurd readings
-        weighted, target = slope / noise_T[:, None, None], residual / noise_T[:, None]
+    for _ in range(2):  # the first step still has the noise of absurd readings
+        weighted, target = jacobian / noise_T[:, None, None], residual / noise_T[:, None]
         step = torch.linalg.solve(weighted.mT @ weighted + prior, (weighted.mT @ target[..., None])[..., 0])
-        left = residual - (slope @ step[..., None])[..., 0]
-        noise_T = left.square().mean(-1).sqrt().clamp(min=1e-9)
+        remainder = residual - (jacobian @ step[..., None])[..., 0]
+        noise_T = remainder.square().mean(-1).sqrt().clamp(min=1e-9)
     log_likelihood = -residual.shape[-1] * torch.log(noise_T * unit) - 0.5 * step.square().sum(-1)
     return list(log_likelihood.tolist())
 
 
 class _AtStarts(Coordinates):
-    """Coordinates of a mistake whose numbers that are set, not fitted, differ from row to row."""
+    """Coordinates for a mistake whose fixed numbers differ from row to row."""
 
     def __init__(self, rig: Rig, cause: Cause, starts: Sequence[Mapping[str, float]]) -> None:
         super().__init__(rig)
@@ -167,5 +169,5 @@ class _AtStarts(Coordinates):
 
     def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
         """Every number of the rig."""
-        set_ = {name: value for name, value in self._rows.items() if name not in self.names}
-        return {**super().values(vector), **set_}
+        fixed = {name: value for name, value in self._rows.items() if name not in self.names}
+        return {**super().values(vector), **fixed}

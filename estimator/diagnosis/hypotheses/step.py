@@ -1,7 +1,7 @@
-"""One step of the search: all hypotheses at a fit with their probabilities, and the cause that earns its place, if one does.
+"""One step of the search: compare all hypotheses at a fit, and take the best cause if its evidence suffices.
 
-"Nothing" and "something that no cause explains" are in the race at every step; the latter does not end it, for the first of two causes
-explains less than a flexible curve does. It has its say at the end (`verdict`).
+"Nothing" and "something that no cause explains" are hypotheses of every step. The latter does not end the search, for the first of two
+causes explains less than a flexible curve does; it counts at the end (`verdict`).
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ Blocks = Int[np.ndarray, " reading"]
 
 
 @dataclass(frozen=True)
-class Rival:
+class Hypothesis:
     """One hypothesis of a step.
 
     Attributes:
         cause: None for `nothing` and `unexplained`.
         name: Label of the cause, or one of those words.
         log_bayes_factor: Against nothing.
-        probability: Among all hypotheses of the step.
-        fit: Where it was fitted in full.
-        held_out: What it gains on blocks of places that are predicted from the others; where it was fitted in full.
+        probability: Posterior probability among all hypotheses of the step.
+        fit: With the cause; None where it was only screened.
+        held_out: Cross-validation over blocks of positions; None without a fit, or where it does not apply.
     """
 
     cause: Cause | None
@@ -51,39 +51,47 @@ class Rival:
 
 @dataclass(frozen=True)
 class Step:
-    """One cause taken, or the reason to stop.
+    """All hypotheses at one fit, and the cause that was taken, if any.
 
     Attributes:
-        rivals: All hypotheses, most probable first.
-        taken: The cause that was added; None at the end.
-        credible: The smallest set of causes that holds 95 % of the probability of all causes.
+        hypotheses: Most probable first.
+        taken: The cause that was added; None at the end of the search.
+        credible: Credible set: the smallest that holds 95 % of the probability of all causes.
+        discrepancy: Structure in the residual before the cause was added.
     """
 
-    rivals: tuple[Rival, ...]
+    hypotheses: tuple[Hypothesis, ...]
     taken: Cause | None
-    credible: tuple[Rival, ...]
-    left: Discrepancy
+    credible: tuple[Hypothesis, ...]
+    discrepancy: Discrepancy
 
     @property
-    def winner(self) -> Fit:
+    def taken_fit(self) -> Fit:
         """The fit with the cause that was taken."""
-        return next(rival.fit for rival in self.rivals if rival.cause == self.taken and rival.fit is not None)
+        return next(
+            hypothesis.fit
+            for hypothesis in self.hypotheses
+            if hypothesis.cause == self.taken and hypothesis.fit is not None
+        )
 
 
 def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks) -> Step:
-    """All hypotheses at a fit, and which cause to take.
+    """Compare all hypotheses at a fit and choose the cause to take.
 
     Args:
-        fit: With the causes that were taken so far.
-        pool: Columns of every cause at the base; those of causes that the fit has are left out.
+        fit: With the causes taken so far.
+        pool: Columns of every cause; causes that the fit has are left out.
         smooth: Families of flexible curves, for what no cause explains.
-        block: Number of the block of every reading, for the gain on unseen places.
+        block: Block number of each reading, for cross-validation.
     """
     present = set(fit.rig.effects)
-    left = discrepancy(fit, smooth)
+    remainder = discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in present])
     ranked = sorted(screened, key=lambda cause: -screened[cause][0])
-    rivals = [Rival(None, "nothing", 0.0), Rival(None, "unexplained", left.log_bayes_factor)]
+    hypotheses = [
+        Hypothesis(None, "nothing", 0.0),
+        Hypothesis(None, "unexplained", remainder.log_bayes_factor),
+    ]
     best = 0.0
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
@@ -91,96 +99,100 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
         if i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0):
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
-        rivals.append(Rival(cause, cause.label, value, fit=fitted))
+        hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     least = least_log_evidence(len(ranked))
-    beside = max((r.log_bayes_factor for r in rivals if r.fit is not None), default=0.0)
-    noisy = noise_causes(fit, beside - policy.LEADERS_WITHIN if beside > least else 0.0)
-    rivals += [Rival(cause, cause.label, value, fit=full) for cause, value, full in noisy]
-    rivals = with_probabilities([_judged(fit, rival, block) for rival in rivals], len(ranked))
-    causes = [rival for rival in rivals if rival.cause is not None]
+    highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
+    of_noise = noise_causes(fit, highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0)
+    hypotheses += [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in of_noise]
+    hypotheses = with_probabilities(
+        [_cross_validated(fit, hypothesis, block) for hypothesis in hypotheses], len(ranked)
+    )
+    causes = [hypothesis for hypothesis in hypotheses if hypothesis.cause is not None]
     if not causes:
-        return Step(tuple(rivals), None, (), left)
-    earning = [rival for rival in causes if _earns(rival, least)]
-    first = _first(earning)
-    if first and first.name != next(rival.name for rival in causes):
-        causes = [rival for rival in causes if not _is_noise(rival) or rival == first]
-    taken = None if first is None else first.cause
-    return Step(tuple(rivals), taken, credible_set(causes, taken), left)
+        return Step(tuple(hypotheses), None, (), remainder)
+    earning = [hypothesis for hypothesis in causes if _earns(hypothesis, least)]
+    choice = _choice(earning)
+    if choice and choice.name != next(hypothesis.name for hypothesis in causes):
+        causes = [hypothesis for hypothesis in causes if not _is_noise(hypothesis) or hypothesis == choice]
+    taken = None if choice is None else choice.cause
+    return Step(tuple(hypotheses), taken, credible_set(causes, taken), remainder)
 
 
 def least_log_evidence(n_causes: int) -> float:
-    """What a cause needs against nothing to be taken, where so many are asked."""
+    """Log Bayes factor against nothing that a cause needs to be taken, among so many causes."""
     return (
         policy.LEAST_LOG_ODDS + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE + math.log(max(n_causes, 1))
     )
 
 
-def leaves_structure(left: Discrepancy) -> bool:
-    """Whether the odds are that something is left which no cause explains."""
+def leaves_structure(remainder: Discrepancy) -> bool:
+    """Whether the posterior odds favour something unexplained in the residual."""
     return (
-        left.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
+        remainder.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
         > policy.LEAST_LOG_ODDS_LEFT
     )
 
 
-def _judged(fit: Fit, rival: Rival, block: Blocks) -> Rival:
-    """A rival that was fitted, with what it gains on unseen blocks."""
-    effect = None if rival.cause is None else EFFECTS[rival.cause.name]
-    if rival.fit is None or (isinstance(effect, NoiseEffect) and effect.is_contaminating):
-        return rival  # blocks are predicted with normal densities
-    return replace(rival, held_out=held_out(fit, rival.fit, block))
+def _cross_validated(fit: Fit, hypothesis: Hypothesis, block: Blocks) -> Hypothesis:
+    """The hypothesis, cross-validated over blocks where it was fitted."""
+    effect = None if hypothesis.cause is None else EFFECTS[hypothesis.cause.name]
+    if hypothesis.fit is None or (isinstance(effect, NoiseEffect) and effect.is_contaminating):
+        return hypothesis  # blocks are predicted with normal densities
+    return replace(hypothesis, held_out=held_out(fit, hypothesis.fit, block))
 
 
-def _first(earning: list[Rival]) -> Rival | None:
-    """What to take of the causes that earn their place, best first.
+def _choice(earning: list[Hypothesis]) -> Hypothesis | None:
+    """The cause to take among those with sufficient evidence, given best first.
 
-    Scatter that imitates structure, such as that of a mover, waits: everything else is asked before it, and again beside it. Outliers spoil
-    all other evidence: where they lead, and the mover does not explain them better, they come first.
+    Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left. Outliers spoil all other evidence:
+    where they lead, they are taken first.
     """
-    structured = [rival for rival in earning if not _is_noise(rival)]
+    structured = [hypothesis for hypothesis in earning if not _is_noise(hypothesis)]
     leader = next(iter(earning), None)
     effect = None if leader is None or leader.cause is None else EFFECTS[leader.cause.name]
-    has_to_wait = isinstance(effect, NoiseEffect) and effect.imitates_structure
-    return structured[0] if has_to_wait and structured else leader
+    is_last = isinstance(effect, NoiseEffect) and effect.imitates_structure
+    return structured[0] if is_last and structured else leader
 
 
-def _earns(rival: Rival, least: float) -> bool:
-    """Whether the evidence for a cause suffices, and unseen blocks do not speak against it."""
-    is_loss = rival.held_out is not None and rival.held_out.is_loss
-    return rival.fit is not None and rival.log_bayes_factor > least and not is_loss
+def _earns(hypothesis: Hypothesis, least: float) -> bool:
+    """Whether the evidence for a cause suffices, and cross-validation does not contradict it."""
+    is_loss = hypothesis.held_out is not None and hypothesis.held_out.is_loss
+    return hypothesis.fit is not None and hypothesis.log_bayes_factor > least and not is_loss
 
 
-def _is_noise(rival: Rival) -> bool:
-    return rival.cause is not None and isinstance(EFFECTS[rival.cause.name], NoiseEffect)
+def _is_noise(hypothesis: Hypothesis) -> bool:
+    return hypothesis.cause is not None and isinstance(EFFECTS[hypothesis.cause.name], NoiseEffect)
 
 
-def with_probabilities(rivals: Sequence[Rival], n_causes: int) -> list[Rival]:
-    """Rivals with their probabilities among each other, most probable first."""
+def with_probabilities(hypotheses: Sequence[Hypothesis], n_causes: int) -> list[Hypothesis]:
+    """The hypotheses with their posterior probabilities, most probable first."""
     log_prior = {"nothing": policy.LOG_PRIOR_NOTHING, "unexplained": policy.LOG_PRIOR_UNEXPLAINED}
-    each = policy.LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
-    logs = torch.tensor(
-        [r.log_bayes_factor + log_prior.get(r.name, each) for r in rivals], dtype=torch.float64
+    log_prior_each = policy.LOG_PRIOR_CAUSE - math.log(max(n_causes, 1))
+    log_posterior = torch.tensor(
+        [h.log_bayes_factor + log_prior.get(h.name, log_prior_each) for h in hypotheses], dtype=torch.float64
     )
-    shares = torch.softmax(logs, 0).tolist()
-    order = torch.argsort(logs, descending=True, stable=True).tolist()
-    return [replace(rivals[i], probability=shares[i]) for i in order]
+    probability = torch.softmax(log_posterior, 0).tolist()
+    order = torch.argsort(log_posterior, descending=True, stable=True).tolist()
+    return [replace(hypotheses[i], probability=probability[i]) for i in order]
 
 
-def shares_of(causes: Sequence[Rival]) -> list[float]:
-    """Probabilities of causes among each other, however small they are beside nothing and unexplained."""
-    logs = torch.tensor([rival.log_bayes_factor for rival in causes], dtype=torch.float64)
-    return list(torch.softmax(logs, 0).tolist())
+def shares_of(causes: Sequence[Hypothesis]) -> list[float]:
+    """Probabilities of causes among each other, without `nothing` and `unexplained`."""
+    log_bayes_factors = torch.tensor(
+        [hypothesis.log_bayes_factor for hypothesis in causes], dtype=torch.float64
+    )
+    return list(torch.softmax(log_bayes_factors, 0).tolist())
 
 
-def credible_set(causes: Sequence[Rival], taken: Cause | None) -> tuple[Rival, ...]:
-    """The smallest set that holds 95 % of the probability of all causes, and the one that was taken in any case.
+def credible_set(causes: Sequence[Hypothesis], taken: Cause | None) -> tuple[Hypothesis, ...]:
+    """The smallest set that holds 95 % of the probability of all causes, given most probable first; always with the one that was taken.
 
-    What explains no more than nothing does is left out: many such together may hold some per cent.
+    Causes no better than nothing are left out, for many of them together may hold some per cent.
     """
-    reached = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
-    n = int((reached < policy.CREDIBLE_SHARE).sum()) + 1
+    cumulative = torch.cumsum(torch.tensor(shares_of(causes), dtype=torch.float64), 0)
+    n = int((cumulative < policy.CREDIBLE_SHARE).sum()) + 1
     return tuple(
-        rival
-        for i, rival in enumerate(causes)
-        if rival.cause == taken or (i < n and rival.log_bayes_factor > 0.0)
+        hypothesis
+        for i, hypothesis in enumerate(causes)
+        if hypothesis.cause == taken or (i < n and hypothesis.log_bayes_factor > 0.0)
     )

@@ -1,4 +1,4 @@
-"""Proposals for the next readings: to tell causes apart, or to shrink a parameter."""
+"""Design of the next readings: to tell causes apart, or to shrink the interval of a parameter."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from estimator.store.session import Session
 
 @dataclass(frozen=True)
 class Design:
-    """What to measure next.
+    """Proposed next readings.
 
     Attributes:
         goal: In words.
-        actions: Whole programmes and what each would bring, best first; empty where a parameter is to be shrunk.
-        readings: Chosen stops, in their order.
-        so_far: What the session has reached: expected log evidence, or standard deviation of the parameter in its SI unit.
-        reached: The same after each of the stops.
+        actions: Whole programmes with their expected log evidence, best first; empty where a parameter is to be shrunk.
+        readings: Chosen stops, in order.
+        so_far: Value that the session has reached: expected log evidence, or standard deviation of the parameter in its SI unit.
+        reached: The same value after each of the stops.
         plan: The stops as a plan file.
     """
 
@@ -61,13 +61,13 @@ def design(
 
     Args:
         session: Readings so far.
-        split: Two or more causes, as `cause` or `cause[place]`, to be told apart. Each counts with its fitted size where the session
-            shows it, else with one of eight standard deviations.
+        split: Two or more causes, as `cause` or `cause[place]`, to be told apart. Each has its fitted size where the session shows it,
+            else a size of eight standard deviations.
         shrink: A parameter of the rig whose interval is to shrink.
         n_readings: How many stops to choose.
         rig: Another description of the session's rig.
     Raises:
-        InvalidInput: Neither or both of the goals are given, or they name what the rig has not.
+        InvalidInput: Neither or both of the goals are given, or they name something that the rig does not have.
     """
     if bool(split) == (shrink is not None) or len(split) == 1:
         raise InvalidInput(
@@ -93,21 +93,21 @@ def design(
             f"tell {' from '.join(hypotheses)}",
             float(separation(hypotheses, rows_seen(hypotheses)).min()),
         )
-    chosen = stops.rows(rows)
+    readings = stops.rows(rows)
     time_s = observations.history.time_s
     pace_s = float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0
-    text = plan_text(goal, rig, chosen, pace_s)
-    return Design(goal, tuple(programmes), chosen, so_far, tuple(reached.tolist()), text)
+    text = plan_text(goal, rig, readings, pace_s)
+    return Design(goal, tuple(programmes), readings, so_far, tuple(reached.tolist()), text)
 
 
 def _fit_with(base: Fit, cause: Cause) -> Fit:
-    """The fit with a cause; where the readings show little of it, at a size that they would show."""
+    """The fit with a cause; where the readings hardly show it, with a size that they would show."""
     if cause in base.rig.effects:
         raise InvalidInput(f"{cause.label} must not be in the rig already to be told from another")
     pool = candidates(base, [cause])
     if not pool:
         raise InvalidInput(f"{cause.label} must have some effect on the readings of the session")
-    best = max(pool, key=lambda one: float(base.projector.rest(one.columns).norm()))
+    best = max(pool, key=lambda candidate: float(base.projector.rest(candidate.columns).norm()))
     rig = with_effect(base.rig, cause, base.observations, best.shapes)
     fit = fit_rig(rig, base.observations, base.start_with(rig), base.posterior.model.rules)
     if fit.log_evidence - base.log_evidence > policy.CLEAR_LOG_EVIDENCE:
@@ -125,6 +125,6 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
     null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.model.circumstances.extent)}[
         key
     ]
-    there = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
-    vector = fit.posterior.coordinates.vector(there)[None]
+    start = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
+    vector = fit.posterior.coordinates.vector(start)[None]
     return Fit(fit.posterior, replace(fit.optimum, vector=vector))

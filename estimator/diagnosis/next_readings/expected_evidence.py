@@ -1,8 +1,8 @@
-"""Which further readings would tell hypotheses apart, or shrink a parameter, before they are taken.
+"""Expected log evidence of readings not yet taken, to choose those that tell hypotheses apart.
 
-Hypotheses are fits of the same readings. A further reading counts by what they expect of it differently, less what the other could
-still adjust; to first order about each fit, the expected log evidence is half the squared distance that is left, and what their scatters
-differ by.
+Hypotheses are fits of the same readings. To first order about each fit, the expected log evidence is the Kullback-Leibler divergence of
+their predictions: half the squared distance that remains after the false hypothesis has adjusted its parameters, and a term for the
+difference of their scatters.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Action:
     """Readings that could be taken next.
 
     Attributes:
-        words: What to do, for the laboratory.
-        readings: Their poses and currents; the fields, not known yet, are 0.
-        turned: Rotation vectors of sensors that are to be turned first, by name, in their present frames.
+        words: Instruction to the laboratory.
+        readings: Poses and currents; the fields, not known yet, are 0.
+        turned: Rotation vectors (rad) of sensors to be turned first, by name, in their present frames.
     """
 
     words: str
@@ -43,11 +43,11 @@ class Action:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What an action is expected to bring.
+    """An action and its expected log evidence.
 
     Attributes:
         splits: Labels of the hypotheses.
-        expected_log_evidence: That it adds for the true one against the closest of the others, in the worst case of which is true.
+        expected_log_evidence: Added for the true hypothesis against a false one, for the worst pair of the two.
     """
 
     action: Action
@@ -56,23 +56,23 @@ class Proposal:
 
 
 def proposals(hypotheses: Mapping[str, Fit], actions: Sequence[Action]) -> list[Proposal]:
-    """What each action would add to what the readings so far tell hypotheses apart by, best first.
+    """Expected log evidence that each action would add to that of the readings so far, best first.
 
     Args:
         hypotheses: Fits of the same readings by label, two or more.
-        actions: Such as `actions` proposes.
+        actions: Actions to compare, such as those of `actions`.
     """
     seen = rows_seen(hypotheses)
     so_far = separation(hypotheses, seen)
-    found = [
+    result = [
         Proposal(action, tuple(hypotheses), (separation(hypotheses, seen, action) - so_far).min().item())
         for action in actions
     ]
-    return sorted(found, key=lambda one: -one.expected_log_evidence)
+    return sorted(result, key=lambda proposal: -proposal.expected_log_evidence)
 
 
 def rows_seen(hypotheses: Mapping[str, Fit]) -> list[Rows]:
-    """What each hypothesis expects of the readings that were fitted."""
+    """Predictions of each hypothesis for the readings that were fitted."""
     return [Rows.of(fit, fit.observations, fit.rig) for fit in hypotheses.values()]
 
 
@@ -84,59 +84,59 @@ def separation(
     Args:
         hypotheses: Fits of the same readings by label.
         seen: Their `rows_seen`.
-        action: What to do next.
+        action: Next action; None for the readings so far.
     """
     fits = list(hypotheses.values())
     more: list[Rows] = []
     if action is not None:
         more = [Rows.of(fit, action.readings, _turned(fit.rig, action.turned)) for fit in fits]
     pairs = permutations(range(len(fits)), 2)
-    rows = list(zip(seen, more, strict=True)) if more else [(one,) for one in seen]
+    rows = list(zip(seen, more, strict=True)) if more else [(rows_so_far,) for rows_so_far in seen]
     return torch.stack([_distance(fits[j], rows[i], rows[j]) for i, j in pairs])
 
 
 def actions(session: Observations, rig: Rig) -> list[Action]:
-    """What a laboratory can do without new equipment: other currents, other order, standing still, a turned sensor."""
+    """Actions that need no new equipment: other currents, another order, repeats at one pose, a turned sensor."""
     stops = _some_stops(session)
     current_A = session.current_A[stops]
     largest_A = session.current_A.abs().max()
     still = stops[:1].expand(len(stops))
     n = len(stops)
-    found = [
-        ("the same places again, in random order", stops, current_A),
-        ("the same places without current", stops, 0.0 * current_A),
-        ("the same places with the current reversed", stops, -current_A),
-        ("the same places at half the current", stops, 0.5 * current_A),
-        ("one place again and again", still, current_A[:1].expand(n, -1)),
+    programmes = [
+        ("the same poses again, in random order", stops, current_A),
+        ("the same poses without current", stops, 0.0 * current_A),
+        ("the same poses with the current reversed", stops, -current_A),
+        ("the same poses at half the current", stops, 0.5 * current_A),
+        ("one pose again and again", still, current_A[:1].expand(n, -1)),
     ]
     several = len(rig.coils) > 1
     for i, coil in enumerate(rig.coils):
         alone = torch.zeros_like(current_A)
         alone[:, i] = largest_A
         if several:
-            found.append((f"the same places with {coil.name} alone", stops, alone))
-    made = [
+            programmes.append((f"the same poses with {coil.name} alone", stops, alone))
+    result = [
         Action(f"{words}, {n} readings", continued(session, rows, currents), {})
-        for words, rows, currents in found
+        for words, rows, currents in programmes
     ]
     for sensor in rig.sensors:
         if _orientation(rig, sensor.name) is None:
             continue
         for axis, turn in (("x", (1.0, 0.0, 0.0)), ("z", (0.0, 0.0, 1.0))):
             quarter = tuple(0.5 * torch.pi * part for part in turn)
-            made.append(
+            result.append(
                 Action(
-                    f"the same places with {sensor.name} turned by 90 degrees about its {axis} axis, {n} readings",
+                    f"the same poses with {sensor.name} turned by 90 degrees about its {axis} axis, {n} readings",
                     continued(session, stops, current_A),
                     {sensor.name: (quarter[0], quarter[1], quarter[2])},
                 )
             )
-    return made
+    return result
 
 
 @dataclass(frozen=True)
 class Rows:
-    """What one hypothesis expects of some readings, to first order."""
+    """Predictions of one hypothesis for some readings, to first order."""
 
     predicted_T: Float[Tensor, " component"]
     jacobian_T: Float[Tensor, "component coordinate"]
@@ -144,66 +144,67 @@ class Rows:
 
     @classmethod
     def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
-        """Of readings with a rig that differs from that of the fit in fixed numbers only."""
+        """Predictions of a fit for some readings; the rig may differ from that of the fit in fixed numbers."""
         model = MeasurementModel.unruled(rig, readings).with_rules(fit.posterior.model.rules)
         posterior = LogPosterior(Coordinates(rig), model, readings)
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
-        return cls(predicted_T, posterior.slope(fit.vector), sigma_T)
+        return cls(predicted_T, posterior.jacobian(fit.vector), sigma_T)
 
 
-def _distance(rival: Fit, truth: tuple[Rows, ...], own: tuple[Rows, ...]) -> Tensor:
-    """What readings of the truth are expected to hold against a rival, after it has adjusted its parameters within their priors.
+def _distance(rival: Fit, true_rows: tuple[Rows, ...], rival_rows: tuple[Rows, ...]) -> Tensor:
+    """Expected log evidence for the truth against a rival, which adjusts its parameters within their priors.
 
-    Half the squared distance of what the two predict, in units of the rival's scatter, and what tells their scatters apart (Kullback and
-    Leibler's divergence of two normal distributions).
+    Kullback-Leibler divergence of two normal distributions: half the squared distance of the predictions in units of the rival's scatter,
+    and a term for the difference of their scatters.
     """
-    sigma_T = torch.cat([rows.sigma_T for rows in own])
-    change = torch.cat([t.predicted_T - o.predicted_T for t, o in zip(truth, own, strict=True)]) / sigma_T
-    columns = torch.cat([rows.jacobian_T for rows in own]) / sigma_T[:, None]
+    sigma_T = torch.cat([rows.sigma_T for rows in rival_rows])
+    pairs = zip(true_rows, rival_rows, strict=True)
+    change = torch.cat([truth.predicted_T - own.predicted_T for truth, own in pairs]) / sigma_T
+    columns = torch.cat([rows.jacobian_T for rows in rival_rows]) / sigma_T[:, None]
     prior = (rival.optimum.precision - rival.optimum.information)[0]
-    followed = Projector.of(columns, prior).gram(change[:, None], change[:, None])[0, 0]
-    wider = (torch.cat([rows.sigma_T for rows in truth]) / sigma_T).square()
-    return 0.5 * (followed + (wider - 1.0 - wider.log()).sum())
+    distance2 = Projector.of(columns, prior).gram(change[:, None], change[:, None])[0, 0]
+    variance_ratio = (torch.cat([rows.sigma_T for rows in true_rows]) / sigma_T).square()
+    return 0.5 * (distance2 + (variance_ratio - 1.0 - variance_ratio.log()).sum())
 
 
 def _some_stops(session: Observations) -> Tensor:
-    """Rows of the session, spread over it in a mixed order, that stand at distinct poses."""
+    """Rows of the session at distinct poses, in random order."""
     key = torch.cat([session.sensor[:, None].double(), *session.motion.values()], dim=1)
-    _, place = torch.unique(key, dim=0, return_inverse=True)
-    first = torch.full((int(place.max()) + 1,), len(place)).scatter_reduce(
-        0, place, torch.arange(len(place)), "amin"
+    _, pose = torch.unique(key, dim=0, return_inverse=True)
+    first = torch.full((int(pose.max()) + 1,), len(pose)).scatter_reduce(
+        0, pose, torch.arange(len(pose)), "amin"
     )
     order = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))
     return first[order[: policy.N_STOPS]]
 
 
 def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observations:
-    """Readings at the poses of some rows, taken after the session at its pace; their history is the session and they."""
+    """Readings at the poses of some rows, taken after the session at its pace; their history includes the session."""
     history = session.history
     pace_s = float((history.time_s[-1] - history.time_s[0]) / max(len(history) - 1, 1)) or 1.0
     n = len(rows)
     time_s = history.time_s[-1] + pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
 
-    def both(old: Tensor, new: Tensor) -> Tensor:
+    def joined(old: Tensor, new: Tensor) -> Tensor:
         return torch.cat((old, new))
 
     whole = Observations(
-        both(history.time_s, time_s),
-        both(history.sensor, session.sensor[rows]),
-        both(history.current_A, current_A),
-        {name: both(motion, session.motion[name][rows]) for name, motion in history.motion.items()},
-        both(history.field_sensor_T, torch.zeros(n, 3, dtype=torch.float64)),
-        both(history.is_validation, torch.zeros(n, dtype=torch.bool)),
-        both(history.repeat, torch.zeros(n, dtype=history.repeat.dtype)),
-        {name: both(values, values.nanmean().expand(n)) for name, values in history.temperature_C.items()},
+        joined(history.time_s, time_s),
+        joined(history.sensor, session.sensor[rows]),
+        joined(history.current_A, current_A),
+        {name: joined(motion, session.motion[name][rows]) for name, motion in history.motion.items()},
+        joined(history.field_sensor_T, torch.zeros(n, 3, dtype=torch.float64)),
+        joined(history.is_validation, torch.zeros(n, dtype=torch.bool)),
+        joined(history.repeat, torch.zeros(n, dtype=history.repeat.dtype)),
+        {name: joined(values, values.nanmean().expand(n)) for name, values in history.temperature_C.items()},
     )
     return whole.rows(torch.arange(len(history), len(history) + n))
 
 
 def _orientation(rig: Rig, sensor: str) -> str | None:
-    """Prefix of the rotation by which a sensor could be turned; None where it is free, or moves as a displacement."""
+    """Prefix of the rotation by which a sensor can be turned; None where the rotation is free or absent."""
     for block in ("world_from_sensor", "flange_from_sensor"):
         names = [f"{sensor}.{block}.{key}" for key in ("rx_rad", "ry_rad", "rz_rad")]
         if all(name in rig.parameters and not rig.parameters[name].is_free for name in names):
@@ -215,7 +216,7 @@ def _turned(rig: Rig, turned: Mapping[str, tuple[float, float, float]]) -> Rig:
     for sensor, turn_rad in turned.items():
         prefix = _orientation(rig, sensor)
         names = [f"{prefix}.{key}" for key in ("rx_rad", "ry_rad", "rz_rad")]
-        now = Rotation.from_rotvec([rig.parameters[name].value for name in names])
-        new_rad = (now * Rotation.from_rotvec(turn_rad)).as_rotvec()
+        rotation = Rotation.from_rotvec([rig.parameters[name].value for name in names])
+        new_rad = (rotation * Rotation.from_rotvec(turn_rad)).as_rotvec()
         rig = rig.with_values(dict(zip(names, new_rad.tolist(), strict=True)))
     return rig

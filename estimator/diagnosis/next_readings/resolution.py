@@ -1,6 +1,6 @@
-"""What a session can reveal, computed before anything is named: the smallest visible size of each cause, and which cannot be told apart.
+"""Resolution of a session, before any cause is named: the smallest visible size of each cause, and causes that it cannot tell apart.
 
-Everything follows from the columns of the causes after projection on what the fit can follow (docs/physics.md).
+Both follow from the columns of the causes, less what the fit can follow (docs/physics.md).
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import torch
 from torch import Tensor
@@ -20,11 +21,11 @@ from estimator.rig.rig import Cause
 
 @dataclass(frozen=True)
 class Visible:
-    """How small a quantity of a cause may be and still show.
+    """Smallest visible size of one quantity of a cause.
 
     Attributes:
-        size: Value that changes the readings by five standard deviations beyond what the fit can follow.
-        prior_sd: Its prior width: a size beyond it will hardly occur.
+        size: Distance from the null that changes the readings by five standard deviations beyond what the fit can follow.
+        prior_sd: Standard deviation of its prior.
     """
 
     cause: Cause
@@ -40,33 +41,32 @@ class Visible:
 
 
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
-    """Of every quantity of every cause; the best of its starts, infinite where the fit follows it wholly."""
+    """Smallest visible size of every quantity of every cause, at its best start; infinite where the fit can follow all of it."""
     best: dict[tuple[Cause, str], Visible] = {}
     for candidate in pool:
         norm = torch.diagonal(fit.projector.gram(candidate.columns, candidate.columns)).clamp(min=0.0).sqrt()
         for i, key in enumerate(candidate.keys):
             n_sigma = float(norm[i])
             size = policy.VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
-            own = Visible(candidate.cause, key, candidate.units[i], size, float(candidate.prior_sd[i]))
+            visible = Visible(candidate.cause, key, candidate.units[i], size, float(candidate.prior_sd[i]))
             known = best.get((candidate.cause, key))
-            if known is None or own.size < known.size:
-                best[candidate.cause, key] = own
+            if known is None or visible.size < known.size:
+                best[candidate.cause, key] = visible
     return list(best.values())
 
 
 def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, ...]]:
-    """Groups of causes that this session could not tell apart, were one of them there at eight standard deviations.
+    """Groups of causes that this session cannot tell apart if one of them is present at eight standard deviations.
 
-    Two causes belong together where, for every quantity of the one, the other follows its columns so closely that the expected
-    difference in log evidence stays below log 20. Causes that the fit follows wholly are left out: they cannot show at all.
+    Two causes belong together where each follows the columns of the other so closely that the expected log evidence between them is below
+    log 20. Causes that the fit can follow wholly are left out, for the session cannot show them.
     """
     bases = {cause: _span(columns) for cause, columns in _columns(fit, pool).items()}
     causes = [cause for cause, basis in bases.items() if basis.shape[1]]
     twins = {cause: {cause} for cause in causes}
-    for one in causes:
-        for other in causes:
-            if one != other and _follows(bases[other], bases[one]) and _follows(bases[one], bases[other]):
-                twins[one].add(other)
+    for first, second in permutations(causes, 2):
+        if _follows(bases[second], bases[first]) and _follows(bases[first], bases[second]):
+            twins[first].add(second)
     groups: list[tuple[Cause, ...]] = []
     for cause in causes:
         group = tuple(c for c in causes if c in twins[cause])
@@ -76,13 +76,13 @@ def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, 
 
 
 def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
-    """Columns of each cause over all its starts that a plausible size makes visible, projected."""
-    found: dict[Cause, list[Tensor]] = {}
+    """Projected columns of each cause, over all its starts, that a plausible size makes visible."""
+    by_cause: dict[Cause, list[Tensor]] = {}
     for candidate in pool:
-        own = fit.projector.rest(candidate.columns)
-        visible = own.norm(dim=0) * candidate.prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
-        found.setdefault(candidate.cause, []).append(own[:, visible])
-    return {cause: torch.cat(parts, dim=1) for cause, parts in found.items()}
+        columns = fit.projector.rest(candidate.columns)
+        is_visible = columns.norm(dim=0) * candidate.prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
+        by_cause.setdefault(candidate.cause, []).append(columns[:, is_visible])
+    return {cause: torch.cat(parts, dim=1) for cause, parts in by_cause.items()}
 
 
 def _span(columns: Tensor) -> Tensor:
@@ -91,11 +91,11 @@ def _span(columns: Tensor) -> Tensor:
         return columns
     scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
     left, size, _ = torch.linalg.svd(scaled, full_matrices=False)
-    kept: Tensor = left[:, size > policy.LEAST_DIRECTION * size[0]]
-    return kept
+    basis: Tensor = left[:, size > policy.LEAST_DIRECTION * size[0]]
+    return basis
 
 
-def _follows(basis: Tensor, other: Tensor) -> bool:
-    """Whether a basis follows the typical direction of another so closely that the evidence hardly differs."""
-    kept = (basis.T @ other).square().sum() / other.shape[1]
-    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - kept)) < policy.CONFUSED_WITHIN
+def _follows(basis: Tensor, followed: Tensor) -> bool:
+    """Whether a basis follows a typical direction of another so closely that the log evidence hardly differs."""
+    share = (basis.T @ followed).square().sum() / followed.shape[1]
+    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - share)) < policy.CONFUSED_WITHIN

@@ -1,4 +1,4 @@
-"""Which stops to visit next, one after another: the poses and currents that most help to tell hypotheses apart or to shrink a parameter."""
+"""Greedy choice of the next stops: poses and currents that best tell hypotheses apart or shrink a parameter's interval."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from estimator.readings.observations import Observations
 
 
 def candidate_stops(session: Observations) -> Observations:
-    """Every pose of the session (a hundred or so at most) at some currents, as readings that follow it in random order."""
+    """Poses of the session (at most `policy.MOST_POSES`) at several currents, as readings that follow it in random order."""
     key = torch.cat([session.sensor[:, None].double(), *session.motion.values()], dim=1)
-    _, place = torch.unique(key, dim=0, return_inverse=True)
-    first = torch.full((int(place.max()) + 1,), len(place))
-    first = first.scatter_reduce(0, place, torch.arange(len(place)), "amin")
+    _, pose = torch.unique(key, dim=0, return_inverse=True)
+    first = torch.full((int(pose.max()) + 1,), len(pose))
+    first = first.scatter_reduce(0, pose, torch.arange(len(pose)), "amin")
     generator = torch.Generator().manual_seed(0)
     poses = first[torch.randperm(len(first), generator=generator)[: policy.MOST_POSES]]
     largest_A = session.current_A.abs().max()
@@ -39,24 +39,24 @@ def candidate_stops(session: Observations) -> Observations:
 def best_to_split(
     hypotheses: Mapping[str, Fit], stops: Observations, n: int
 ) -> tuple[Int[Tensor, " stop"], Float[Tensor, " stop"]]:
-    """Choose stops one after another so that the worst pair of hypotheses is told apart best.
+    """Choose stops one by one, each to raise the expected log evidence of the worst pair of hypotheses most.
 
     Args:
         hypotheses: Fits of the same readings, two or more.
-        stops: To choose from; each may be visited once.
-        n: How many.
-    Returns: Rows of `stops` in the order of the choice, and the expected log evidence after each.
+        stops: Candidates; each is chosen at most once.
+        n: Number of stops.
+    Returns: Rows of `stops` in the order of choice, and the expected log evidence after each.
     """
     fits = list(hypotheses.values())
     pairs = [_Pair.of(truth, rival, stops) for truth in fits for rival in fits if truth is not rival]
     chosen: list[int] = []
     evidence: list[Tensor] = []
     for _ in range(min(n, len(stops))):
-        gained = torch.stack([pair.with_each() for pair in pairs]).amin(0)
-        gained[chosen] = -torch.inf
-        best = int(gained.argmax())
+        expected = torch.stack([pair.with_each() for pair in pairs]).amin(0)
+        expected[chosen] = -torch.inf
+        best = int(expected.argmax())
         chosen.append(best)
-        evidence.append(gained[best])
+        evidence.append(expected[best])
         for pair in pairs:
             pair.add(best)
     return torch.tensor(chosen), torch.stack(evidence)
@@ -65,18 +65,18 @@ def best_to_split(
 def best_to_shrink(
     fit: Fit, parameter: str, stops: Observations, n: int
 ) -> tuple[Int[Tensor, " stop"], Float[Tensor, " stop"]]:
-    """Choose stops one after another so that the standard deviation of a parameter falls most.
+    """Choose stops one by one, each to lower the standard deviation of a parameter most.
 
     Args:
-        fit: Of the readings there are.
+        fit: Of the readings so far.
         parameter: A free parameter of its rig, or one that depends on free ones.
-        stops: To choose from.
-        n: How many.
-    Returns: Rows of `stops` in the order of the choice, and the parameter's standard deviation after each, in its SI unit.
+        stops: Candidates.
+        n: Number of stops.
+    Returns: Rows of `stops` in the order of choice, and the parameter's standard deviation after each, in its SI unit.
     """
     rows = Rows.of(fit, stops, fit.rig)
     columns = (rows.jacobian_T / rows.sigma_T[:, None]).unflatten(0, (len(stops), 3))
-    slope: Tensor = jacfwd(
+    gradient: Tensor = jacfwd(
         lambda vector: fit.posterior.coordinates.values(vector)[parameter] + 0.0 * vector.sum()
     )(fit.vector)
     precision = fit.optimum.precision[0]
@@ -84,7 +84,7 @@ def best_to_shrink(
     sds: list[Tensor] = []
     for _ in range(min(n, len(stops))):
         with_each = precision + columns.mT @ columns
-        sd = torch.sqrt((slope * torch.linalg.solve(with_each, slope.expand(len(stops), -1))).sum(-1))
+        sd = torch.sqrt((gradient * torch.linalg.solve(with_each, gradient.expand(len(stops), -1))).sum(-1))
         sd[chosen] = torch.inf
         best = int(sd.argmin())
         chosen.append(best)
@@ -94,7 +94,7 @@ def best_to_shrink(
 
 
 class _Pair:
-    """What is known of one truth against one rival: sums over the readings so far, and what each stop would add."""
+    """One true hypothesis against one rival: sums over the readings so far, and what each stop would add."""
 
     def __init__(
         self, precision: Tensor, score: Tensor, square: Tensor, columns: Tensor, change: Tensor
@@ -104,17 +104,17 @@ class _Pair:
 
     @classmethod
     def of(cls, truth: Fit, rival: Fit, stops: Observations) -> _Pair:
-        seen, more = (
+        seen, further = (
             (Rows.of(truth, readings, truth.rig), Rows.of(rival, readings, rival.rig))
             for readings in (rival.observations, stops)
         )
         columns, change = _whitened(*seen)
         prior = (rival.optimum.precision - rival.optimum.information)[0]
-        by_stop = (part.unflatten(0, (len(stops), 3)) for part in _whitened(*more))
+        by_stop = (part.unflatten(0, (len(stops), 3)) for part in _whitened(*further))
         return cls(columns.T @ columns + prior, columns.T @ change, change @ change, *by_stop)
 
     def with_each(self) -> Float[Tensor, " stop"]:
-        """Expected log evidence if each of the stops came next."""
+        """Expected log evidence after each of the stops, were it next."""
         precision = self.precision + self.columns.mT @ self.columns
         score = self.score + (self.columns.mT @ self.change[..., None])[..., 0]
         followed = (score * torch.linalg.solve(precision, score)).sum(-1)
@@ -122,7 +122,7 @@ class _Pair:
         return 0.5 * distance2
 
     def add(self, stop: int) -> None:
-        """Take a stop for visited."""
+        """Add a stop to the readings so far."""
         columns, change = self.columns[stop], self.change[stop]
         self.precision = self.precision + columns.T @ columns
         self.score = self.score + columns.T @ change

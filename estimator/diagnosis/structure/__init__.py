@@ -1,1 +1,1 @@
-"""What a residual shows by itself, before any cause is named."""
+"""Structure of a residual, before any cause is named."""

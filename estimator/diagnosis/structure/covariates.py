@@ -1,4 +1,4 @@
-"""What a residual could depend on: where, when and how each reading was taken."""
+"""Covariates of a residual: where, when and how each reading was taken."""
 
 from __future__ import annotations
 
@@ -28,36 +28,38 @@ class Covariate:
 
 
 def covariates(fit: Fit) -> list[Covariate]:
-    """All that takes more than one value in the fitted readings; names say the frame."""
-    return [one for one in _all(fit) if bool((one.by_reading != one.by_reading[0]).any())]
+    """Covariates that take more than one value in the fitted readings; names give the frame."""
+    return [
+        covariate for covariate in _all(fit) if bool((covariate.by_reading != covariate.by_reading[0]).any())
+    ]
 
 
 def sensor_in_coils(fit: Fit) -> dict[str, Float[Tensor, "reading 3"]]:
-    """Position of the sensor in the frame of each coil, reading by reading, as the fit has it."""
+    """Fitted position of the sensor in the frame of each coil, for every reading, in metres."""
     model = fit.posterior.model
-    everywhere = torch.arange(len(model.sensor))
-    found = {}
+    all_rows = torch.arange(len(model.sensor))
+    positions_m = {}
     for coil in model.rig.coils:
         with torch.no_grad():
-            points_m, _ = model.sensor_in_coil(coil, everywhere, fit.values)
-        found[coil.name] = points_m.expand(len(everywhere), 3)[model.pose_row]
-    return found
+            points_m, _ = model.sensor_in_coil(coil, all_rows, fit.values)
+        positions_m[coil.name] = points_m.expand(len(all_rows), 3)[model.pose_row]
+    return positions_m
 
 
 def sensor_in_room(
     fit: Fit,
 ) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
-    """Position of the sensor in the room, reading by reading, and the rotation sensor_from_world."""
+    """Fitted position of the sensor in the room, for every reading, in metres, and the rotation sensor_from_world."""
     model = fit.posterior.model
-    everywhere = torch.arange(len(model.sensor))
+    all_rows = torch.arange(len(model.sensor))
     with torch.no_grad():
-        pose = model.world_from_sensor(everywhere, fit.values)
-    position_m = pose.translation_m.expand(len(everywhere), 3)[model.pose_row]
-    return position_m, pose.rotation.mT.expand(len(everywhere), 3, 3)[model.pose_row]
+        pose = model.world_from_sensor(all_rows, fit.values)
+    position_m = pose.translation_m.expand(len(all_rows), 3)[model.pose_row]
+    return position_m, pose.rotation.mT.expand(len(all_rows), 3, 3)[model.pose_row]
 
 
 def predicted_T(fit: Fit) -> Float[Tensor, "reading 3"]:
-    """What the fit says the readings should be, in the sensor frame."""
+    """Readings predicted by the fit, in the sensor frame."""
     model = fit.posterior.model
     with torch.no_grad():
         return model.predict(fit.values).expand(len(model.circumstances), 3)
@@ -66,8 +68,8 @@ def predicted_T(fit: Fit) -> Float[Tensor, "reading 3"]:
 def _all(fit: Fit) -> Iterator[Covariate]:
     circumstances = fit.posterior.model.circumstances
     rig, observations = fit.rig, fit.observations
-    for name, place_m in sensor_in_coils(fit).items():
-        yield from _axes(f"sensor in the frame of {name}", "m", place_m)
+    for name, position_m in sensor_in_coils(fit).items():
+        yield from _axes(f"sensor in the frame of {name}", "m", position_m)
     yield from _axes("sensor in the room", "m", sensor_in_room(fit)[0])
     field_T = predicted_T(fit)
     yield Covariate("field strength", "T", field_T.norm(dim=-1))
@@ -85,9 +87,9 @@ def _all(fit: Fit) -> Iterator[Covariate]:
         yield from _axes(f"last move of {mover.name}", "m", circumstances.last_move_m(mover.name))
         yield from _axes(f"direction of approach of {mover.name}", "1", circumstances.approach(mover.name))
     for place in observations.temperature_C:
-        warmth_K = circumstances.temperature_K(place)
-        if warmth_K is not None:
-            yield Covariate(f"temperature of {place}", "K", warmth_K)
+        temperature_K = circumstances.temperature_K(place)
+        if temperature_K is not None:
+            yield Covariate(f"temperature of {place}", "K", temperature_K)
     for i, sensor in enumerate(rig.sensors):
         if len(rig.sensors) > 1:
             yield Covariate(f"reading of {sensor.name}", "1", (circumstances.sensor == i).to(torch.float64))

@@ -1,7 +1,7 @@
-"""What no known cause explains: a flexible discrepancy that detects structure and bounds it, and never extrapolates.
+"""Flexible discrepancy for what no known cause explains: it detects structure and bounds it, but never extrapolates.
 
-Smooth functions of what a reading depends on (place, field, time, the move before it), each family scaled by its own amplitude and
-given a normal prior that weakens with the order. Their evidence competes with that of the causes (docs/decisions/0008).
+Each family of columns holds smooth functions of one covariate (position, field, time, the previous reading), with an amplitude of its own
+and a normal prior that narrows with the order. Its evidence competes with that of the causes (docs/decisions/0008).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from estimator.rig.rig import Coil
 
 @dataclass(frozen=True)
 class Family:
-    """Columns that depend on one thing.
+    """Columns that depend on one covariate.
 
     Attributes:
-        name: In words; families of one name are alternatives of each other.
-        columns: Whitened; their squares add up to 1 a component over all columns, on average.
+        name: In words; families with the same name are alternatives.
+        columns: Whitened; the mean over components of their summed squares is 1.
     """
 
     name: str
@@ -38,24 +38,24 @@ class Family:
 
     @classmethod
     def of(cls, name: str, whitened: Float[Tensor, "component column"]) -> Family:
-        """Of columns at any common scale."""
+        """The family of columns given at any common scale."""
         return cls(name, whitened / whitened.square().sum(1).mean().sqrt().clamp(min=1e-300))
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Family:
-        """The same where each component weighs so many times what it did; its amplitudes stay in units of the noise."""
+        """The family with each component's weight multiplied; amplitudes stay in units of the noise."""
         return Family.of(self.name, self.columns * weight[:, None])
 
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Evidence for structure that is left.
+    """Evidence for structure in a residual.
 
     Attributes:
         log_bayes_factor: Against no structure, averaged over families and amplitudes.
-        family: The one with the largest evidence.
-        by_family: Log Bayes factor of each.
-        rms_sigma: Rms of that family's best curve, less what the fit can follow of it, in units of the noise.
-        columns: Whitened, that family's, with standard normal coefficients.
+        family: Name of the family with the largest evidence.
+        by_family: Log Bayes factor by name of family.
+        rms_sigma: Rms of the most probable curve of that family, less what the fit can follow, in units of the noise.
+        columns: Whitened columns of that family, with standard normal coefficients.
     """
 
     log_bayes_factor: float
@@ -65,7 +65,7 @@ class Discrepancy:
     columns: Float[Tensor, "component column"]
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Discrepancy:
-        """The same where each component weighs so many times what it did; as large as before in units of the noise."""
+        """The discrepancy with each component's weight multiplied; its rms in units of the noise stays."""
         amplitude = self.columns.square().sum(1).mean().sqrt()
         return replace(
             self, columns=amplitude * Family.of(self.family, self.columns * weight[:, None]).columns
@@ -73,7 +73,7 @@ class Discrepancy:
 
 
 def discrepancy(fit: Fit, families: list[Family]) -> Discrepancy:
-    """How strongly the residual asks for structure beyond the fit."""
+    """Evidence for structure in the residual of a fit, from some families of curves."""
     evidence: dict[str, list[Tensor]] = {}
     best: tuple[float, Family | None, float] = (-torch.inf, None, 0.0)
     for family in families:
@@ -108,47 +108,47 @@ def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:
 
 
 def families(fit: Fit) -> list[Family]:
-    """What a reading may smoothly depend on in this session; what is constant or linear has a name among the causes and is left out."""
+    """The families of a session. Constant and linear terms are left out, for causes stand for them."""
     model = fit.posterior.model
     circumstances = model.circumstances
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(circumstances), 3)
-    each = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
+    axes = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
     field = predicted_T / predicted_T.abs().max().clamp(min=1e-12)
     mixed = torch.cat([torch.diag_embed(torch.roll(field, shift, dims=1)) for shift in range(3)], dim=-1)
-    one = torch.ones(len(circumstances), 1, dtype=torch.float64)
+    constant = torch.ones(len(circumstances), 1, dtype=torch.float64)
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
     clock = legendre(time, policy.TIME_DEGREE)[:, 1:]
-    found = Collection(fit)
+    collection = Collection(fit)
     for coil in model.rig.coils:
-        _add_places(found, model, coil, fit)
-    found.add("time", clock[:, 1:], each)
-    found.add("field and time", clock, torch.diag_embed(field))
-    for edge in torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]:
-        later = (time > edge).to(torch.float64)
+        _add_positions(collection, model, coil, fit)
+    collection.add("time", clock[:, 1:], axes)
+    collection.add("field and time", clock, torch.diag_embed(field))
+    for instant in torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]:
+        later = (time > instant).to(torch.float64)
         for i in range(len(model.rig.sensors)):
-            mine = (later * (circumstances.sensor == i))[:, None]
-            if bool(mine.any()):
-                found.add("a change in mid session", mine, each)
-                found.add("a change in mid session", mine, torch.cat((each, mixed), dim=-1))
-    found.add("the reading itself", polynomials(unit_interval(field), 2, policy.SMOOTH_DEGREE), each)
+            later_by_sensor = (later * (circumstances.sensor == i))[:, None]
+            if bool(later_by_sensor.any()):
+                collection.add("a change in mid session", later_by_sensor, axes)
+                collection.add("a change in mid session", later_by_sensor, torch.cat((axes, mixed), dim=-1))
+    collection.add("the reading itself", polynomials(unit_interval(field), 2, policy.SMOOTH_DEGREE), axes)
     for changes_T in _changes(fit, predicted_T):
         change = changes_T / changes_T.abs().max().clamp(min=1e-12)
         rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
-        found.add("the readings before", one, change[:, :, None])
-        found.add("the readings before", one, torch.cat(rolled, dim=-1))
-    return found.families
+        collection.add("the readings before", constant, change[:, :, None])
+        collection.add("the readings before", constant, torch.cat(rolled, dim=-1))
+    return collection.families
 
 
 def _changes(fit: Fit, predicted_T: Float[Tensor, "reading 3"]) -> list[Float[Tensor, "reading 3"]]:
-    """The last change of the field, and what lingers of all changes for some time."""
+    """The last change of the field, and the exponentially fading sums of all changes."""
     last_T = before(predicted_T, fit.observations.row) - predicted_T
     lingering = [lingering_T(fit, steps) for steps in policy.DECAY_STEPS]
-    return [last_T, *(one for one in lingering if one is not None)]
+    return [last_T, *(field_T for field_T in lingering if field_T is not None)]
 
 
 class Collection:
-    """Families as they are made."""
+    """Collects families for one fit; columns that vanish are left out."""
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
@@ -160,58 +160,58 @@ class Collection:
         smooth: Float[Tensor, "reading order"],
         vectors: Float[Tensor, "reading 3 direction"],
     ) -> None:
-        """Columns smooth x vectors."""
+        """Add the products of smooth functions and vectors."""
         self.add_fields(name, torch.einsum("rk,rcv->rkvc", smooth, vectors).flatten(1, 2))
 
     def add_fields(self, name: str, fields: Float[Tensor, "reading column 3"]) -> None:
-        """Columns given by reading and component."""
+        """Add columns given by reading and component."""
         columns = self.fit.posterior.measured_components(fields.movedim(1, 0)).T
         whitened = columns * self.fit.whitening_per_T[:, None]
         norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-300)
-        is_there = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
-        if bool(is_there.any()):
-            self.families.append(Family.of(name, whitened[:, is_there]))
+        is_nonzero = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
+        if bool(is_nonzero.any()):
+            self.families.append(Family.of(name, whitened[:, is_nonzero]))
 
 
-def _add_places(found: Collection, model: MeasurementModel, coil: Coil, fit: Fit) -> None:
-    """Fields that move with a coil: of any kind, and those that sources outside the workspace can make."""
+def _add_positions(collection: Collection, model: MeasurementModel, coil: Coil, fit: Fit) -> None:
+    """Add fields that move with a coil: arbitrary smooth ones, and those of sources outside the workspace."""
     circumstances = model.circumstances
-    everywhere = torch.arange(len(model.sensor))
+    all_rows = torch.arange(len(model.sensor))
     with torch.no_grad():
-        points_m, sensor_from_coil = model.sensor_in_coil(coil, everywhere, fit.values)
-    points_m = points_m.expand(len(everywhere), 3)[model.pose_row]
+        points_m, sensor_from_coil = model.sensor_in_coil(coil, all_rows, fit.values)
+    points_m = points_m.expand(len(all_rows), 3)[model.pose_row]
     if not bool((points_m != points_m[0]).any()):
-        return  # coil and sensor both stand still
-    turn = sensor_from_coil.expand(len(everywhere), 3, 3)[model.pose_row]
+        return  # coil and sensor do not move relative to each other
+    rotation = sensor_from_coil.expand(len(all_rows), 3, 3)[model.pose_row]
     current = circumstances.current_A[:, list(model.rig.coils).index(coil)] / circumstances.largest_current_A
-    place = unit_interval(points_m)
+    position = unit_interval(points_m)
     middle = points_m.mean(0)
     inner = (points_m - middle) / (points_m - middle).norm(dim=-1).max()
     fields = [
-        torch.einsum("rij,rtj->rti", turn, harmonic_gradients(inner, degree)) / degree**2
+        torch.einsum("rij,rtj->rti", rotation, harmonic_gradients(inner, degree)) / degree**2
         for degree in range(2, policy.HARMONIC_DEGREE + 1)
     ]
     source = torch.cat(fields, dim=1)
     winding = winding_of(model.rig, coil, fit.values)
-    nearby = torch.einsum("rij,rtj->rti", turn, dipoles(points_m / winding.radius_m))
-    shapes = torch.einsum("rij,rtj->rti", turn, shape_fields(points_m, winding))
-    found.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
+    nearby = torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m))
+    shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
+    collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
     drives = {f"place relative to {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
         drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
-        found.add(name, polynomials(place, 1, policy.SMOOTH_DEGREE) * drive[:, None], turn)
-        found.add(name, polynomials(place, 1, policy.COARSE_DEGREE) * drive[:, None], turn)
-        found.add_fields(name, source * drive[:, None, None])
-        found.add_fields(name, nearby * drive[:, None, None])
+        collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], rotation)
+        collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], rotation)
+        collection.add_fields(name, source * drive[:, None, None])
+        collection.add_fields(name, nearby * drive[:, None, None])
 
 
 def dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column 3"]:
-    """Fields of dipoles along each axis in and around a coil of radius 1: sources that move with it."""
-    places = [(0, 0, -0.3), (1.2, 0, -0.6), (-1.2, 0, -0.6), (0, 1.2, -0.6), (0, -1.2, -0.6), (0, 0, -2.0)]
+    """Fields of dipoles along each axis in and around a coil of radius 1, which move with it."""
+    positions = [(0, 0, -0.3), (1.2, 0, -0.6), (-1.2, 0, -0.6), (0, 1.2, -0.6), (0, -1.2, -0.6), (0, 0, -2.0)]
     columns = []
-    for place in places:
-        arm = points - torch.tensor(place, dtype=points.dtype)
+    for position in positions:
+        arm = points - torch.tensor(position, dtype=points.dtype)
         r2 = (arm**2).sum(-1, keepdim=True)
         for axis in range(3):
             moment = torch.eye(3, dtype=points.dtype)[axis]
@@ -220,9 +220,9 @@ def dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column
 
 
 def before(predicted_T: Float[Tensor, "reading 3"], row: Tensor) -> Float[Tensor, "reading 3"]:
-    """Predicted field of the reading taken before each, among those at hand."""
+    """Predicted field of the reading taken before each one, among the given readings."""
     order = torch.argsort(row)
-    before = torch.empty_like(order)
-    before[order[1:]] = order[:-1]
-    before[order[0]] = order[0]
-    return predicted_T[before]
+    previous = torch.empty_like(order)
+    previous[order[1:]] = order[:-1]
+    previous[order[0]] = order[0]
+    return predicted_T[previous]

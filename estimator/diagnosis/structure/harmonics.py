@@ -1,4 +1,4 @@
-"""Gradients of harmonic polynomials: all static fields of sources that lie outside the region where they are used."""
+"""Gradients of harmonic polynomials: the static fields of sources outside the region where they are used."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def harmonic_gradients(points: Float[Tensor, "point 3"], degree: int) -> Float[T
 
 @lru_cache
 def _harmonics(degree: int) -> tuple[list[Exponents], np.ndarray]:
-    """Monomials of a degree and the combinations of them that Laplace's operator sends to zero."""
+    """Monomials of a degree, and the combinations of them whose Laplacian is zero."""
     exponents = _monomials(degree)
     lower = _monomials(degree - 2) if degree >= 2 else []
     row = {e: i for i, e in enumerate(lower)}
@@ -59,5 +59,5 @@ def _harmonics(degree: int) -> tuple[list[Exponents], np.ndarray]:
 
 
 def _monomials(degree: int) -> list[Exponents]:
-    every = product(range(degree + 1), repeat=3)
-    return [(i, j, k) for i, j, k in every if i + j + k == degree]
+    exponents = product(range(degree + 1), repeat=3)
+    return [(i, j, k) for i, j, k in exponents if i + j + k == degree]

@@ -1,6 +1,6 @@
-"""Whether residuals are noise: their size against a noise known otherwise, and structure along anything they could depend on.
+"""Tests whether residuals are noise: their size against noise known otherwise, and their structure along covariates.
 
-All covariates are tested together: the probability given for one is that of finding any as striking among all of them in pure noise.
+The covariates are tested together: each p-value is the probability that, in pure noise, at least one of them is as striking.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class LackOfFit:
 
     Attributes:
         rms_T: Of the residual components.
-        noise_T: What noise alone would leave.
-        noise_from: `repeats` at one pose and current, or the `specification` in the rig file.
-        p_value: Probability of residuals so large by noise alone.
+        noise_T: Rms expected from noise alone.
+        noise_from: `repeats` (readings at one pose and current) or `specification` (the rig file).
+        p_value: Probability of residuals at least so large from noise alone.
     """
 
     rms_T: float
@@ -42,13 +42,13 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class Structure:
-    """How the residual follows one covariate.
+    """Dependence of the residual on one covariate.
 
     Attributes:
-        p_value: Of the most striking component, over all covariates and components together.
-        share: Of the residual's sum of squares that smooth functions of the covariate explain.
-        expected_share: What they would explain of pure noise.
-        by_component: p-value of each component of the reading, by itself.
+        p_value: Of the most striking component, adjusted for all covariates and components.
+        share: Share of the residual's sum of squares that smooth functions of the covariate explain.
+        expected_share: Share that they would explain of pure noise.
+        by_component: Unadjusted p-value of each component of the reading.
     """
 
     covariate: Covariate
@@ -59,15 +59,15 @@ class Structure:
 
 
 def lack_of_fit(fit: Fit) -> LackOfFit:
-    """Residuals against the noise that repeats show; without repeats, against that of the rig file."""
+    """Compare the residuals with the noise of repeats or, without repeats, with that of the rig file."""
     residual_T = fit.residual / fit.whitening_per_T
     rms_T = float(residual_T.square().mean().sqrt())
     repeats = _repeats(fit.observations)
     n, n_fitted = len(residual_T), fit.jacobian.shape[1]
     if repeats is not None and n - n_fitted > repeats[1]:
-        noise_T, free = repeats
-        left = max(n * rms_T**2 - free * noise_T**2, 0.0) / (n - n_fitted - free)
-        p_value = float(stats.f.sf(left / noise_T**2, n - n_fitted - free, free))
+        noise_T, n_free = repeats
+        mean_square = max(n * rms_T**2 - n_free * noise_T**2, 0.0) / (n - n_fitted - n_free)
+        p_value = float(stats.f.sf(mean_square / noise_T**2, n - n_fitted - n_free, n_free))
         return LackOfFit(rms_T, noise_T, "repeats", p_value)
     expected_T, width = _specified(fit)
     ratio = math.log(rms_T / expected_T)
@@ -79,48 +79,50 @@ def lack_of_fit(fit: Fit) -> LackOfFit:
 
 
 def structure(fit: Fit, seed: int = 0) -> list[Structure]:
-    """Test the residual for structure along every covariate; the most striking first.
+    """Test the residual for structure along every covariate, the most striking first.
 
-    Each component of the reading is compared with Legendre polynomials of the covariate, less what the fit can follow and less a
-    constant, which is tested by itself. Pure noise, put
-    through the same fit, gives the distribution of the most striking of all tests.
+    Each component of the reading is regressed on Legendre polynomials of the covariate, less what the fit can follow and less a constant,
+    which is tested by itself. Pure noise, put through the same fit, gives the distribution of the smallest p-value of all tests.
 
-    References: Westfall and Young, Resampling-Based Multiple Testing (1993), section 2.3 (single-step minP); Langsrud, Stat. Comput. 15
+    References: Westfall and Young, Resampling-Based Multiple Testing (1993), section 2.3 (unadjusted-step minP); Langsrud, Stat. Comput. 15
         (2005) 53 (rotation tests: exact for normal noise of unknown size).
     """
     constant = Covariate("nothing: a constant", "1", torch.ones(len(fit.observations), dtype=torch.float64))
     tested = [constant, *covariates(fit)]
-    bases = [[_basis(fit, one, axis) for axis in range(3)] for one in tested]
+    bases = [[_basis(fit, covariate, axis) for axis in range(3)] for covariate in tested]
     bases[1:] = [
-        [_without(basis, same) for basis, same in zip(of_one, bases[0], strict=True)] for of_one in bases[1:]
+        [_without(basis, constant_basis) for basis, constant_basis in zip(by_axis, bases[0], strict=True)]
+        for by_axis in bases[1:]
     ]
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), policy.N_NOISE_DRAWS, generator=generator, dtype=torch.float64)
     noise = fit.projector.rest(noise)
     noise = noise / noise.norm(dim=0)
-    own = fit.residual / fit.residual.norm()
-    least = torch.ones(policy.N_NOISE_DRAWS, dtype=torch.float64)
-    single: list[list[float]] = []
+    direction = fit.residual / fit.residual.norm()
+    smallest = torch.ones(policy.N_NOISE_DRAWS, dtype=torch.float64)
+    unadjusted: list[list[float]] = []
     for basis in bases:
-        single.append([])
+        unadjusted.append([])
         for columns in basis:
             if not columns.shape[1]:
-                single[-1].append(1.0)
+                unadjusted[-1].append(1.0)
                 continue
             drawn = _p_values((columns.T @ noise).square().sum(0), columns)
-            least = torch.minimum(least, drawn)
-            single[-1].append(float(_p_values((columns.T @ own).square().sum()[None], columns)[0]))
-    found = []
-    for covariate, basis, p_values in zip(tested, bases, single, strict=True):
-        together = float(((least <= min(p_values)).sum() + 1) / (policy.N_NOISE_DRAWS + 1))
-        share = sum(float((columns.T @ own).square().sum()) for columns in basis)
-        expected = sum(columns.shape[1] for columns in basis) / len(own)
-        found.append(Structure(covariate, together, share, expected, (p_values[0], p_values[1], p_values[2])))
-    return sorted(found, key=lambda one: (one.p_value, min(one.by_component)))
+            smallest = torch.minimum(smallest, drawn)
+            unadjusted[-1].append(float(_p_values((columns.T @ direction).square().sum()[None], columns)[0]))
+    structures = []
+    for covariate, basis, p_values in zip(tested, bases, unadjusted, strict=True):
+        adjusted = float(((smallest <= min(p_values)).sum() + 1) / (policy.N_NOISE_DRAWS + 1))
+        share = sum(float((columns.T @ direction).square().sum()) for columns in basis)
+        expected = sum(columns.shape[1] for columns in basis) / len(direction)
+        structures.append(
+            Structure(covariate, adjusted, share, expected, (p_values[0], p_values[1], p_values[2]))
+        )
+    return sorted(structures, key=lambda structure: (structure.p_value, min(structure.by_component)))
 
 
 def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "component column"]:
-    """Orthonormal smooth functions of a covariate on one component of the reading, less what the fit follows."""
+    """Orthonormal smooth functions of a covariate in one component of the reading, less what the fit follows."""
     values = covariate.by_reading
     degree = min(policy.COVARIATE_DEGREE, len(torch.unique(values)) - 1)
     smooth = legendre(unit_interval(values[:, None])[:, 0], max(degree, 1))
@@ -131,28 +133,28 @@ def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "componen
     return _orthonormal(fit.projector.rest(columns), columns.norm(dim=0).max())
 
 
-def _without(basis: Tensor, other: Tensor) -> Tensor:
-    """What a basis spans beyond another."""
-    return _orthonormal(basis - other @ (other.T @ basis), torch.ones((), dtype=torch.float64))
+def _without(basis: Tensor, removed: Tensor) -> Tensor:
+    """Orthonormal basis of what one basis spans beyond another."""
+    return _orthonormal(basis - removed @ (removed.T @ basis), torch.ones((), dtype=torch.float64))
 
 
 def _orthonormal(
     columns: Float[Tensor, "component column"], largest: Tensor
 ) -> Float[Tensor, "component direction"]:
-    """Orthonormal basis of what is not rounding of something so large."""
+    """Orthonormal basis of columns; directions that are rounding beside the largest size are left out."""
     left, size, _ = torch.linalg.svd(columns, full_matrices=False)
     basis: Tensor = left[:, size > RANK_TOLERANCE * largest]
     return basis
 
 
 def _p_values(share: Float[Tensor, " draw"], columns: Tensor) -> Float[Tensor, " draw"]:
-    """Probability that noise has a larger share in so many of its directions."""
+    """Probability that noise has a larger share of its square along as many directions."""
     n, k = columns.shape
     return torch.from_numpy(stats.beta.sf(share.clamp(max=1.0).numpy(), 0.5 * k, 0.5 * (n - k)))
 
 
 def _repeats(observations: Observations) -> tuple[float, int] | None:
-    """Noise of a component and degrees of freedom, from readings at one pose and current by one sensor; None where there are few."""
+    """Noise of a component and its degrees of freedom, from repeats by one sensor at one pose and current; None where there are few."""
     key = torch.cat(
         [
             observations.sensor[:, None].to(torch.float64),
@@ -162,21 +164,21 @@ def _repeats(observations: Observations) -> tuple[float, int] | None:
         dim=1,
     )
     _, group = torch.unique(key, dim=0, return_inverse=True)
-    total = free = 0.0
+    total = n_free = 0.0
     for axis in range(3):
         read = observations.is_measured[:, axis]
-        value, own = observations.field_sensor_T[read, axis], group[read]
-        number = torch.bincount(own, minlength=int(group.max()) + 1).to(torch.float64)
-        mean = torch.zeros_like(number).index_add(0, own, value) / number.clamp(min=1.0)
-        total += float((value - mean[own]).square().sum())
-        free += float((number - 1.0).clamp(min=0.0).sum())
-    if free < policy.FEWEST_REPEATS or total == 0.0:
+        value, group_read = observations.field_sensor_T[read, axis], group[read]
+        number = torch.bincount(group_read, minlength=int(group.max()) + 1).to(torch.float64)
+        mean = torch.zeros_like(number).index_add(0, group_read, value) / number.clamp(min=1.0)
+        total += float((value - mean[group_read]).square().sum())
+        n_free += float((number - 1.0).clamp(min=0.0).sum())
+    if n_free < policy.FEWEST_REPEATS or total == 0.0:
         return None
-    return math.sqrt(total / free), int(free)
+    return math.sqrt(total / n_free), int(n_free)
 
 
 def _specified(fit: Fit) -> tuple[float, float]:
-    """Rms noise of the components that the rig file expects, and the relative width of what it says."""
+    """Rms noise of the components by the rig file, and the relative standard deviation of its prior."""
     nominal = fit.rig.nominal_values()
     parameters = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
     count = fit.posterior.n_by_sensor

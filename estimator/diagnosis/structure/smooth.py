@@ -1,4 +1,4 @@
-"""Smooth functions of what a reading depends on: Legendre polynomials in one axis and in three."""
+"""Smooth functions of covariates: Legendre polynomials in one axis and in three."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from torch import Tensor
 
 
 def unit_interval(values: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
-    """Each axis on -1 .. 1."""
+    """Values scaled linearly to -1 .. 1 along each axis."""
     low, high = values.min(0).values, values.max(0).values
     return (2.0 * values - low - high) / (high - low).clamp(min=1e-12)
 
 
 def legendre(x: Float[Tensor, " reading"], degree: int) -> Float[Tensor, "reading order"]:
-    """Legendre polynomials up to a degree, the higher the weaker."""
+    """Legendre polynomials up to a degree; column n is divided by 1 + n / 2."""
     orders = [torch.ones_like(x), x]
     for n in range(1, degree):
         orders.append(((2 * n + 1) * x * orders[n] - n * orders[n - 1]) / (n + 1))
@@ -27,8 +27,13 @@ def polynomials(
     x: Float[Tensor, "reading axis"], lowest: int, highest: int
 ) -> Float[Tensor, "reading order"]:
     """Products of Legendre polynomials in three axes from a lowest to a highest total degree."""
-    one, two, three = (legendre(x[:, i], highest) for i in range(3))
+    along_x, along_y, along_z = (legendre(x[:, i], highest) for i in range(3))
     orders = product(range(highest + 1), repeat=3)
     return torch.stack(
-        [one[:, i] * two[:, j] * three[:, k] for i, j, k in orders if lowest <= i + j + k <= highest], dim=1
+        [
+            along_x[:, i] * along_y[:, j] * along_z[:, k]
+            for i, j, k in orders
+            if lowest <= i + j + k <= highest
+        ],
+        dim=1,
     )

@@ -1,4 +1,4 @@
-"""All that a residual shows by itself, before any cause is named: its size, along what it has structure, its physical signatures."""
+"""Symptoms of a residual, before any cause is named: its size, its structure along covariates, its physical signatures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_LISTED = 12
 
 @dataclass(frozen=True)
 class Symptoms:
-    """Of one fit."""
+    """Symptoms of the residual of one fit."""
 
     lack_of_fit: LackOfFit
     structure: tuple[Structure, ...]
@@ -23,10 +23,10 @@ class Symptoms:
 
     @classmethod
     def of(cls, fit: Fit, seed: int = 0) -> Symptoms:
-        """Look at the residual of a fit.
+        """Examine the residual of a fit.
 
         Args:
-            fit: Any.
+            fit: The fit.
             seed: Of the pure noise that the structure is compared with.
         """
         return cls(lack_of_fit(fit), tuple(structure(fit, seed)), signatures(fit))
@@ -42,12 +42,12 @@ class Symptoms:
             },
             "structure": [
                 {
-                    "along": one.covariate.name,
-                    "p_value": one.p_value,
-                    "share": one.share,
-                    "share_of_noise": one.expected_share,
+                    "along": test.covariate.name,
+                    "p_value": test.p_value,
+                    "share": test.share,
+                    "share_of_noise": test.expected_share,
                 }
-                for one in self.structure[:MOST_LISTED]
+                for test in self.structure[:MOST_LISTED]
             ],
             "stays_with": self.signatures.stays_with,
             "current": self.signatures.current,
@@ -55,19 +55,19 @@ class Symptoms:
         }
 
     def sentences(self) -> list[str]:
-        """For people; the size first."""
+        """Sentences for a report, the size first."""
         size = self.lack_of_fit
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
-        against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would leave {size.noise_T * 1e6:.3g} µT ({source})"
-        found = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
-        striking = [one for one in self.structure if one.p_value < policy.SIGNIFICANT]
+        against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would give {size.noise_T * 1e6:.3g} µT ({source})"
+        sentences = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
+        striking = [test for test in self.structure if test.p_value < policy.SIGNIFICANT]
         if striking:
-            names = "; ".join(f"{one.covariate.name} (p = {_p(one.p_value)})" for one in striking[:4])
-            found.append(
+            names = "; ".join(f"{test.covariate.name} (p = {_p(test.p_value)})" for test in striking[:4])
+            sentences.append(
                 f"It has structure along {len(striking)} of {len(self.structure)} covariates: {names}."
             )
         else:
-            found.append(f"It has no structure along any of {len(self.structure)} covariates.")
+            sentences.append(f"It has no structure along any of {len(self.structure)} covariates.")
         for evidence in (
             self.signatures.stays_with,
             self.signatures.current,
@@ -75,22 +75,22 @@ class Symptoms:
         ):
             answers = leading(evidence)
             if answers:
-                found.append("It " + ", or ".join(words(answer) for answer in answers) + ".")
-        return found
+                sentences.append("It " + ", or ".join(words(answer) for answer in answers) + ".")
+        return sentences
 
 
 def _against_noise(size: LackOfFit) -> str:
-    """The residual beside the noise, in words.
+    """Compare the residual with the noise in words.
 
     Examples:
         >>> _against_noise(LackOfFit(357e-6, 100e-6, "specification", 0.1))
         'more, but what is known of the noise does not rule that out'
     """
     if size.p_value < policy.SIGNIFICANT:
-        return "more than noise may leave"
+        return "more than noise explains"
     if size.rms_T > policy.CLEARLY_MORE * size.noise_T:
         return "more, but what is known of the noise does not rule that out"
-    return "no more than noise may leave"
+    return "no more than noise explains"
 
 
 def _p(value: float) -> str:

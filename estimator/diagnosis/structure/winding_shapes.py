@@ -1,4 +1,4 @@
-"""Fields of a winding whose loops are not where they should be: any smooth change of shape along the loops and along the coil."""
+"""Fields of a winding of another shape: smooth displacements of the loops, around them and along the coil."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.field.winding import Winding
 
-N_AROUND, N_ALONG = 32, 4  # elements that stand for the winding
+N_AROUND, N_ALONG = 32, 4  # wire elements around and along the winding
 
 
 def shape_fields(
     points_coil_m: Float[Tensor, "reading 3"], winding: Winding
 ) -> Float[Tensor, "reading column 3"]:
-    """Fields in the coil frame of radial and axial displacements of the loops, waves around times polynomials along the axis.
+    """Fields in the coil frame of radial and axial displacements of the loops: waves around times polynomials along the axis.
 
-    A wire element dl that is displaced by d adds a dipole of moment d x dl, to first order; the winding is taken as a sheet of its mean
-    radius. Columns weaken with the number of waves and the degree; their scale is arbitrary.
+    To first order, a wire element dl that is displaced by d adds a dipole of moment d x dl. The winding is taken as a sheet of its mean
+    radius. Columns decrease with the number of waves and the degree; their scale is arbitrary.
 
     Args:
-        points_coil_m: In front of the coil, not within a loop's distance of it.
+        points_coil_m: In front of the coil, farther away than the distance between loops.
         winding: One, without a batch.
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.6 (field of a dipole).
     """
@@ -32,13 +32,13 @@ def shape_fields(
     phi = 2.0 * math.pi * torch.arange(N_AROUND, dtype=torch.float64) / N_AROUND
     along = torch.linspace(-1.0, 1.0, 2 * N_ALONG + 1, dtype=torch.float64)[1::2]
     phi, along = (grid.flatten() for grid in torch.meshgrid(phi, along, indexing="ij"))
-    zero, one = torch.zeros_like(phi), torch.ones_like(phi)
-    outward = torch.stack((torch.cos(phi), torch.sin(phi), zero), dim=-1)
-    forward = torch.stack((-torch.sin(phi), torch.cos(phi), zero), dim=-1)
-    upward = torch.stack((zero, zero, one), dim=-1)
+    zeros, ones = torch.zeros_like(phi), torch.ones_like(phi)
+    outward = torch.stack((torch.cos(phi), torch.sin(phi), zeros), dim=-1)
+    forward = torch.stack((-torch.sin(phi), torch.cos(phi), zeros), dim=-1)
+    upward = torch.stack((zeros, zeros, ones), dim=-1)
     height_m = -0.5 * winding.length_m * (1.0 - along)
-    places_m = radius_m * outward + height_m[:, None] * upward
-    waves = [one / 1.0]
+    elements_m = radius_m * outward + height_m[:, None] * upward
+    waves = [ones]
     for m in range(1, policy.WINDING_WAVES + 1):
         waves += [torch.cos(m * phi) / (1 + m), torch.sin(m * phi) / (1 + m)]
     patterns = torch.einsum(
@@ -47,7 +47,7 @@ def shape_fields(
     moments = torch.cat(
         [patterns[:, :, None] * torch.linalg.cross(shift, forward) for shift in (outward, upward)]
     )
-    arm = (points_coil_m[:, None, :] - places_m) / radius_m
+    arm = (points_coil_m[:, None, :] - elements_m) / radius_m
     r2 = (arm**2).sum(-1)
     along_arm = torch.einsum("rsi,csi->rcs", arm, moments)
     radial = torch.einsum("rcs,rsi->rci", along_arm * 3.0 * r2[:, None, :] ** -2.5, arm)

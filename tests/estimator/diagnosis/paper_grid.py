@@ -1,4 +1,4 @@
-"""The paper's grid of 5 x 5 x 5 places at 3 A and 20 uT, in several orders and at several distances, fitted with pose and winding free."""
+"""The paper's grid of 5 x 5 x 5 positions at 3 A and 20 uT, in several orders and at several distances; pose and winding are free."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def paper_rig(fixed: Iterable[str] = ("hall.noise_T",)) -> Rig:
 
 
 def places_mm(order: str, half_mm: tuple[float, float, float] = (50.0, 50.0, 25.0)) -> np.ndarray:
-    """The grid: in `raster` order every row begins at the same end, in `snake` order where the last one ended."""
+    """The grid. In `raster` order every row begins at the same end, in `snake` order where the last one ended."""
     grid = [np.linspace(-half, half, 5) for half in half_mm]
     if order == "snake":
         indices = [
@@ -74,7 +74,7 @@ def at(rig: Rig, middle_mm: float) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Resolved:
-    """A fit and what it could see."""
+    """A fit, and the candidates whose visibility is asked."""
 
     fit: Fit
     pool: list[Candidate]
@@ -87,14 +87,16 @@ class Resolved:
 def resolved(rig: Rig, observations: Observations, names: Iterable[str], middle_mm: float) -> Resolved:
     """Fit the rig and take the columns of some causes."""
     truth = at(rig, middle_mm)
-    own = rig.with_values(truth)
-    rules = MeasurementModel.build(own, observations).rules
-    fit = fit_rig(own, observations, truth, rules)
+    true_rig = rig.with_values(truth)
+    rules = MeasurementModel.build(true_rig, observations).rules
+    fit = fit_rig(true_rig, observations, truth, rules)
     wanted = set(names)
-    return Resolved(fit, candidates(fit, [cause for cause in causes_of(own, fit) if cause.name in wanted]))
+    return Resolved(
+        fit, candidates(fit, [cause for cause in causes_of(true_rig, fit) if cause.name in wanted])
+    )
 
 
-def columns_of(found: Resolved, cause: Cause, key: str) -> torch.Tensor:
+def columns_of(result: Resolved, cause: Cause, key: str) -> torch.Tensor:
     """Whitened column of one quantity."""
-    candidate = next(c for c in found.pool if c.cause == cause)
+    candidate = next(c for c in result.pool if c.cause == cause)
     return candidate.columns[:, candidate.keys.index(key)]

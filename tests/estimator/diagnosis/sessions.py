@@ -31,7 +31,7 @@ settle_s: 2
 
 @lru_cache
 def session_with(hidden: tuple[tuple[str, float], ...], currents_A: tuple[float, ...], seed: int) -> Session:
-    """48 places at each of the currents."""
+    """48 positions at each of the currents."""
     text = PLAN.replace("CURRENTS", str([{"coil1": current} for current in currents_A]))
     folder = Path(_folder())
     plan = folder / f"{abs(hash(text))}.yaml"
@@ -46,7 +46,7 @@ def plain_fit(
     currents_A: tuple[float, ...] = (3.0, -3.0, 1.5),
     seed: int = 1,
 ) -> Fit:
-    """The rig that knows nothing of the hidden cause, fitted."""
+    """Fit of the rig without the hidden cause."""
     observations = session_with(hidden, currents_A, seed).observations
     return fit_rig(RIG, observations, TRUTH, MeasurementModel.build(RIG, observations).rules)
 

@@ -14,7 +14,7 @@ from estimator.rig.rig import Cause, Rig
 
 
 def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
-    """The rig with causes free, fitted."""
+    """Fit of the rig with some causes."""
     fit = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules)
     for cause in causes:
         wider = with_effect(fit.rig, cause, observations, {})
@@ -25,7 +25,7 @@ def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
 def with_wrong(
     rig: Rig, observations: Observations, cause: Cause, given: Mapping[str, float]
 ) -> Observations:
-    """The readings as they would be with a cause: what it changes at the truth is added to them."""
+    """The readings with the change that a cause makes at the truth."""
     wrong = with_effect(rig, cause, observations, {}, is_free=False).with_values(
         {f"{cause.label}.{key}": value for key, value in given.items()}
     )
@@ -34,6 +34,6 @@ def with_wrong(
 
 
 def predicted_T(rig: Rig, observations: Observations) -> torch.Tensor:
-    """What a rig predicts at its nominal values."""
+    """Predictions of a rig at its nominal values."""
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     return MeasurementModel.build(rig, observations).predict(values).expand(len(observations), 3)

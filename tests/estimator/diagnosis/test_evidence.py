@@ -44,7 +44,7 @@ def missed_by_laplace(fit: Fit) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def fits(tmp_path_factory: pytest.TempPathFactory) -> list[Fit]:
-    """A session with a hidden gain error, written by independent code: the plain rig, the truth, and two others."""
+    """A session with a hidden gain error, from independent code, fitted with the plain rig, the true cause, and two other causes."""
     folder = tmp_path_factory.mktemp("evidence")
     draw_session(1, "axis_gain", 8.0).write(Path(folder))
     rig = load_rig(folder / "rig.yaml")
@@ -53,7 +53,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> list[Fit]:
 
 
 def test_evidence_of_laplace_is_that_of_importance_sampling(fits: list[Fit]) -> None:
-    """All within a third; log 20 = 3.0 decides."""
+    """All agree within a third; decisions need log 20 = 3.0."""
     for fit in fits:
         missed, error = missed_by_laplace(fit)
         assert error < 0.15

@@ -1,4 +1,4 @@
-"""The extended rig: it predicts what the fit predicts, keeps what it had word by word, and survives its file."""
+"""The extended rig predicts what the fit predicts, keeps its description word by word, and survives its file."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ def untied(fit: Fit) -> dict[str, float]:
 def test_extended_file_loads_and_predicts_what_the_fit_predicts(
     rig: Rig, extended: Fit, readings: Observations, tmp_path: Path
 ):
-    """The file keeps the rig's own nominal values; with the fit's in their place nothing differs."""
+    """The file keeps the rig's nominal values; with the fit's values in their place the predictions agree."""
     path = tmp_path / "rig_extended.yaml"
     path.write_text(rig_text(rig, "by coilcal diagnose"), encoding="utf-8")
     loaded = load_rig(path)
     assert loaded == rig
     assert loaded.hash == rig.hash
     assert loaded.effects == CAUSES
-    own = {name: value for name, value in untied(extended).items() if "[" not in name}
+    extended_values = {name: value for name, value in untied(extended).items() if "[" not in name}
     assert torch.equal(
-        predicted_T(loaded.with_values(own), readings),
+        predicted_T(loaded.with_values(extended_values), readings),
         predicted_T(extended.rig.with_values(untied(extended)), readings),
     )
 

@@ -1,4 +1,4 @@
-"""A fit that stopped early says the same of what is left as one that went on; bounds are not overstepped to say it."""
+"""A fit that stopped early has the same residual as a converged one, and no coordinate leaves its bounds for it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_what_is_left_does_not_depend_on_where_the_climb_stopped(small_rig, smal
 
 
 def test_a_number_at_its_bound_is_not_pushed_beyond_it(small_rig, small_session):
-    """A plate whose strength is held at zero leaves what the rig without it leaves."""
+    """A plate of strength zero leaves the residual of the rig without it."""
     observations = small_session.observations
     without = fit_of(small_rig, observations)
     wider = with_effect(

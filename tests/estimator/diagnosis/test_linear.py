@@ -32,8 +32,8 @@ def test_evidence_of_one_column_is_the_integral_over_its_coefficient():
 
     expected = math.log(integrate.quad(density, -5.0, 5.0)[0])
     t, r = torch.from_numpy(column), torch.from_numpy(residual)
-    found = log_bayes_factor((t @ t)[None, None], (t @ r)[None], torch.tensor([prior_sd]).double())
-    assert found.item() == pytest.approx(expected, abs=1e-6)
+    value = log_bayes_factor((t @ t)[None, None], (t @ r)[None], torch.tensor([prior_sd]).double())
+    assert value.item() == pytest.approx(expected, abs=1e-6)
 
 
 def test_evidence_beside_fitted_parameters_is_that_of_the_marginal_normal():
@@ -47,8 +47,8 @@ def test_evidence_beside_fitted_parameters_is_that_of_the_marginal_normal():
     ).logpdf(data)
     projector = Projector.of(jacobian, prior)
     residual = data - jacobian @ torch.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ data)
-    found = log_bayes_factor(projector.gram(columns, columns), columns.T @ residual, sd)
-    assert found.item() == pytest.approx(float(expected), abs=1e-9)
+    value = log_bayes_factor(projector.gram(columns, columns), columns.T @ residual, sd)
+    assert value.item() == pytest.approx(float(expected), abs=1e-9)
 
 
 def test_projection_takes_out_what_parameters_without_prior_can_follow():
@@ -77,7 +77,7 @@ def test_columns_without_width_change_nothing():
 
 @pytest.mark.parametrize("amplitude", [0.3, 3.0, 30.0])
 def test_noise_follows_as_far_as_its_prior_allows(amplitude):
-    """Against the marginal normal density of residuals at every noise; columns as many as data do not explain without bounds."""
+    """Against the marginal normal density of the residuals at every noise; as many columns as data would explain them without bound."""
     random = torch.Generator().manual_seed(5)
     n, width = 20, 0.5
     columns = torch.randn(n, n, generator=random, dtype=torch.float64)
@@ -94,13 +94,13 @@ def test_noise_follows_as_far_as_its_prior_allows(amplitude):
     alone = stats.norm.logpdf(residual.numpy()).sum()
     expected = max(density(shrink) for shrink in np.linspace(-5.0, 0.0, 101)) - alone
     sd = torch.full((n,), amplitude, dtype=torch.float64)
-    found = log_bayes_factor(columns.T @ columns, columns.T @ residual, sd, FreeNoise(float(n), width))
-    assert found.item() == pytest.approx(expected, abs=1e-6)
+    value = log_bayes_factor(columns.T @ columns, columns.T @ residual, sd, FreeNoise(float(n), width))
+    assert value.item() == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("follows", [1e-13, 1e-12, 1e-11])
 def test_rounding_of_a_column_that_the_fit_follows_takes_nothing_from_real_ones(follows):
-    """Columns turned among each other, so that the rounding is in all of them; the noise can shrink by a factor of a hundred."""
+    """Columns are rotated among each other, so that all carry rounding errors; the noise may shrink by a factor of a hundred."""
     random = torch.Generator().manual_seed(6)
     n = 200
     columns = torch.randn(n, 3, generator=random, dtype=torch.float64)
@@ -112,9 +112,9 @@ def test_rounding_of_a_column_that_the_fit_follows_takes_nothing_from_real_ones(
     noise = FreeNoise(float(n), 5.0)
     sd = torch.ones(4).double()
     clean = log_bayes_factor(gram[:3, :3], score[:3], sd[:3], noise)
-    found = log_bayes_factor(turn.T @ gram @ turn, turn.T @ score, sd, noise)
+    value = log_bayes_factor(turn.T @ gram @ turn, turn.T @ score, sd, noise)
     assert clean > 300.0
-    assert found.item() == pytest.approx(clean.item(), abs=1.0)
+    assert value.item() == pytest.approx(clean.item(), abs=1.0)
 
 
 def test_mean_of_exponentials_survives_large_numbers():

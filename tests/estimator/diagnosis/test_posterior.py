@@ -1,4 +1,4 @@
-"""The posterior of an extended rig is as wide as what remains unexplained asks for, in memory and on disk."""
+"""The posterior of an extended rig is widened by what remains unexplained, in memory and on disk."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def widened(
     small_session: Session, small_rig: Rig, folder: Path, small_settings: SamplerSettings
 ) -> Calibration:
-    """Something is left that asks for intervals of three times the width."""
+    """What remains unexplained widens intervals threefold."""
     fit = fit_of(small_rig, small_session.observations.calibration)
     wider = Widening(fit, 9.0 * fit.covariance)
     return extended_posterior(small_session, small_rig, wider, out=folder, seed=1, settings=small_settings)
@@ -46,10 +46,10 @@ def test_draws_are_wider_and_counts_are_not(small_calibration: Calibration, wide
 
 
 def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calibration, widened: Calibration):
-    """Numbers that the readings tie to each other stay tied: spread one by one they would open the field far more."""
+    """Correlations that the readings impose are kept; widened one by one, the parameters would widen the field far more."""
     widths = [
-        torch.diff(torch.stack(one.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
-        for one in (small_calibration, widened)
+        torch.diff(torch.stack(calibration.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
+        for calibration in (small_calibration, widened)
     ]
     assert (widths[1] / widths[0]).numpy() == pytest.approx(3.0, rel=0.15)
 

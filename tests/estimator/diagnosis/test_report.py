@@ -1,4 +1,4 @@
-"""The page of a diagnosis: sentences and tables a reader can take at their word."""
+"""Sentences and tables of the report agree with the diagnosis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from estimator.cli.diagnose import _text
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.hypotheses.search import Stage
+from estimator.diagnosis.hypotheses.search import Addition
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
@@ -30,7 +30,7 @@ RADIUS = "coil1.radius_m"
 
 @pytest.fixture(scope="module")
 def diagnosis(small_rig: Rig, small_session: Session) -> Diagnosis:
-    """Of the small rig with an offset that a fixed sensor cannot tell from a field of the room."""
+    """The small rig with an offset, which a fixed sensor cannot tell from a field of the room."""
     flawed = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": OFFSET_T})
     return diagnose(replace(small_session, observations=flawed), seed=1)
 
@@ -41,15 +41,17 @@ def text(diagnosis: Diagnosis) -> str:
 
 
 def as_text(diagnosis: Diagnosis) -> str:
-    """The page without its pictures and tags."""
+    """The page without figures and tags."""
     page = re.sub(r"<img[^>]*>", "", diagnosis_report(diagnosis, "coilcal diagnose session.zarr"))
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
 
 
 def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
-    assert re.search(r"Found, but not down to one cause: (sensor_offset|background_field) \(", text)
     assert re.search(
-        r"could as well be .*these readings tell the two apart by (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
+        r"Found, but not distinguishable from other causes: (sensor_offset|background_field) \(", text
+    )
+    assert re.search(
+        r"the cause may be .*expected log evidence between the two (0|-?\d\.?\d*e-\d+|0\.0\d*)", text
     )
 
 
@@ -59,7 +61,7 @@ def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
 
 
 def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
-    """Without a thermometer nothing tells the loss per kelvin: 0 of width 0 would be a measurement that nobody made."""
+    """Without a thermometer nothing determines the loss per kelvin, so 0 with no uncertainty would be wrong."""
     fit = diagnosis.fits.final
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
     final = fit_rig(rig, fit.observations, {}, fit.posterior.model.rules)
@@ -83,64 +85,69 @@ def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnos
         assert low == pytest.approx(-high)
 
 
-def test_gain_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
-    before, after = (1e6 * judged.errors.vector_T for judged in (diagnosis.gain.before, diagnosis.gain.after))
-    assert f"the error falls from {before:.4g} µT to {after:.4g} µT" in text
+def test_improvement_on_unseen_readings_is_in_sentence_and_table(text: str, diagnosis: Diagnosis) -> None:
+    before, after = (
+        1e6 * scores.errors.vector_T for scores in (diagnosis.improvement.before, diagnosis.improvement.after)
+    )
+    assert f"the rms error falls from {before:.4g} µT to {after:.4g} µT" in text
     assert after < 0.2 * before
 
 
 def test_who_lost_and_by_how_much_is_in_the_appendix(text: str) -> None:
-    assert "Who was considered, step 1" in text
+    assert "Hypotheses considered, step 1" in text
     assert re.search(r"explains less: \d+\.\d behind", text)
     assert re.search(r"explains nothing: \d+\.\d behind", text)
 
 
 def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) -> None:
     several = tuple(NamedCause(Cause("sensor_offset", f"probe{i}"), 1.0, (), 50.0) for i in range(3))
-    found, left_open = (
-        replace(diagnosis.found, causes=several),
+    findings, left_open = (
+        replace(diagnosis.findings, causes=several),
         replace(diagnosis.left_open, next_measurements=()),
     )
-    said = diagnosis_report(replace(diagnosis, found=found, verdict=Verdict.NAMED, left_open=left_open), "")
-    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in said
+    page = diagnosis_report(
+        replace(diagnosis, findings=findings, verdict=Verdict.NAMED, left_open=left_open), ""
+    )
+    assert "Found: sensor_offset[probe0, probe1, probe2] (the sensor" in page
 
 
 def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:
     other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
-    (one,) = diagnosis.causes
-    found = replace(diagnosis.found, causes=(replace(one, alternatives=(other,)),))
-    assert "could as well be axis_gain (25%)." in as_text(replace(diagnosis, found=found))
+    (named,) = diagnosis.causes
+    findings = replace(diagnosis.findings, causes=(replace(named, alternatives=(other,)),))
+    assert "the cause may be axis_gain (25%)." in as_text(replace(diagnosis, findings=findings))
 
 
 def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
-    (one,) = diagnosis.causes
-    found = replace(diagnosis.found, causes=(), stand_ins=(one.cause,))
-    unexplained = replace(diagnosis, found=found, verdict=Verdict.UNEXPLAINED)
-    said = as_text(unexplained)
-    label = diagnosis.label(one.cause)
+    (named,) = diagnosis.causes
+    findings = replace(diagnosis.findings, causes=(), stand_ins=(named.cause,))
+    unexplained = replace(diagnosis, findings=findings, verdict=Verdict.UNEXPLAINED)
+    page = as_text(unexplained)
+    label = diagnosis.label(named.cause)
     assert (
-        f"The extended rig also has {label}: needed here, but something unknown may look like them." in said
+        f"The extended rig also has {label}: the fit needs them, but they may stand in for something unknown."
+        in page
     )
-    assert f"{label} (stands in) x_T" in said
-    assert f"{label} (" not in said.partition("The extended rig")[0]
+    assert f"{label} (stands in) x_T" in page
+    assert f"{label} (" not in page.partition("The extended rig")[0]
     assert f"rig_extended.yaml also has {label}: needed here" in _text(unexplained, Path("out"))
     assert "also has" not in _text(diagnosis, Path("out"))
 
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
-    first, *rest = diagnosis.found.search.stages
-    again = replace(diagnosis.found.search, stages=(first, first, *rest))
+    first, *rest = diagnosis.findings.search.additions
+    again = replace(diagnosis.findings.search, additions=(first, first, *rest))
     (ladder,) = [
         p
-        for p in pictures(replace(diagnosis, found=replace(diagnosis.found, search=again)))
-        if p.title == "What each cause brought"
+        for p in pictures(replace(diagnosis, findings=replace(diagnosis.findings, search=again)))
+        if p.title == "What each cause contributes"
     ]
     labels = [label.get_text() for label in ladder.figure.axes[0].get_yticklabels()]
-    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_stage(first)}"
+    assert labels[1] == labels[2] == f"+ {diagnosis.label_of_addition(first)}"
 
 
 def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> None:
     causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
-    stage = Stage(tuple(causes), diagnosis.fits.final)
-    assert diagnosis.label_of_stage(stage) == "sensor_offset at 2 places + axis_gain"
+    addition = Addition(tuple(causes), diagnosis.fits.final)
+    assert diagnosis.label_of_addition(addition) == "sensor_offset at 2 places + axis_gain"

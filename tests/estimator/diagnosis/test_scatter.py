@@ -1,4 +1,4 @@
-"""Hypotheses that differ in how readings scatter: when they are fitted, and what tells them apart."""
+"""Causes that change the scatter of readings: when they are fitted, and how they are told apart."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def test_a_hint_near_the_best_is_fitted_and_one_far_below_is_not(biased):
     hint, fit = hints["position_jitter"]
     assert fit is None
     (cause, value, fit), *_ = [
-        one for one in noise_causes(biased, hint - 1.0) if one[0].name == "position_jitter"
+        noise_cause
+        for noise_cause in noise_causes(biased, hint - 1.0)
+        if noise_cause[0].name == "position_jitter"
     ]
     assert fit is not None
     assert value == pytest.approx(fit.log_evidence - biased.log_evidence)

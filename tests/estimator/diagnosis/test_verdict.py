@@ -1,4 +1,4 @@
-"""What a search amounts to, for searches put together by hand, and which causes stand beside something unknown."""
+"""Verdicts of searches put together by hand, and causes that keep their name beside something unknown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Search
-from estimator.diagnosis.hypotheses.step import Rival, Step, credible_set
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy, families
 from estimator.diagnosis.verdict import (
     Alternative,
@@ -49,12 +49,12 @@ def left(log_bayes_factor: float) -> Discrepancy:
 
 def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -3.0) -> Step:
     """One step: causes of a credible set with their log Bayes factors."""
-    credible = tuple(Rival(cause, cause.label, value) for cause, value in evidence.items())
-    nothing = (Rival(None, "nothing", 0.0), Rival(None, "unexplained", structure))
+    credible = tuple(Hypothesis(cause, cause.label, value) for cause, value in evidence.items())
+    nothing = (Hypothesis(None, "nothing", 0.0), Hypothesis(None, "unexplained", structure))
     return Step((*credible, *nothing), taken, credible, left(structure))
 
 
-def found(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
+def search_with(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
     return Search(base, final, steps, (), (), tuple(candidates(base, [OFFSET, GAIN])), left(whole))
 
 
@@ -66,47 +66,48 @@ LAST = step(None, {})
 
 
 def test_without_causes_and_structure_nothing_was_found(base):
-    assert verdict_of(found(base, base, LAST), []) is Verdict.NOTHING_FOUND
+    assert verdict_of(search_with(base, base, LAST), []) is Verdict.NOTHING_FOUND
 
 
 def test_cause_alone_in_its_credible_set_is_named(base, both):
-    assert verdict_of(found(base, both, LAST), [named(OFFSET)]) is Verdict.NAMED
-    assert verdict_of(found(base, both, LAST), [named(OFFSET), named(GAIN)]) is Verdict.NAMED
+    assert verdict_of(search_with(base, both, LAST), [named(OFFSET)]) is Verdict.NAMED
+    assert verdict_of(search_with(base, both, LAST), [named(OFFSET), named(GAIN)]) is Verdict.NAMED
 
 
 def test_one_cause_with_an_alternative_makes_the_verdict_indistinguishable(base, both):
     assert (
-        verdict_of(found(base, both, LAST), [named(OFFSET), named(GAIN, TILT)]) is Verdict.INDISTINGUISHABLE
+        verdict_of(search_with(base, both, LAST), [named(OFFSET), named(GAIN, TILT)])
+        is Verdict.INDISTINGUISHABLE
     )
 
 
 @pytest.mark.parametrize("causes", [[], [named(OFFSET)], [named(OFFSET, GAIN)]])
 def test_structure_that_is_left_is_unexplained_whatever_was_named(base, both, causes):
-    search = found(base, both, step(None, {}, structure=CLEAR))
+    search = search_with(base, both, step(None, {}, structure=CLEAR))
     assert verdict_of(search, causes) is Verdict.UNEXPLAINED
 
 
 def test_evidence_for_structure_counts_at_the_last_step_only(base, both):
-    search = found(base, both, step(OFFSET, {OFFSET: 50.0}, structure=CLEAR), LAST)
+    search = search_with(base, both, step(OFFSET, {OFFSET: 50.0}, structure=CLEAR), LAST)
     assert verdict_of(search, [named(OFFSET)]) is Verdict.NAMED
 
 
 def test_several_causes_that_a_flexible_curve_beats_together_are_an_imitation(base, both):
-    search = found(base, both, LAST, whole=CLEAR)
+    search = search_with(base, both, LAST, whole=CLEAR)
     assert verdict_of(search, [named(OFFSET), named(GAIN)]) is Verdict.UNEXPLAINED
     assert verdict_of(search, [named(OFFSET)]) is Verdict.NAMED
 
 
 def test_a_little_evidence_for_structure_changes_nothing(base, both):
-    search = found(base, both, step(None, {}, structure=1.0), whole=1.0)
+    search = search_with(base, both, step(None, {}, structure=1.0), whole=1.0)
     assert verdict_of(search, [named(OFFSET), named(GAIN)]) is Verdict.NAMED
 
 
 def test_what_explains_no_more_than_nothing_is_no_alternative_however_many_such_there_are():
     """A hundred idle causes hold 11 % of the probability beside one of log evidence 6.7."""
-    weak = Rival(GAIN, GAIN.label, 3.0)
-    idle = [Rival(Cause("current_gain", f"coil{i}"), f"{i}", 0.0) for i in range(100)]
-    taken = Rival(OFFSET, OFFSET.label, 6.7)
+    weak = Hypothesis(GAIN, GAIN.label, 3.0)
+    idle = [Hypothesis(Cause("current_gain", f"coil{i}"), f"{i}", 0.0) for i in range(100)]
+    taken = Hypothesis(OFFSET, OFFSET.label, 6.7)
     assert credible_set([taken, weak, *idle], OFFSET) == (taken, weak)
     assert credible_set([taken, *idle], None) == (taken,)
     assert idle[99] in credible_set([taken, *idle], idle[99].cause)
@@ -114,7 +115,7 @@ def test_what_explains_no_more_than_nothing_is_no_alternative_however_many_such_
 
 def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(base, both):
     evidence = {OFFSET: 31.0, TILT: 30.2, Cause("background_field", "room"): 28.5}
-    search = found(base, both, step(OFFSET, evidence), step(GAIN, {GAIN: 12.0}), LAST)
+    search = search_with(base, both, step(OFFSET, evidence), step(GAIN, {GAIN: 12.0}), LAST)
     first, second = named_causes(search)
     shares = softmax(list(evidence.values()))
     assert (first.cause, first.log_bayes_factor) == (OFFSET, 31.0)
@@ -125,15 +126,15 @@ def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(b
 
 
 def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_session, base):
-    """Exact twins are never told apart; of others the residuals hold just the evidence that was expected, but for noise."""
+    """Exact twins are never told apart; for other causes the residuals hold the expected evidence, but for noise."""
     room = Cause("background_field", "room")
     seen = small_session.observations.calibration
     wrong = with_wrong(small_rig, seen, OFFSET, {"x_T": 2e-4, "y_T": -1e-4})
     fits = {cause: fit_of(small_rig, wrong, cause) for cause in (OFFSET, room, GAIN)}
-    rivals = tuple(Rival(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
-    taken = Step(rivals, OFFSET, rivals, left(-3.0))
-    (one,) = named_causes(found(base, fits[OFFSET], taken, LAST))
-    twin, other = one.alternatives
+    hypotheses = tuple(Hypothesis(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
+    taken = Step(hypotheses, OFFSET, hypotheses, left(-3.0))
+    (named_cause,) = named_causes(search_with(base, fits[OFFSET], taken, LAST))
+    twin, other = named_cause.alternatives
     assert (twin.cause, other.cause) == (room, GAIN)
     assert twin.expected_log_evidence == pytest.approx(0.0, abs=1e-3)
     square = {
@@ -145,17 +146,17 @@ def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_s
 
 
 def test_cause_that_was_dropped_later_is_not_named(base, both):
-    search = found(base, both, step(TILT, {TILT: 40.0}), step(OFFSET, {OFFSET: 50.0}), LAST)
-    assert [one.cause for one in named_causes(search)] == [OFFSET]
+    search = search_with(base, both, step(TILT, {TILT: 40.0}), step(OFFSET, {OFFSET: 50.0}), LAST)
+    assert [named_cause.cause for named_cause in named_causes(search)] == [OFFSET]
 
 
 def test_all_log_odds_charge_every_cause_its_prior(base, both):
-    search = found(base, both, LAST)
+    search = search_with(base, both, LAST)
     n_causes = len({candidate.cause for candidate in search.pool})
     gain = both.log_evidence - base.log_evidence
-    one = search.log_odds - gain
-    assert one < 2.0 * -math.log(n_causes)  # two causes, each one of that many and rarer than nothing
-    assert found(base, base, LAST).log_odds == 0.0
+    named_cause = search.log_odds - gain
+    assert named_cause < 2.0 * -math.log(n_causes)  # two causes, each one of that many and rarer than nothing
+    assert search_with(base, base, LAST).log_odds == 0.0
 
 
 @pytest.mark.parametrize("most_refitted", [4, 1], ids=["by fits without each", "to first order"])
@@ -166,10 +167,12 @@ def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)
-    search = found(fit_of(small_rig, readings.calibration), final, LAST)
+    search = search_with(fit_of(small_rig, readings.calibration), final, LAST)
     curve = replace(left(-3.0), columns=2.0 * families(final)[0].columns)
-    search = replace(search, whole=curve, steps=(replace(LAST, left=curve),))
-    assert [one.cause for one in beside_discrepancy(search, [named(OFFSET), named(GAIN)])] == [OFFSET]
+    search = replace(search, base_discrepancy=curve, steps=(replace(LAST, discrepancy=curve),))
+    assert [
+        named_cause.cause for named_cause in beside_discrepancy(search, [named(OFFSET), named(GAIN)])
+    ] == [OFFSET]
 
 
 def test_a_cause_that_a_curve_imitates_has_no_evidence_beside_it_and_one_across_it_keeps_its_own(
@@ -187,14 +190,14 @@ def test_a_cause_that_a_curve_imitates_has_no_evidence_beside_it_and_one_across_
 
 
 def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_nothing_where_not(base, both):
-    search = found(base, both, LAST)
+    search = search_with(base, both, LAST)
     assert extended_fit(search, [named(OFFSET), named(GAIN)]) is both
     assert extended_fit(search, [named(GAIN)]) is both
     assert extended_fit(search, []) is base
 
 
 def test_what_was_taken_and_is_not_named_stands_in(base, both):
-    search = found(base, both, LAST)
+    search = search_with(base, both, LAST)
     assert stand_ins(search, [named(OFFSET), named(GAIN)]) == []
     assert stand_ins(search, [named(GAIN)]) == [OFFSET]
     assert stand_ins(search, []) == []

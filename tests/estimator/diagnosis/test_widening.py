@@ -1,4 +1,4 @@
-"""Intervals hold the truth where a curve that no cause explains is in the readings too."""
+"""Widened intervals contain the truth where the readings hold a curve that no cause explains."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 
 def test_blocks_know_of_curves_that_the_noise_does_not(fit):
-    """Over many draws of curve and noise, in the linear model about the fit; a block must not be smaller than what varies in it."""
+    """Over many draws of curve and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
     curves = [f for f in families(fit) if f.name == "place relative to coil1, with its current"]
     generator = torch.Generator().manual_seed(13)
     block = pose_blocks(fit.observations, np.random.default_rng(0))
@@ -48,12 +48,12 @@ def test_blocks_know_of_curves_that_the_noise_does_not(fit):
 
 def test_more_readings_make_nothing_surer_of_what_a_curve_leaves_open(small_rig, small_session):
     observations = small_session.observations
-    searched, many = fit_of(small_rig, observations.calibration), fit_of(small_rig, observations)
+    searched, fitted_to_all = fit_of(small_rig, observations.calibration), fit_of(small_rig, observations)
     columns = 5.0 * families(searched)[0].columns
     left = Discrepancy(30.0, "a curve", {}, 5.0, columns)
     beside = searched.covariance_beside(columns)
-    for name, factor in Widening.of(searched, many, left).factors.items():
-        assert factor * many.value_sd(name) >= 0.99 * searched.value_sd(name, beside)
+    for name, factor in Widening.of(searched, fitted_to_all, left).factors.items():
+        assert factor * fitted_to_all.value_sd(name) >= 0.99 * searched.value_sd(name, beside)
         assert factor > 1.0
 
 
@@ -64,24 +64,24 @@ def test_nothing_is_made_surer(fit):
 
 
 def test_envelope_is_in_no_direction_surer_than_either():
-    """However different in size the numbers are, and if one of the two knows nothing of some of them."""
+    """Also for numbers of very different size, and where one covariance leaves some of them open."""
     generator = torch.Generator().manual_seed(2)
     size = torch.tensor([1e-6, 1.0, 1e3, 1e-3], dtype=torch.float64)
     direction = torch.randn(500, 4, generator=generator, dtype=torch.float64) / size
     for rank in (2, 4, 9):
-        one, other = (
+        first, second = (
             size[:, None] * draws.T @ draws * size
             for draws in (torch.randn(n, 4, generator=generator, dtype=torch.float64) for n in (9, rank))
         )
-        variances = [((direction @ c) * direction).sum(1) for c in (one, other, envelope(one, other))]
+        variances = [((direction @ c) * direction).sum(1) for c in (first, second, envelope(first, second))]
         assert (variances[2] >= torch.maximum(variances[0], variances[1]) * (1.0 - 1e-9)).all()
-        assert torch.allclose(envelope(one, 0.5 * one), one, rtol=1e-9)
+        assert torch.allclose(envelope(first, 0.5 * first), first, rtol=1e-9)
 
 
 def test_draws_are_spread_about_the_mean_of_their_counts_which_keep_their_probabilities(
     fit, small_calibration
 ):
-    """Readings of three times the noise leave every number three times as open, in every direction, where the counts are known."""
+    """With three times the noise all standard deviations triple, in every direction, given the counts."""
     coordinates = Coordinates(small_calibration.rig, integer_counts=True)
     n = coordinates.n_continuous
     assert 1 < n < coordinates.n
@@ -90,14 +90,14 @@ def test_draws_are_spread_about_the_mean_of_their_counts_which_keep_their_probab
     for name in coordinates.names[n:]:
         assert (draws[name] == known[name]).all()
     before, after = (
-        coordinates.vector({name: torch.from_numpy(one.ravel()) for name, one in some.items()})
+        coordinates.vector({name: torch.from_numpy(first.ravel()) for name, first in some.items()})
         for some in (known, draws)
     )
     for counts in torch.unique(before[:, n:], dim=0):
         same = (before[:, n:] == counts).all(dim=1)
         assert torch.allclose(before[same].mean(0), after[same].mean(0))
         if same.sum() > 300:
-            own, wider = (one[same, :n].T.cov() for one in (before, after))
+            own, wider = (first[same, :n].T.cov() for first in (before, after))
             assert torch.linalg.eigvals(torch.linalg.solve(own, wider)).real == pytest.approx(9.0, rel=0.25)
 
 

@@ -125,8 +125,8 @@ def test_slopes_are_what_differences_say(problem, kind):
     posterior = getattr(problem(coil, TWO_SENSORS), kind)
     coordinates = posterior.coordinates
     vectors = coordinates.sample_prior(np.random.default_rng(3), 2)
-    slope, log_sigma_slope = posterior.slope(vectors), posterior.log_sigma_slope(vectors)
-    assert slope.shape[-1] == log_sigma_slope.shape[-1] == coordinates.n_continuous
+    jacobian, log_sigma_jacobian = posterior.jacobian(vectors), posterior.log_sigma_jacobian(vectors)
+    assert jacobian.shape[-1] == log_sigma_jacobian.shape[-1] == coordinates.n_continuous
     assert coordinates.n_continuous == coordinates.n - (kind == "whole")
     for column in range(coordinates.n_continuous):
         step = torch.zeros_like(vectors)
@@ -134,12 +134,12 @@ def test_slopes_are_what_differences_say(problem, kind):
         two = 2e-5 * coordinates.scale[column]
         difference = (posterior.predicted(vectors + step) - posterior.predicted(vectors - step)) / two
         largest = difference.abs().max().item()
-        torch.testing.assert_close(slope[..., column], difference, rtol=1e-6, atol=1e-7 * largest)
+        torch.testing.assert_close(jacobian[..., column], difference, rtol=1e-6, atol=1e-7 * largest)
         ends = [torch.log(posterior.component_sigma_T(v)) for v in (vectors + step, vectors - step)]
         torch.testing.assert_close(
-            log_sigma_slope[..., column], (ends[0] - ends[1]) / two, rtol=1e-7, atol=1e-7
+            log_sigma_jacobian[..., column], (ends[0] - ends[1]) / two, rtol=1e-7, atol=1e-7
         )
-    torch.testing.assert_close(posterior.slope(vectors[1]), slope[1], rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(posterior.jacobian(vectors[1]), jacobian[1], rtol=1e-12, atol=0.0)
 
 
 def test_what_follows_a_gain_is_differentiated_with_it(problem):
@@ -152,5 +152,5 @@ def test_what_follows_a_gain_is_differentiated_with_it(problem):
     posterior = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations), observations)
     vector = posterior.coordinates.start()
     torch.testing.assert_close(
-        posterior.slope(vector), jacfwd(posterior.predicted)(vector), rtol=1e-9, atol=1e-12
+        posterior.jacobian(vector), jacfwd(posterior.predicted)(vector), rtol=1e-9, atol=1e-12
     )

@@ -9,7 +9,7 @@ import torch
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
-from estimator.diagnosis.gain import Gain
+from estimator.diagnosis.validation import Improvement
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
@@ -49,12 +49,12 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
     monkeypatch: pytest.MonkeyPatch,
     is_sampled: list[bool],
 ) -> None:
-    real = judgement.gain
+    real = judgement.improvement_of
 
-    def small_gain(*arguments: object) -> Gain:
+    def small_improvement(*arguments: object) -> Improvement:
         return replace(real(*arguments), elpd_difference=1.9, elpd_se=1.0)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(judgement, "gain", small_gain)
+    monkeypatch.setattr(judgement, "improvement_of", small_improvement)
     judged = judge(mounted_anew, small_rig, small_calibration, seed=1)
     assert (judged.conclusion, judged.calibration, judged.agrees) == ("unchanged", None, False)
     assert judged.reason.startswith(

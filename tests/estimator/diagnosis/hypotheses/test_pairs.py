@@ -1,4 +1,4 @@
-"""Two causes asked together: the algebra of the batch, and a pair in which one hides the other."""
+"""Two causes tested together: the algebra of the batch, and a pair in which one hides the other."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pool(base: Fit) -> list[Candidate]:
 
 
 def with_residual(fit: Fit, residual: torch.Tensor) -> Fit:
-    """The fit with other whitened residuals, beside what it can follow."""
+    """The fit with other whitened residuals, less what it can follow."""
     copy = Fit(fit.posterior, fit.optimum)
     projector = fit.projector
     followed = projector.factor @ (projector.factor.T @ (fit.jacobian.T @ residual))
@@ -39,20 +39,20 @@ def with_residual(fit: Fit, residual: torch.Tensor) -> Fit:
 
 
 def test_pair_has_the_evidence_of_its_columns_side_by_side(base, pool):
-    for value, one, other in pairs(base, pool):
-        columns = torch.cat((one.columns, other.columns), dim=1)
+    for value, first, second in pairs(base, pool):
+        columns = torch.cat((first.columns, second.columns), dim=1)
         direct = log_bayes_factor(
             base.projector.gram(columns, columns),
             columns.T @ base.residual,
-            torch.cat((one.prior_sd, other.prior_sd)),
+            torch.cat((first.prior_sd, second.prior_sd)),
             base.free_noise,
         )
         assert value == pytest.approx(float(direct), abs=1e-6)
 
 
 def test_every_two_causes_are_asked_once_and_no_cause_with_itself(base, pool):
-    asked = [{one.cause, other.cause} for _, one, other in pairs(base, [*pool, *pool])]
-    assert all(len(two) == 2 for two in asked)
+    asked = [{first.cause, second.cause} for _, first, second in pairs(base, [*pool, *pool])]
+    assert all(len(pair) == 2 for pair in asked)
     assert len(asked) == 4 * len(pairs(base, pool))
 
 
@@ -63,14 +63,14 @@ def test_two_causes_that_hide_each_other_are_found_together(base, pool):
     v = 0.995 * u / size + 0.1 * torch.nn.functional.normalize(
         torch.randn(len(u), 1, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), dim=0
     )
-    one = replace(
+    first = replace(
         first, keys=("x",), units=("1",), columns=u / size, prior_sd=torch.full((1,), 100.0).double()
     )
-    other = replace(one, cause=ASKED[1], columns=v)
+    second = replace(first, cause=ASKED[1], columns=v)
     difference = (u / size - v)[:, 0]
     noisy = with_residual(base, base.residual + 80.0 * difference)
-    together = pairs(noisy, [one, other])[0][0]
-    alone = max(linear_evidence(noisy, candidate) for candidate in (one, other))
+    together = pairs(noisy, [first, second])[0][0]
+    alone = max(linear_evidence(noisy, candidate) for candidate in (first, second))
     assert together > 20.0
     assert together > alone + 15.0
 

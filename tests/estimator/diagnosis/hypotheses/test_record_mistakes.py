@@ -1,4 +1,4 @@
-"""Mistakes of the record are not invented where something else is wrong."""
+"""No mistake of the record is found where something else is wrong."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import record_mistakes
-from estimator.diagnosis.hypotheses.record_mistakes import without_faults
+from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.record import DisplacementFrameError
 from estimator.rig.rig import Cause, Rig
@@ -18,13 +18,13 @@ from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
     fit = fit_of(small_rig, small_session.observations.calibration)
-    assert without_faults(fit) == (fit, [])
+    assert without_record_mistakes(fit) == (fit, [])
 
 
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
 ):
-    """From one of the rotations alone: the whole search takes half a minute."""
+    """With one rotation only, for the whole search takes half a minute."""
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
     monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
@@ -32,8 +32,8 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     truth_rig = small_rig.with_values(small_truth)
     cause = Cause("sensor_offset", "hall")
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
-    _, faults = without_faults(fit_of(small_rig, readings))
-    assert [fault.cause.name for fault in faults] == []
+    _, mistakes = without_record_mistakes(fit_of(small_rig, readings))
+    assert [mistake.cause.name for mistake in mistakes] == []
 
 
 @pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.is_record_mistake])
@@ -45,6 +45,12 @@ def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     (place,) = EFFECTS[name].places(small_rig)
     starts = EFFECTS[name].starts(circumstances, place)[:20]
     cause, few = Cause(name, place), base.observations
-    one_by_one = [value for start in starts for value in record_mistakes._coarse(base, cause, [start], few)]
-    assert record_mistakes._coarse(base, cause, starts, few) == pytest.approx(one_by_one, rel=1e-9)
+    one_by_one = [
+        value
+        for start in starts
+        for value in record_mistakes._start_log_likelihoods(base, cause, [start], few)
+    ]
+    assert record_mistakes._start_log_likelihoods(base, cause, starts, few) == pytest.approx(
+        one_by_one, rel=1e-9
+    )
     assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

@@ -18,12 +18,12 @@ OFFSET = Cause("sensor_offset", "hall")
 def test_fit_that_has_left_its_cause_is_no_evidence_for_it(
     small_rig: Rig, small_session: Session, monkeypatch, is_itself
 ):
-    """Though it explains much."""
+    """A cause that is no longer itself has no evidence, though it explains much."""
     monkeypatch.setattr(SensorOffset, "is_itself", lambda *_: is_itself)
     plain = fit_of(small_rig, with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": 100e-6}))
     value, _, start = screening(plain, candidates(plain, [OFFSET]))[OFFSET]
     assert value > 20.0
-    found, full = in_full(plain, value, start)
+    log_bayes_factor, full = in_full(plain, value, start)
     assert full.log_evidence - plain.log_evidence > 20.0
-    assert (found > 20.0) is is_itself
-    assert is_itself or found == 0.0
+    assert (log_bayes_factor > 20.0) is is_itself
+    assert is_itself or log_bayes_factor == 0.0

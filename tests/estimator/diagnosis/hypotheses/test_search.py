@@ -1,4 +1,4 @@
-"""What causes would change weighs, at every step of a search, what the readings weigh there; and where a search ends."""
+"""Columns of causes are weighted like the readings at every step of a search; and a search ends where it should."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
     told = []
-    found = search.search(fit_of(small_rig, readings.calibration), told.append, most_causes=1)
-    taken = [step.taken for step in found.steps]
+    result = search.search(fit_of(small_rig, readings.calibration), told.append, most_causes=1)
+    taken = [step.taken for step in result.steps]
     assert taken[-1] is None
-    assert tuple(taken[:-1]) == found.final.rig.effects
-    assert len(found.final.rig.effects) == 1
-    assert told[-1].endswith("would earn a place too, but 1 causes are the most")
+    assert tuple(taken[:-1]) == result.final.rig.effects
+    assert len(result.final.rig.effects) == 1
+    assert told[-1].endswith("has enough evidence too, but the number of causes is limited to 1")

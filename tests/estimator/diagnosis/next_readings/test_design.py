@@ -13,30 +13,30 @@ TWINS = ("background_field", "sensor_offset")
 
 
 def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_else_does() -> None:
-    found = design(session_with(OFFSET, (3.0,), 1), split=TWINS, n_readings=5)
-    assert found.so_far == pytest.approx(0.0, abs=0.1)
-    for one in found.actions:
-        brings = one.expected_log_evidence
-        assert (brings > 5.0) if "turned" in one.action.words else (brings < 0.1)
-    assert max(found.reached) < 0.1
+    proposed = design(session_with(OFFSET, (3.0,), 1), split=TWINS, n_readings=5)
+    assert proposed.so_far == pytest.approx(0.0, abs=0.1)
+    for proposal in proposed.actions:
+        brings = proposal.expected_log_evidence
+        assert (brings > 5.0) if "turned" in proposal.action.words else (brings < 0.1)
+    assert max(proposed.reached) < 0.1
 
 
 def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
-    found = design(session_with((), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=8)
-    reached = torch.tensor([found.so_far, *found.reached])
+    proposed = design(session_with((), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=8)
+    reached = torch.tensor([proposed.so_far, *proposed.reached])
     gains = torch.diff(reached)
     assert bool((gains > -1e-6).all())
     assert float(gains[:4].mean()) > float(gains[4:].mean())
     # No field, nothing of either: that the readings so far tell them apart already is no merit of what comes next.
-    dark = next(one for one in found.actions if "without current" in one.action.words)
-    assert found.so_far > 3.0
+    dark = next(proposal for proposal in proposed.actions if "without current" in proposal.action.words)
+    assert proposed.so_far > 3.0
     assert dark.expected_log_evidence == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
     hidden = (("core_saturation.share", 0.1), ("core_saturation.loss_per_A2", 5e-3))
-    found = design(session_with(hidden, (3.0,), 1), split=("iron_core", "core_saturation"), n_readings=6)
-    strengths = found.readings.current_A.abs().squeeze(1)
+    proposed = design(session_with(hidden, (3.0,), 1), split=("iron_core", "core_saturation"), n_readings=6)
+    strengths = proposed.readings.current_A.abs().squeeze(1)
     assert bool((strengths < 2.0).any())
 
 
@@ -48,9 +48,9 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
     from tests.estimator.diagnosis.sessions import TRUTH
 
     session = session_with((), (3.0,), 1)
-    found = design(session, shrink="coil1.radius_m", n_readings=20)
+    proposed = design(session, shrink="coil1.radius_m", n_readings=20)
     path = tmp_path / "plan.yaml"
-    path.write_text(found.plan)
+    path.write_text(proposed.plan)
     more = simulate(RIG, load_plan(path, RIG), TRUTH, 5)
     assert len(more) == 20
 
@@ -68,8 +68,8 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
         {},
     )
     fit = fit_rig(RIG, together, TRUTH, MeasurementModel.build(RIG, together).rules)
-    assert found.reached[-1] < 0.97 * found.so_far
-    assert fit.value_sd("coil1.radius_m") == pytest.approx(found.reached[-1], rel=0.15)
+    assert proposed.reached[-1] < 0.97 * proposed.so_far
+    assert fit.value_sd("coil1.radius_m") == pytest.approx(proposed.reached[-1], rel=0.15)
     assert Session(RIG, together, "both").observations.time_s.max() > 1e4
 
 

@@ -67,8 +67,8 @@ def configured() -> Resolved:
     return resolved(rig, visit(rig, 40.0, "raster"), (*SIZES, *OTHERS, *absorbed), 40.0)
 
 
-def twins(found: Resolved) -> list[set[str]]:
-    return [{cause.name for cause in group} for group in indistinguishable(found.fit, found.pool)]
+def twins(result: Resolved) -> list[set[str]]:
+    return [{cause.name for cause in group} for group in indistinguishable(result.fit, result.pool)]
 
 
 @pytest.mark.parametrize("name", SIZES)
@@ -81,15 +81,15 @@ def test_five_sigma_sizes_are_those_of_the_documentation(near, name):
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_drift_over_the_session_shows_from_19_to_27_microtesla(near, order):
-    found = near[order]
-    hours = found.fit.posterior.model.circumstances.duration_h
-    sizes = [1e6 * hours * size for size in found.sizes("offset_drift").values()]
+    result = near[order]
+    hours = result.fit.posterior.model.circumstances.duration_h
+    sizes = [1e6 * hours * size for size in result.sizes("offset_drift").values()]
     assert 0.9 * 19.0 < min(sizes) <= max(sizes) < 1.1 * 27.0
 
 
 @pytest.mark.parametrize(("order", "percent"), [("raster", 0.8), ("random", 0.4)])
 def test_heating_shows_sooner_in_random_order(near, order, percent):
-    """The loss of a coil that is warm through at 3 A."""
+    """The loss of a coil in thermal equilibrium at 3 A."""
     loss = near[order].sizes("coil_heating")["loss_per_A2"] * 3.0**2
     assert 100.0 * loss == pytest.approx(percent, rel=0.25)
 
@@ -139,8 +139,8 @@ def test_ratio_of_pitches_shows_once_counts_are_known_but_not_by_the_wire_radius
     sizes = {}
     for known in (("coil1.axial_loops", "coil1.radial_loops"), ("coil1.wire_radius_m",)):
         rig = paper_rig(("hall.noise_T", *known))
-        found = resolved(rig, visit(rig, 40.0, "raster"), ("axial_pitch", "radial_pitch"), 40.0)
-        sizes[known[0]] = [found.sizes(name)["excess"] for name in ("axial_pitch", "radial_pitch")]
+        result = resolved(rig, visit(rig, 40.0, "raster"), ("axial_pitch", "radial_pitch"), 40.0)
+        sizes[known[0]] = [result.sizes(name)["excess"] for name in ("axial_pitch", "radial_pitch")]
     assert max(sizes["coil1.axial_loops"]) < 0.06
     assert min(sizes["coil1.wire_radius_m"]) > 0.15
 
@@ -201,35 +201,35 @@ def test_second_orientation_of_the_sensor_tells_the_room_from_its_own_zero(is_tu
 @pytest.mark.parametrize(("currents_A", "is_twin"), [((3.0,), True), ((3.0, 1.0), False)])
 def test_saturation_of_a_core_needs_a_second_magnitude_of_the_current(currents_A, is_twin):
     rig = paper_rig()
-    found = resolved(
+    result = resolved(
         rig, visit(rig, 40.0, "raster", currents_A=currents_A), ("iron_core", "core_saturation"), 40.0
     )
-    assert ({"iron_core", "core_saturation"} in twins(found)) is is_twin
+    assert ({"iron_core", "core_saturation"} in twins(result)) is is_twin
 
 
 def test_displaced_element_is_nearly_a_cross_sensitivity(near):
     """The field has no curl: the z element moved along x sees d Bx / dz, much like Bx itself. Close, but no twins."""
-    found = near["snake"]
-    moved = columns_of(found, Cause("element_displacement", "hall"), "z_at_x_m")
-    mixed = columns_of(found, Cause("cross_axis", "hall"), "zx")
-    left = found.fit.projector.rest(torch.stack((moved, mixed), dim=1))
+    result = near["snake"]
+    moved = columns_of(result, Cause("element_displacement", "hall"), "z_at_x_m")
+    mixed = columns_of(result, Cause("cross_axis", "hall"), "zx")
+    left = result.fit.projector.rest(torch.stack((moved, mixed), dim=1))
     cosine = float(torch.nn.functional.cosine_similarity(left[:, 0], left[:, 1], dim=0))
     assert abs(cosine) == pytest.approx(0.94, abs=0.01)
-    assert not any({"element_displacement", "cross_axis"} <= group for group in twins(found))
+    assert not any({"element_displacement", "cross_axis"} <= group for group in twins(result))
 
 
 @pytest.mark.parametrize("repeats", [4, 9])
 def test_smallest_visible_size_falls_with_the_square_root_of_the_readings(configured, repeats):
     rig = paper_rig()
     names = ("background_field", "axis_gain", "element_displacement", "robot_scale", "mount_tilt")
-    many = resolved(rig, visit(rig, 40.0, "raster", repeats=repeats), names, 40.0)
+    repeated = resolved(rig, visit(rig, 40.0, "raster", repeats=repeats), names, 40.0)
     for name in names:
-        for key, size in many.sizes(name).items():
+        for key, size in repeated.sizes(name).items():
             assert configured.sizes(name)[key] / size == pytest.approx(math.sqrt(repeats), rel=0.05)
 
 
 def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_mean():
-    """Where the radius alone is free, symmetry keeps it from following a field across the axis."""
+    """Where only the radius is free, symmetry keeps it from following a transverse field."""
     rig = paper_rig()
     alone = paper_rig(
         p.name for p in rig.parameters.values() if p.prior is not None or p.name == "hall.noise_T"
@@ -242,8 +242,8 @@ def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_m
     observations = visit(alone, 40.0, "raster")
     rules = MeasurementModel.build(alone, observations).rules
     fit = fit_rig(alone, observations, centred, rules)
-    found = Resolved(fit, candidates(fit, [Cause("sensor_offset", "hall")]))
-    assert found.sizes("sensor_offset")["x_T"] == pytest.approx(5.0 * 20e-6 / math.sqrt(125), rel=1e-3)
+    result = Resolved(fit, candidates(fit, [Cause("sensor_offset", "hall")]))
+    assert result.sizes("sensor_offset")["x_T"] == pytest.approx(5.0 * 20e-6 / math.sqrt(125), rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +257,7 @@ def test_size_of_an_offset_that_nothing_follows_is_five_standard_errors_of_the_m
     ],
 )
 def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured, cause, key):
-    """Perfect readings with the cause, fitted without it: what is left, squared, and what the priors take, add up to 25."""
+    """Noise-free readings with the cause, fitted without it: squared residuals and prior penalties add up to 25."""
     fit, size = configured.fit, configured.sizes(cause.name)[key]
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
         {**at(fit.rig, 40.0), f"{cause.label}.{key}": size}

@@ -1,4 +1,4 @@
-"""Blocks predicted from all others without fitting again, against fits without them."""
+"""Blocks predicted from all others without a further fit, against fits without them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.gain import judged
 from estimator.diagnosis.structure.cross_validation import (
     HeldOut,
     held_out,
     jackknife_covariance,
     log_predictive,
 )
+from estimator.diagnosis.validation import validation_scores
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -44,7 +44,7 @@ def test_each_block_is_predicted_as_a_fit_of_the_others_predicts_it(fit, block):
         # The fit again has its own noise, and takes the readings of a block as independent of each other.
         n = 3 * len(mine)
         assert float(quick[numbers.tolist().index(number)]) == pytest.approx(
-            judged(again, mine).elpd, abs=0.05 * n
+            validation_scores(again, mine).elpd, abs=0.05 * n
         )
 
 
@@ -73,9 +73,9 @@ def test_scatter_is_that_of_linear_fits_without_one_block_after_another(fit, blo
         )
     moved = torch.stack(moves)
     expected = (1.0 - 1.0 / len(moved)) * moved.T @ moved
-    found = jackknife_covariance(fit, block)
+    result = jackknife_covariance(fit, block)
     sd = torch.sqrt(torch.diagonal(expected))
-    torch.testing.assert_close(found / sd / sd[:, None], expected / sd / sd[:, None], rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(result / sd / sd[:, None], expected / sd / sd[:, None], rtol=1e-6, atol=1e-6)
 
 
 def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(fit, block):
@@ -85,8 +85,8 @@ def test_scatter_of_blocks_is_the_standard_deviation_where_noise_is_independent(
     for _ in range(60):
         noise = torch.randn(len(fit.residual), generator=generator, dtype=torch.float64)
         noisy = fit.to_first_order(fit.projector, fit.projector.rest(noise))
-        own = torch.diagonal(jackknife_covariance(noisy, block))
-        ratios.append(torch.sqrt(own / torch.diagonal(fit.covariance)))
+        jackknife_variance = torch.diagonal(jackknife_covariance(noisy, block))
+        ratios.append(torch.sqrt(jackknife_variance / torch.diagonal(fit.covariance)))
     determined = torch.diagonal(fit.projector.gram(fit.jacobian, fit.jacobian)) < 0.05 * torch.diagonal(
         fit.optimum.information[0]
     )
@@ -101,10 +101,10 @@ def test_cause_in_the_readings_gains_on_unseen_blocks_and_one_that_is_not_does_n
 ):
     readings = with_wrong(small_rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     plain, right = fit_of(small_rig, readings), fit_of(small_rig, readings, OFFSET)
-    found = held_out(plain, right, block)
-    assert found.gain > 2.0 * found.se > 0.0
+    result = held_out(plain, right, block)
+    assert result.elpd_difference > 2.0 * result.elpd_se > 0.0
     beyond = held_out(right, fit_of(small_rig, readings, OFFSET, GAIN), block)
-    assert beyond.gain < 2.0 * max(beyond.se, 1.0)
+    assert beyond.elpd_difference < 2.0 * max(beyond.elpd_se, 1.0)
 
 
 def test_loss_is_one_that_exceeds_its_error():

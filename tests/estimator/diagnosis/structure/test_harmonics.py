@@ -1,4 +1,4 @@
-"""Gradients of harmonic polynomials: their number, and that they have neither divergence nor curl."""
+"""Gradients of harmonic polynomials: their number, and zero divergence and curl."""
 
 from __future__ import annotations
 

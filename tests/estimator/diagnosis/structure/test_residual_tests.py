@@ -9,7 +9,7 @@ from tests.estimator.diagnosis.sessions import plain_fit
 
 
 def with_noise(fit: Fit, seed: int) -> Fit:
-    """The same fit whose residual is what is left of pure noise."""
+    """The fit with the residual of pure noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(len(fit.residual), 1, generator=generator, dtype=torch.float64)
     copy = Fit(fit.posterior, fit.optimum)
@@ -19,7 +19,7 @@ def with_noise(fit: Fit, seed: int) -> Fit:
 
 def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
     fit = plain_fit()
-    assert min(one.p_value for one in structure(fit)) > 0.01
+    assert min(test.p_value for test in structure(fit)) > 0.01
     assert lack_of_fit(fit).p_value > 0.05
 
 
@@ -35,11 +35,11 @@ def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
 def test_the_residual_of_a_cause_has_structure_along_what_the_cause_depends_on(
     hidden: tuple[tuple[str, float], ...], along: str
 ) -> None:
-    found = structure(plain_fit(hidden))
-    by_name = {one.covariate.name: one for one in found}
+    tests = structure(plain_fit(hidden))
+    by_name = {test.covariate.name: test for test in tests}
     assert by_name[along].p_value < 0.001
     assert by_name[along].share > 3.0 * by_name[along].expected_share
-    assert along in [one.covariate.name for one in found[:2]]
+    assert along in [test.covariate.name for test in tests[:2]]
 
 
 def test_noise_is_taken_from_repeats_where_there_are_any() -> None:
@@ -60,14 +60,14 @@ def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
     fit = with_noise(plain_fit(), 3)
     louder = Fit(fit.posterior, fit.optimum)
     louder.__dict__["residual"] = 7.0 * fit.residual
-    assert [one.p_value for one in structure(louder)] == [one.p_value for one in structure(fit)]
+    assert [test.p_value for test in structure(louder)] == [test.p_value for test in structure(fit)]
 
 
 @pytest.mark.slow
 def test_structure_is_seen_in_pure_noise_as_often_as_it_says() -> None:
     n = 200
     least = torch.tensor(
-        [min(one.p_value for one in structure(with_noise(plain_fit(), s))) for s in range(n)]
+        [min(test.p_value for test in structure(with_noise(plain_fit(), s))) for s in range(n)]
     )
     for level in (0.05, 0.2, 0.5):
         expected, sd = level, (level * (1.0 - level) / n) ** 0.5
@@ -75,5 +75,5 @@ def test_structure_is_seen_in_pure_noise_as_often_as_it_says() -> None:
 
 
 def test_a_probability_over_all_covariates_is_larger_than_each_by_itself() -> None:
-    for one in structure(with_noise(plain_fit(), 5)):
-        assert one.p_value >= min(one.by_component)
+    for test in structure(with_noise(plain_fit(), 5)):
+        assert test.p_value >= min(test.by_component)

@@ -9,8 +9,10 @@ Hidden = tuple[tuple[str, float], ...]
 
 
 def test_pure_noise_has_no_signature() -> None:
-    found = signatures(plain_fit())
-    assert [leading(one) for one in (found.stays_with, found.current, found.field_equations)] == [[], [], []]
+    signature = signatures(plain_fit())
+    assert [
+        leading(evidence) for evidence in (signature.stays_with, signature.current, signature.field_equations)
+    ] == [[], [], []]
 
 
 @pytest.mark.parametrize(
@@ -58,7 +60,7 @@ def test_with_one_current_parity_is_not_asked() -> None:
 
 
 def test_every_answer_has_words() -> None:
-    found = signatures(plain_fit())
-    for evidence in (found.stays_with, found.current, found.field_equations):
+    signature = signatures(plain_fit())
+    for evidence in (signature.stays_with, signature.current, signature.field_equations):
         assert evidence
         assert all(len(words(answer)) > len(answer) for answer in evidence)

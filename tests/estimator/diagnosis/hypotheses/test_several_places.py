@@ -1,4 +1,4 @@
-"""A kind of cause that several sensors have is taken at all of them at once; those that have it not are left alone."""
+"""An effect that several sensors have is taken at all of them together, and at no others."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import torch
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.diagnosis.hypotheses.kinds import of_one_kind, steps_of, together
 from estimator.diagnosis.hypotheses.screening import in_full, screening
-from estimator.diagnosis.hypotheses.search import Stage, _Trail, search
+from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
+from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps, joint_evidence
 from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import families
 from estimator.rig.rig import Cause, Rig
@@ -64,9 +64,9 @@ def pool(rig: Rig, base: Fit):
 
 @pytest.fixture(scope="module")
 def wider(base: Fit, pool) -> Fit:
-    found = of_one_kind(base, pool)
-    assert found is not None
-    return found
+    result = at_several_places(base, pool)
+    assert result is not None
+    return result
 
 
 def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_left_out(wider):
@@ -76,7 +76,7 @@ def test_those_that_have_it_are_taken_together_and_the_one_that_has_it_not_is_le
 
 
 def test_evidence_of_a_kind_is_that_of_its_best_places(base, pool):
-    """Against every choice of them."""
+    """Against every subset of the places."""
     offsets = [c for c in pool if c.cause.name == "sensor_offset"]
     values = {}
     for places in (chosen for n in range(1, 5) for chosen in combinations(range(4), n)):
@@ -86,24 +86,24 @@ def test_evidence_of_a_kind_is_that_of_its_best_places(base, pool):
         values[places] = float(log_bayes_factor(gram, columns.T @ base.residual, prior_sd, base.free_noise))
     best = max(values, key=values.__getitem__)
     assert {offsets[i].cause for i in best} == WITH_IT
-    value, kept = together(base, offsets)
-    assert {start.cause for start in kept} == WITH_IT
+    value, needed = joint_evidence(base, offsets)
+    assert {start.cause for start in needed} == WITH_IT
     assert value == pytest.approx(values[best])
 
 
 def test_a_cause_that_is_left_at_one_place_only_is_asked_alone(rig, readings, pool):
-    assert of_one_kind(fit_of(rig, readings, OFFSET["one"], OFFSET["two"]), pool) is None
+    assert at_several_places(fit_of(rig, readings, OFFSET["one"], OFFSET["two"]), pool) is None
 
 
 def test_where_one_cause_does_as_well_it_is_left_to_be_asked_alone(rig, small_session):
-    """A room's field is the offset of every sensor; the simpler of the two is asked first."""
+    """A field of the room equals an offset of every sensor; the single cause is preferred."""
     known = small_session.observations
     known = replace(known, sensor=torch.arange(len(known)) % len(OFFSETS_T)).calibration
     room = Cause("background_field", "room")
     known = with_wrong(rig, known.with_field(predicted_T(rig, known)), room, {"x_T": 80e-6, "z_T": 60e-6})
     plain = fit_of(rig, known)
     asked = [cause for cause in causes_of(rig, plain) if cause.name in ("sensor_offset", "background_field")]
-    assert of_one_kind(plain, candidates(plain, asked)) is None
+    assert at_several_places(plain, candidates(plain, asked)) is None
 
 
 def test_one_of_several_is_compared_with_all_others_as_if_it_alone_were_asked_last(
@@ -113,17 +113,17 @@ def test_one_of_several_is_compared_with_all_others_as_if_it_alone_were_asked_la
     alone = [c for c in pool if c.cause == OFFSET["two"]]
     value, _, start = screening(without, alone)[OFFSET["two"]]
     in_truth, _ = in_full(without, value, start)
-    (step,) = steps_of(wider, [OFFSET["two"]], pool, families(base))
+    (step,) = comparison_steps(wider, [OFFSET["two"]], pool, families(base))
     assert step.taken == OFFSET["two"]
-    assert step.winner is wider
-    leader = step.rivals[0]
+    assert step.taken_fit is wider
+    leader = step.hypotheses[0]
     assert leader.cause == OFFSET["two"]
     assert leader.log_bayes_factor == pytest.approx(in_truth, rel=0.05)
-    assert {rival.cause for rival in step.rivals} >= {OFFSET["three"], None}
+    assert {hypothesis.cause for hypothesis in step.hypotheses} >= {OFFSET["three"], None}
 
 
 def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
-    """A wrong gain that nobody has taken yet is as strong without the offset as with it; a drift of the sensor is not."""
+    """A wrong gain that is not taken yet has the same evidence without the offset as with it; a drift of the sensor has not."""
     gain, drift = Cause("axis_gain", "three"), Cause("offset_drift", "two")
     rig = rig.with_fixed(
         ["coil1.radius_m", "coil1.axial_loops"]
@@ -132,8 +132,8 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
     with_all = fit_of(rig, readings, *WITH_IT)
     pool = candidates(with_all, [gain, drift])
     pool += candidates(fit_of(rig, readings), [OFFSET["two"]])
-    (step,) = steps_of(with_all, [OFFSET["two"]], pool, families(with_all))
-    value = {rival.cause: rival.log_bayes_factor for rival in step.rivals}
+    (step,) = comparison_steps(with_all, [OFFSET["two"]], pool, families(with_all))
+    value = {hypothesis.cause: hypothesis.log_bayes_factor for hypothesis in step.hypotheses}
     beside = screening(with_all, [c for c in pool if c.cause == gain])[gain][0]
     assert value[gain] < 0.5 * beside
     assert value[drift] > 20.0
@@ -143,16 +143,16 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
     monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)  # each is not asked again
     told: list[str] = []
-    found = search(base, told.append)
-    assert set(found.final.rig.effects) == WITH_IT
-    assert [step.taken for step in found.steps[:-1]] == list(found.final.rig.effects)
-    assert [set(stage.causes) for stage in found.stages] == [WITH_IT]
-    assert found.stages[0].fit.log_evidence > base.log_evidence + 100.0
-    assert any("earn their places" in words for words in told)
+    result = search(base, told.append)
+    assert set(result.final.rig.effects) == WITH_IT
+    assert [step.taken for step in result.steps[:-1]] == list(result.final.rig.effects)
+    assert [set(addition.causes) for addition in result.additions] == [WITH_IT]
+    assert result.additions[0].fit.log_evidence > base.log_evidence + 100.0
+    assert any(words.startswith("taking ") and "," in words for words in told)
 
 
 def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_the_end(rig, small_session):
-    """A sensor that stands elsewhere has passed for one whose three elements do, as they do in the others."""
+    """A displaced sensor was taken for displaced elements, which the other sensors have."""
     apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]
     misplaced = Cause("sensor_misplaced", "three")
     known = small_session.observations
@@ -164,26 +164,26 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
         readings = with_wrong(rig, readings, cause, {"x_at_z_m": 2e-3, "z_at_z_m": -2e-3, "y_at_x_m": 2e-3})
     base = fit_of(rig, readings)
     asked = [c for c in causes_of(rig, base) if c.name in ("element_displacement", "sensor_misplaced")]
-    trail = _Trail(base, candidates(base, asked), families(base), lambda words: None, 10)
+    state = _SearchState(base, candidates(base, asked), families(base), lambda words: None, 10)
     fit = fit_of(rig, readings, *apart)
-    trail.stages.append(Stage(tuple(apart), fit))
-    early = [c for c in trail.pool if c.cause != misplaced]
-    trail.steps += steps_of(fit, apart, early, trail.smooth)
-    assert [step.credible[0].cause for step in trail.steps] == apart
-    trail.compare_again(fit)
-    assert [step.taken for step in trail.steps] == apart
-    assert [step.credible[0].cause for step in trail.steps] == [*apart[:2], misplaced]
+    state.additions.append(Addition(tuple(apart), fit))
+    early = [c for c in state.pool if c.cause != misplaced]
+    state.steps += comparison_steps(fit, apart, early, state.smooth)
+    assert [step.credible[0].cause for step in state.steps] == apart
+    state.compare_again(fit)
+    assert [step.taken for step in state.steps] == apart
+    assert [step.credible[0].cause for step in state.steps] == [*apart[:2], misplaced]
 
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
-    """With its comparison: where it is taken again later, that is not the old one."""
-    trail = _Trail(base, pool, families(base), lambda words: None, 10)
+    """The comparison is dropped too; one that takes the cause again later is new."""
+    state = _SearchState(base, pool, families(base), lambda words: None, 10)
     taken = list(OFFSET.values())
     fit = fit_of(rig, readings, *taken)
-    trail.stages.append(Stage(tuple(taken), fit))
-    trail.steps += steps_of(fit, taken, pool, trail.smooth)
-    fewer = trail.revisited(fit)
+    state.additions.append(Addition(tuple(taken), fit))
+    state.steps += comparison_steps(fit, taken, pool, state.smooth)
+    fewer = state.revisited(fit)
     assert set(fewer.rig.effects) == WITH_IT
-    assert {step.taken for step in trail.steps} == WITH_IT
-    assert trail.dropped == [OFFSET["three"]]
-    assert set(trail.kept(fewer)[0].causes) == WITH_IT
+    assert {step.taken for step in state.steps} == WITH_IT
+    assert state.dropped == [OFFSET["three"]]
+    assert set(state.additions_in(fewer)[0].causes) == WITH_IT

@@ -1,0 +1,166 @@
+"""One effect at several places together: what is wrong with one sensor or coil may be wrong with others of its make.
+
+Taken one after another, each would cost a step with all hypotheses, and other causes would stand in for those not yet taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from operator import itemgetter
+
+import torch
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.step import (
+    Hypothesis,
+    Step,
+    credible_set,
+    least_log_evidence,
+    with_probabilities,
+)
+from estimator.diagnosis.linear import Projector, log_bayes_factor
+from estimator.diagnosis.structure.discrepancy import Family, discrepancy
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
+
+
+def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
+    """The fit with one effect at two or more new places; None where a cause at one place does better.
+
+    The effect is that with the highest evidence in the linear model, over the best set of its places. After the fit, the evidence for each
+    place beside the others must suffice as if it had been tested alone; the other places are left to later steps.
+
+    Args:
+        fit: With the causes taken so far.
+        pool: Columns of every cause at the fit.
+    """
+    absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
+    n_places = Counter(cause.name for cause in {candidate.cause for candidate in absent})
+    if max(n_places.values(), default=0) < policy.FEWEST_PLACES:
+        return None
+    screened = screening(fit, absent)
+    best_alone = max(highest for _, highest, _ in screened.values())
+    least = max(best_alone, 0.0) + least_log_evidence(len(screened))
+    starts_by_name = [
+        [start for cause, (_, _, start) in screened.items() if cause.name == name]
+        for name, n in n_places.items()
+        if n >= policy.FEWEST_PLACES
+    ]
+    evidence, best_starts = max((joint_evidence(fit, starts) for starts in starts_by_name), key=itemgetter(0))
+    if evidence <= least:
+        return None
+    wider = _fit_with_needed(fit, best_starts, least_log_evidence(len(screened)))
+    n_new = len(wider.rig.effects) - len(fit.rig.effects)
+    is_better = wider.log_evidence - fit.log_evidence > least
+    return wider if n_new >= policy.FEWEST_PLACES and is_better else None
+
+
+def joint_evidence(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
+    """Log Bayes factor of several causes together in the linear model, and the causes, less those that lower it (removed one by one).
+
+    -inf where one starts away from its null, for there the linear model does not hold.
+    """
+    if any(bool(start.shift.any()) for start in starts):
+        return -math.inf, []
+    columns = torch.cat([start.columns for start in starts], dim=1)
+    prior_sd = torch.cat([start.prior_sd for start in starts])
+    gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
+    start_of_column = torch.repeat_interleave(torch.tensor([start.columns.shape[1] for start in starts]))
+
+    def evidence(members: frozenset[int]) -> float:
+        columns = torch.isin(start_of_column, torch.tensor(sorted(members)))
+        return float(
+            log_bayes_factor(gram[columns][:, columns], score[columns], prior_sd[columns], fit.free_noise)
+        )
+
+    members = frozenset(range(len(starts)))
+    best = evidence(members)
+    while len(members) > 1:
+        value, fewer = max(((evidence(members - {i}), members - {i}) for i in members), key=itemgetter(0))
+        if value <= best:
+            break
+        best, members = value, fewer
+    return best, [starts[i] for i in sorted(members)]
+
+
+def _fit_with_needed(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
+    """The fit with those of several causes whose evidence suffices beside the others."""
+    rig, rules = fit.rig, fit.posterior.model.rules
+    for start in starts:
+        rig = with_effect(rig, start.cause, fit.observations, start.shapes)
+    causes = [start.cause for start in starts]
+    wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+    while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
+        rig = wider.rig
+        for cause in idle:
+            rig = rig.without_cause(cause)
+        causes = [cause for cause in causes if cause not in idle]
+        if not causes:
+            return fit
+        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+    return wider
+
+
+def comparison_steps(
+    fit: Fit, causes: Sequence[Cause], pool: Sequence[Candidate], smooth: Sequence[Family]
+) -> list[Step]:
+    """Compare each of some causes of a fit, in the linear model, with every other hypothesis in its place.
+
+    A hypothesis may also explain what remains beside the cause. Its log Bayes factor without the cause is therefore reduced by that beside
+    the cause.
+
+    Args:
+        fit: With the causes.
+        causes: Those that were taken together.
+        pool, smooth: Columns of every cause and families of flexible curves at the fit.
+    """
+    absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
+    beside = {cause: max(value, 0.0) for cause, (value, _, _) in screening(fit, absent).items()}
+    curve_beside = max(discrepancy(fit, list(smooth)).log_bayes_factor, 0.0)
+    steps = []
+    for cause in causes:
+        without, growth = _without(fit, cause)
+        lighter = torch.full_like(fit.residual, 1.0 / growth)
+        candidates = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
+        screened = screening(without, candidates)
+        curve = discrepancy(without, [family.weighed(lighter) for family in smooth])
+        hypotheses = [
+            Hypothesis(None, "nothing", 0.0),
+            Hypothesis(None, "unexplained", curve.log_bayes_factor - curve_beside),
+            *(
+                Hypothesis(
+                    rival, rival.label, value - beside.get(rival, 0.0), fit=fit if rival == cause else None
+                )
+                for rival, (value, _, _) in screened.items()
+            ),
+        ]
+        ranked = with_probabilities(hypotheses, len(screened))
+        of_causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
+        steps.append(Step(tuple(ranked), cause, credible_set(of_causes, cause), curve))
+    return steps
+
+
+def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
+    """The fit without one of its causes, to first order, and the factor by which its noise would grow."""
+    coordinates = fit.posterior.coordinates
+    nulls = {
+        f"{cause.label}.{q.key}": q.null
+        for q in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+        if not q.is_shape
+    }
+    of_cause = [i for i, name in enumerate(coordinates.names) if name in nulls]
+    others = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
+    null = torch.tensor([nulls[coordinates.names[i]] for i in of_cause], dtype=torch.float64)
+    covariance = fit.covariance[of_cause][:, of_cause]
+    shift = fit.covariance[:, of_cause] @ torch.linalg.solve(covariance, null - fit.vector[of_cause])
+    residual = fit.residual - fit.jacobian @ shift
+    growth = 1.0 if fit.free_noise is None else max(float(residual.norm() / fit.residual.norm()), 1.0)
+    jacobian = fit.jacobian[:, others] / growth
+    prior = (fit.optimum.precision - fit.optimum.information)[0][others][:, others]
+    return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), growth

@@ -1,0 +1,120 @@
+"""Validation of an extension: how well the fits before and after predict readings that neither was fitted to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit
+from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.metrics import ErrorMetrics, error_metrics
+from estimator.readings.observations import Observations
+
+
+@dataclass(frozen=True)
+class ValidationScores:
+    """How well one fit predicts unseen readings.
+
+    Attributes:
+        errors: Of the predictions.
+        elpd: Expected log predictive density, summed over the readings.
+        coverage50, coverage90: Share of the components inside the 50 % and 90 % predictive intervals.
+        log_density: Log predictive density of each reading.
+    """
+
+    errors: ErrorMetrics
+    elpd: float
+    coverage50: float
+    coverage90: float
+    log_density: Float[Tensor, " reading"]
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON holds it; None stands for what does not apply, such as angles where one component was measured."""
+        numbers = {
+            **asdict(self.errors),
+            "coverage50": self.coverage50,
+            "coverage90": self.coverage90,
+            "elpd": self.elpd,
+        }
+        return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """Scores of the fits before and after the extension, and their difference.
+
+    Attributes:
+        elpd_difference, elpd_se: Elpd after less elpd before, and its standard error over readings.
+        moved_sd: Shift of each parameter of the rig, in standard deviations of the fit before.
+    """
+
+    before: ValidationScores
+    after: ValidationScores
+    elpd_difference: float
+    elpd_se: float
+    moved_sd: dict[str, float]
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the elpd rises by more than chance explains."""
+        return self.elpd_difference > policy.LEAST_GAIN_SE * self.elpd_se
+
+    @property
+    def is_loss(self) -> bool:
+        """Whether the elpd falls by more than chance explains."""
+        return self.elpd_difference < -policy.LEAST_LOSS_SE * self.elpd_se
+
+
+def improvement_of(before: Fit, after: Fit, unseen: Observations) -> Improvement:
+    """Compare two fits on readings that neither has seen."""
+    scores_before, scores_after = validation_scores(before, unseen), validation_scores(after, unseen)
+    difference = scores_after.log_density - scores_before.log_density
+    n = len(difference)
+    se = float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
+    moved_sd = {}
+    for name in before.posterior.coordinates.names:
+        value_before, value_after = (fit.values[name] for fit in (before, after))
+        moved_sd[name] = float(value_after - value_before) / before.value_sd(name)
+    return Improvement(scores_before, scores_after, float(difference.sum()), se, moved_sd)
+
+
+def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:
+    """Errors, log predictive density and coverage of a fit's predictions; Laplace gives the uncertainty of the parameters."""
+    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
+    posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
+    with torch.no_grad():
+        predicted_T = model.predict(fit.values).expand(len(unseen), 3)
+        mean_T = posterior.measured_components(predicted_T)
+        noise_T = posterior.component_sigma_T(fit.vector)
+        jacobian: Tensor = posterior.jacobian(fit.vector)
+    parameter_variance = ((jacobian @ fit.covariance) * jacobian).sum(-1)
+    residual_T = posterior.measured_T - mean_T
+    log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
+    reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
+    by_reading = torch.zeros(len(unseen), dtype=residual_T.dtype).index_add(0, reading, log_density)
+    coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
+    errors = error_metrics(unseen.field_sensor_T.numpy(), predicted_T.numpy())
+    return ValidationScores(errors, float(by_reading.sum()), coverage[0.5], coverage[0.9], by_reading)
+
+
+def _mixture(
+    posterior: LogPosterior, fit: Fit, residual_T: Tensor, noise_T: Tensor, parameter_variance: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Log predictive density of each component and the probability below it; a mixture of two normals where the rig has outliers."""
+    share, ratio = posterior.contamination(fit.values)
+    good, bad = (
+        torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + parameter_variance))
+        for width_T in (noise_T, ratio * noise_T)
+    )
+    parts = torch.stack(
+        (torch.log1p(-share) + good.log_prob(residual_T), torch.log(share) + bad.log_prob(residual_T))
+    )
+    below = (1.0 - share) * good.cdf(residual_T) + share * bad.cdf(residual_T)
+    return torch.logsumexp(parts, 0), below
