@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.func import jacfwd
 
@@ -66,8 +66,8 @@ class LogPosterior:
         return self if self.measured_T.dim() == 1 else self.with_rows(self.measured_T[rows])
 
     def measured_components(
-        self, field_T: Float[Tensor, "*batch reading 3"]
-    ) -> Float[Tensor, "*batch component"]:
+        self, field_T: Shaped[Tensor, "*batch reading 3"]
+    ) -> Shaped[Tensor, "*batch component"]:
         """Of anything given by reading and axis, the entries that were measured."""
         return field_T.flatten(-2)[..., self._flat]
 

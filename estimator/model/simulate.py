@@ -72,9 +72,11 @@ def simulate(
     return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))
 
 
-def perfect_readings(rig: Rig, observations: Observations) -> torch.Tensor:
-    """What perfect sensors would read at the rig's nominal values; summed to 1e-10, far below any noise."""
-    return MeasurementModel.build(rig, observations, tolerance=TOLERANCE).predict(nominal_tensors(rig))
+def perfect_readings(
+    rig: Rig, observations: Observations, tolerance: float = TOLERANCE
+) -> Float[Tensor, "reading 3"]:
+    """What perfect sensors would read at the rig's nominal values; summed to 1e-10 of |B|, far below any noise, or to another tolerance."""
+    return MeasurementModel.build(rig, observations, tolerance).predict(nominal_tensors(rig))
 
 
 def _errors_T(model: MeasurementModel, rng: np.random.Generator) -> Float[Tensor, "reading 3"]:

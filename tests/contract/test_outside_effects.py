@@ -136,7 +136,8 @@ def installed(folder: Path) -> dict[str, str]:
 
 
 def coilcal(environment: dict[str, str], folder: Path, *arguments: str) -> str:
-    command = [sys.executable, "-m", "estimator.cli.main", *arguments]
+    program = "from estimator.cli.main import main; main(prog_name='coilcal')"
+    command = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
