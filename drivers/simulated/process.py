@@ -23,6 +23,8 @@ from drivers.simulated.world import SPAWN
 _TICK_S = 0.002
 _START_S = 30.0
 _SLOW_S = 0.01
+_NICENESS = 5
+"""Instruments behind a line yield to arms, which must send a package every 2 ms: the field of a sensor takes much longer to compute."""
 _HANDSHAKE_S = 10.0
 """USB makes an instrument wait for its host, which may pause for seconds; a host that reads nothing for longer is gone."""
 
@@ -171,6 +173,7 @@ def _serve_line(
     make: Callable[[], Instrument], host: str | None, faults: FaultSwitch, ready: Connection
 ) -> None:
     exit_with_parent()
+    os.nice(_NICENESS)
     instrument = make()
     line: _PtyLine | _TcpLine = _PtyLine() if host is None else _TcpLine(host)
     ready.send(line.address)

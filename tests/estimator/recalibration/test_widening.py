@@ -18,13 +18,13 @@ from estimator.rig_files.write import rig_text
 RADIUS, LOOPS_OF_COIL, HEIGHT = "coil1.radius_m", "coil1.axial_loops", "coil1.world_from_coil0.z_m"
 
 
-def known(calibration: Calibration, rig: Rig, **draws: tuple[float, float]) -> Calibration:
+def known(calibration: Calibration, rig: Rig, **mean_and_sd: tuple[float, float]) -> Calibration:
     """A calibration of a rig whose free parameters have independent draws of given mean and sd; others are certain."""
     rng = np.random.default_rng(1)
     best = {p.name: p.value for p in rig.free}
     draws = {}
     for p in rig.free:
-        mean, sd = draws.get(p.name.rpartition(".")[2], (p.value, 0.0))
+        mean, sd = mean_and_sd.get(p.name.rpartition(".")[2], (p.value, 0.0))
         best[p.name] = mean
         noise = rng.normal(size=(50, 80))
         draws[p.name] = mean + sd * (noise - noise.mean()) / noise.std()
