@@ -1,7 +1,7 @@
 """Every cause of a difference between simulation and measurement that coilcal knows.
 
 Names are stable. Packages outside this repository add causes of their own by the entry-point group `coilcal.effects`, programs by
-`register_effect`; the contract is in `effects.base`.
+`register_effect`; the contract is in `effects.base` and `effects.stages`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 
-from estimator.effects.base import CurrentEffect, Effect
+from estimator.effects.base import Effect
 from estimator.effects.circumstances import Extent
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.noise import Outliers, PositionJitter
@@ -41,6 +41,7 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
+from estimator.effects.stages import CurrentEffect
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
 from estimator.effects.surroundings import BackgroundDrift, BackgroundField
@@ -119,7 +120,7 @@ def register_effect(effect: object) -> None:
     line should know comes from a package with an entry point in the group `coilcal.effects`.
 
     Args:
-        effect: Of one of the stages in `estimator.effects.base`.
+        effect: Of one of the stages in `estimator.effects.stages`.
     Raises:
         InvalidInput: It is no effect of a stage, its declaration is incomplete, or its name is taken.
     Examples:
@@ -129,7 +130,7 @@ def register_effect(effect: object) -> None:
     """
     if not isinstance(effect, Effect) or type(effect).__mro__[1] is Effect:
         raise InvalidInput(
-            f"effect must be an instance of a stage in estimator.effects.base; received {effect!r}"
+            f"effect must be an instance of a stage in estimator.effects.stages; received {effect!r}"
         )
     missing = [key for key in ("name", "kind", "words", "source") if not getattr(effect, key, None)]
     if missing:

@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import PerAmpere, Quantity, RoomEffect, Theta, at_least_zero, normal, shape
+from estimator.effects.base import Quantity, Theta, at_least_zero, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import PerAmpere, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 

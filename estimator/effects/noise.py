@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, NoiseEffect, NoiseEstimate, Prediction, Quantity, Theta
+from estimator.effects.base import Kind, Quantity, Theta
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import NoiseEffect, NoiseEstimate, Prediction
 from estimator.rig.parameters import LogNormal, Uniform
 
 EM_STEPS = 60

@@ -13,17 +13,9 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from estimator.effects.base import (
-    CurrentEffect,
-    Kind,
-    MotionEffect,
-    Quantity,
-    ReadingEffect,
-    RecordEffect,
-    Theta,
-    shape,
-)
+from estimator.effects.base import Kind, Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import CurrentEffect, MotionEffect, ReadingEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import Uniform
 from estimator.rig.rig import MotionKind, Rig

@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, MotionEffect, MountEffect, Quantity, Theta, normal, shape, triple
+from estimator.effects.base import Kind, Quantity, Theta, normal, shape, triple
 from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances, Extent
+from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
 

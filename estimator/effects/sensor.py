@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import ElementEffect, Quantity, ReadingEffect, Theta, normal, shape, triple
+from estimator.effects.base import Quantity, Theta, normal, shape, triple
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import ElementEffect, ReadingEffect
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
 PAIRS = tuple(

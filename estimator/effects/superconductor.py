@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, WindingMagnetisation, triple
+from estimator.effects.base import Kind, Quantity, Theta, triple
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import WindingMagnetisation
 from estimator.field.magnetised import Rings, field_inside_per_ampere
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform

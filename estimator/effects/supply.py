@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import CurrentEffect, Kind, Quantity, Theta, normal
+from estimator.effects.base import Kind, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import CurrentEffect
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
 

@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Quantity, RoomEffect, Theta, triple
+from estimator.effects.base import Quantity, Theta, triple
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import RoomEffect
 
 
 class BackgroundField(RoomEffect):

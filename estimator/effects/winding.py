@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Quantity, SourceEffect, Theta, WindingEffect, normal, shape
+from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import SourceEffect, WindingEffect
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of

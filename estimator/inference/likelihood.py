@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.func import jacfwd
 
-from estimator.effects.base import (
-    Effect,
+from estimator.effects.base import Effect
+from estimator.effects.stages import (
     ElementEffect,
     MotionEffect,
     MountEffect,

@@ -10,8 +10,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from estimator.effects.base import Effect, MotionEffect, MountEffect, WindingEffect
+from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import MotionEffect, MountEffect, WindingEffect
 from estimator.effects.use import uses_of
 from estimator.field.winding import Winding
 from estimator.frames import Transform

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jacfwd
 
-from estimator.effects.base import CurrentEffect, ElementEffect, Prediction, ReadingEffect, RecordEffect
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import CurrentEffect, ElementEffect, Prediction, ReadingEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.node_sum import SumMode

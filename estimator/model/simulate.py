@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import NoiseEffect, RecordEffect
+from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.model.hide import with_hidden

@@ -14,17 +14,17 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.effects.base import (
+from estimator.effects.base import Theta
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import (
     CurrentEffect,
     PerAmpere,
     RecordEffect,
     RoomEffect,
     SourceEffect,
-    Theta,
     WindingEffect,
     WindingMagnetisation,
 )
-from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use, uses_of
 from estimator.field.coil import coil_field_per_ampere
 from estimator.field.first_order import first_order_field

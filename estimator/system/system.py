@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration.result import INTERVAL_DRAWS, Calibration
-from estimator.effects.base import Effect, RoomEffect
+from estimator.effects.base import Effect
+from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField

@@ -10,8 +10,9 @@ from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.base import Quantity
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import NoiseEffect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig

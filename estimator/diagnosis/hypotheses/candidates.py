@@ -12,7 +12,8 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import NoiseEffect, Quantity
+from estimator.effects.base import Quantity
+from estimator.effects.stages import NoiseEffect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 

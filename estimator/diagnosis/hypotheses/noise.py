@@ -13,7 +13,8 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import Kind, NoiseEffect, NoiseEstimate
+from estimator.effects.base import Kind
+from estimator.effects.stages import NoiseEffect, NoiseEstimate
 from estimator.effects.use import Use
 from estimator.model.measurement_model import NominalPrediction
 from estimator.rig.rig import Cause

@@ -22,7 +22,7 @@ from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, Family, discrepancy
 from estimator.effects import EFFECTS
-from estimator.effects.base import NoiseEffect
+from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
 
 Blocks = Int[np.ndarray, " reading"]

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import torch
 
-from estimator.effects.base import (
+from estimator.effects.base import Kind, Quantity, normal
+from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
-    Kind,
     MotionEffect,
     MountEffect,
     NoiseEffect,
-    Quantity,
     ReadingEffect,
     RecordEffect,
     RoomEffect,
     SourceEffect,
     WindingEffect,
-    normal,
 )
 from estimator.field.winding import Winding
 from estimator.frames import Transform

@@ -9,7 +9,7 @@ from torch.func import jacfwd
 
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import SourceEffect, WindingMagnetisation
+from estimator.effects.stages import SourceEffect, WindingMagnetisation
 from estimator.field.node_sum import SumMode
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

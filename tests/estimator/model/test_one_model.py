@@ -7,7 +7,8 @@ import torch
 
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import (
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import (
     CurrentEffect,
     MotionEffect,
     MountEffect,
@@ -17,7 +18,6 @@ from estimator.effects.base import (
     WindingEffect,
     WindingMagnetisation,
 )
-from estimator.effects.circumstances import Circumstances
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations

@@ -1,0 +1,307 @@
+"""The stages at which an effect acts, one abstract class each: what an effect of that stage declares beside its quantities.
+
+From the supply to the record: current, winding, source, magnetisation of a winding, room, mover, mount, elements of a sensor, reading,
+noise and record. `effects.base` has what is common to all.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Effect, Kind, Theta
+from estimator.effects.circumstances import Circumstances
+from estimator.field.magnetised import Rings
+from estimator.field.winding import Rule, Winding
+from estimator.frames import Transform
+from estimator.rig.rig import Coil, Rig
+
+
+class CurrentEffect(Effect):
+    """Changes what the supply delivers.
+
+    Attributes:
+        couples_coils: One coil drives another; superposition is tested by it.
+    """
+
+    couples_coils: ClassVar[bool] = False
+
+    @abstractmethod
+    def apply(
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Delivered currents."""
+
+
+class WindingEffect(Effect):
+    """Changes the geometry of a winding."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+
+
+class SourceEffect(Effect):
+    """Adds a source that moves with the coil and is driven by its current."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """Additional field in the coil frame per unit of `drive`."""
+
+    def drive(
+        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading"]:
+        """What the additional field is proportional to; the coil's current unless said otherwise."""
+        return current_A
+
+
+class WindingMagnetisation(Effect):
+    """Magnetises a winding in some patterns, each driven by currents or always there."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
+        """Rings of the winding in its frame, and the patterns: mu0 M outwards and along the axis, in T."""
+
+    @abstractmethod
+    def drives(
+        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading pattern"]:
+        """How strongly each pattern is there, given the currents of all coils."""
+
+
+class PerAmpere(ABC):
+    """Field of one ampere in a coil, in the room, at any points: what bodies in the room respond to."""
+
+    @property
+    @abstractmethod
+    def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
+        """Where the coil is in the world frame."""
+
+    @abstractmethod
+    def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*#batch pose 3"]:
+        """Field in the world frame at one point per distinct pose."""
+
+    @abstractmethod
+    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch pose point 3"]:
+        """Field in the world frame at points that stand still in the room, for every distinct pose of the coil."""
+
+
+class RoomEffect(Effect):
+    """Adds a field that stays in the room.
+
+    Attributes:
+        is_background: There without any coil; a system of several calibrations counts it once.
+    """
+
+    kind = Kind.ROOM
+    is_background: ClassVar[bool] = False
+
+    def steady_T(
+        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"] | None:
+        """Field in the world frame that is there without current."""
+        return None
+
+    def drifting_T(
+        self, theta: Theta, circumstances: Circumstances
+    ) -> Float[Tensor, "*#batch reading 3"] | None:
+        """Field in the world frame that comes and goes with time, everywhere the same."""
+        return None
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"] | None:
+        """Field in the world frame per ampere in a coil."""
+        return None
+
+
+class MotionEffect(Effect):
+    """Changes where a mover really stands."""
+
+    kind = Kind.MOVER
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+        """What the error depends on besides the pose."""
+        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+
+    @abstractmethod
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Real pose of the flange, or real displacement."""
+
+
+class MountEffect(Effect):
+    """Changes how a body sits on what carries it, in the body's own frame.
+
+    Attributes:
+        is_at_reference: It was so when the reference pose was taken, which therefore is right.
+    """
+
+    is_at_reference: ClassVar[bool]
+
+    def columns(
+        self, circumstances: Circumstances, theta: Mapping[str, float]
+    ) -> Float[Tensor, "reading column"]:
+        """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
+        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+
+    @abstractmethod
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """nominal_from_real of the body."""
+
+
+class ElementEffect(Effect):
+    """Puts the elements of a three-axis sensor at different positions."""
+
+    kind = Kind.SENSOR
+
+    @abstractmethod
+    def apply(self, theta: Theta) -> Float[Tensor, "*batch 3 3"]:
+        """Position of the x, y and z element in the sensor frame."""
+
+
+class ReadingEffect(Effect):
+    """Changes what a sensor says, given the true field in its frame."""
+
+    kind = Kind.SENSOR
+
+    @abstractmethod
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+
+
+class Prediction(ABC):
+    """What a model predicts at the nominal values of its rig: scatter may grow with it."""
+
+    @property
+    @abstractmethod
+    def field_sensor_T(self) -> Float[Tensor, "reading 3"]:
+        """Components as they should be read."""
+
+    @abstractmethod
+    def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
+        """Change of each component per displacement of a mover along its axes."""
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """What whitened residuals say of a noise effect by themselves, before anything is fitted.
+
+    Attributes:
+        quantities: Values of its quantities by key.
+        noise_factor: What remains of the noise that the sensor had without it.
+        log_likelihood_improvement: Over normal scatter of one width.
+    """
+
+    quantities: Mapping[str, float]
+    noise_factor: float
+    log_likelihood_improvement: float
+
+
+class NoiseEffect(Effect):
+    """Changes how readings scatter; what is predicted stays the same.
+
+    It changes the standard deviation of components (`sigma_T`), the shape of their distribution (`contamination`), or both. Likelihood,
+    simulation, predictive density and the tests of agreement all follow from these.
+
+    Attributes:
+        imitates_structure: Wrong predictions pass for it; all other causes are asked first, and again beside it.
+    """
+
+    imitates_structure: ClassVar[bool] = False
+
+    @property
+    def is_contaminating(self) -> bool:
+        """Whether readings with it are not normally distributed."""
+        return type(self).contamination is not NoiseEffect.contamination
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """Scatter is no property of a field."""
+        return "the noise, which simulators make themselves"
+
+    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
+        """What the standard deviation of each component depends on besides the quantities; 1 unless said otherwise."""
+        return torch.ones_like(prediction.field_sensor_T)
+
+    def sigma_T(
+        self,
+        sigma_T: Float[Tensor, "*#batch component"],
+        exposure: Float[Tensor, " component"],
+        theta: Theta,
+    ) -> Float[Tensor, "*#batch component"]:
+        """Standard deviation of the components that it concerns, given the one without it."""
+        return sigma_T
+
+    def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]] | None:
+        """Share of components from a wider normal distribution, and how many times wider it is; None where all scatter normally.
+
+        References: Hogg, Bovy and Lang, arXiv:1008.4686, section 3 (mixture of good and bad readings).
+        """
+        return None
+
+    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+        """Quantities that whitened residuals suggest; None where only a fit can say, or there are too few of them."""
+        return None
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
+        wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
+        added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))
+        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape)))
+
+
+class RecordEffect(Effect):
+    """Changes what was written down: the currents, the readings, or both."""
+
+    kind = Kind.RECORD
+    is_record_mistake: ClassVar[bool] = True
+
+    def commanded_A(
+        self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Commanded currents behind the recorded ones."""
+        return recorded_A
+
+    def recorded_T(
+        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are recorded, given what the sensors said."""
+        return field_sensor_T
+
+    def recorded_error_T(
+        self, error_T: Float[Tensor, "*#batch component"], theta: Theta
+    ) -> Float[Tensor, "*#batch component"]:
+        """Errors, or standard deviations, of recorded components, given those of what the sensors said."""
+        return error_T
