@@ -89,7 +89,8 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     few = observations.rows(rows.unique())
     present = {cause.name for cause in base.rig.effects}
     ranked = []
-    for name, effect in EFFECTS.items():
+    # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
+    for name, effect in reversed(EFFECTS.items()):
         if not effect.is_record_mistake or name in present:
             continue
         for place in effect.places(base.rig):
