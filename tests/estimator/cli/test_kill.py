@@ -63,7 +63,7 @@ def test_a_killed_calibration_continues_to_the_same_posterior(workspace: Path, t
 
     again, alone = start(session, tmp_path / "killed"), start(session, tmp_path / "alone")
     for process in (again, alone):
-        _, errors = process.communicate(timeout=120)
+        _, errors = process.communicate(timeout=300)
         assert process.returncode == 4  # an effective sample size of 1e9 is never reached
         assert f"coilcal: sampling did not converge in {STEPS} steps".encode() in errors
     chains = [ZarrBackend.open(tmp_path / name / "chain.zarr") for name in ("killed", "alone")]
