@@ -213,7 +213,10 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
             constraints = jacobian[is_held]
             directions = torch.stack([solve(damped, row) for row in constraints], dim=-1)
             violation = (new_values - target)[is_held]
-            multipliers = torch.linalg.lstsq(constraints @ directions, violation[:, None]).solution[:, 0]
+            system = constraints @ directions
+            if not (torch.isfinite(system).all() and torch.isfinite(violation).all()):
+                return step  # no first-order model of the bounds so far out: the step is refused and the damping grows
+            multipliers = torch.linalg.lstsq(system, violation[:, None]).solution[:, 0]
             bounded_step = bounded_step - directions @ multipliers
     return bounded_step
 
