@@ -45,7 +45,7 @@ def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypa
 
     monkeypatch.setattr(search, "take_step", spy)
     smooth = families(noisy)
-    search._Trail(noisy, pool, smooth, lambda words: None, policy.MOST_CAUSES).step(quiet)
+    search._SearchState(noisy, pool, smooth, lambda words: None, policy.MOST_CAUSES).step(quiet)
     ((columns,), curves) = given[0]
     torch.testing.assert_close(columns.columns, 4.0 * pool[0].columns)
     for before, after in zip(smooth, curves, strict=True):  # amplitudes stay in units of the noise
