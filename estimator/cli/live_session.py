@@ -55,13 +55,13 @@ class LiveSession:
         Returns: Whether more may come.
         """
         has_ended = self._follower.has_ended
-        new_records = self._follower.entries()
-        self._n_new = len(new_records)
-        if new_records:
-            readings = observations_of(new_records, self._rig)
+        new_entries = self._follower.entries()
+        self._n_new = len(new_entries)
+        if new_entries:
+            readings = observations_of(new_entries, self._rig)
             self._estimate = self._stream.update(readings)
             self._n_readings += len(readings)
-            self._entries += new_records
+            self._entries += new_entries
             self._last_s = time.monotonic()
         elif has_ended:
             self._has_ended = True
@@ -87,7 +87,7 @@ class LiveSession:
             name=self._path.name,
             movers=self._rig.movers,
             n_stops=int(self._follower.header.get("n_stops", 0)),
-            records=self._entries,
+            entries=self._entries,
             n_new=self._n_new,
             silent_s=0.0 if self._has_ended else time.monotonic() - self._last_s,
             estimate=self._estimate,

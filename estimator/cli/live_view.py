@@ -39,7 +39,7 @@ class LiveState:
         name: Name of the session.
         movers: Movers of its rig.
         n_stops: Stops in the plan; 0 if unknown.
-        records: Stops so far, as the journal holds them.
+        entries: Stops so far, as the journal holds them.
         n_new: Stops in the last update; more than one if they came faster than the estimate could follow.
         silent_s: Time since the last stop.
         estimate: Latest estimate; None before the first reading.
@@ -53,7 +53,7 @@ class LiveState:
     name: str
     movers: Sequence[Mover]
     n_stops: int
-    records: Sequence[Mapping[str, Any]]
+    entries: Sequence[Mapping[str, Any]]
     n_new: int
     silent_s: float
     estimate: Estimate | None
@@ -67,14 +67,14 @@ class LiveState:
     def progress(self) -> str:
         """How far the measurement is, and how well the estimate keeps up."""
         of = f" of {self.n_stops}" if self.n_stops else ""
-        words = f"stop {len(self.records)}{of}"
+        words = f"stop {len(self.entries)}{of}"
         if self.estimate is not None:
             words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
         if self.n_new > 1:
             words += f" for {self.n_new} stops at once"
         if self.n_skipped:
             words += f"; {self.n_skipped} readings not fitted (validation, or no field)"
-        if n_gaps := gaps_in(self.records):
+        if n_gaps := gaps_in(self.entries):
             words += f"; READINGS LOST BY AN INSTRUMENT {n_gaps} times"
         if self.silent_s > SILENT_S:
             words += f"; NO STOP FOR {self.silent_s:.0f} s"
@@ -97,24 +97,24 @@ class LiveState:
         return words if self.since is None else f"{words}; residuals are off since reading {self.since}"
 
 
-def gaps_in(records: Sequence[Mapping[str, Any]]) -> int:
+def gaps_in(entries: Sequence[Mapping[str, Any]]) -> int:
     """How often instruments lost readings; journals of earlier versions do not say."""
-    return sum(sum(record.get("n_gaps", {}).values()) for record in records)
+    return sum(sum(entry.get("n_gaps", {}).values()) for entry in entries)
 
 
-def device_states(record: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
+def device_states(entry: Mapping[str, Any], movers: Sequence[Mover]) -> list[tuple[str, str]]:
     """Each instrument and its latest values, in words."""
     states = []
-    for name, field_T in record["field_T"].items():
+    for name, field_T in entry["field_T"].items():
         numbers = " ".join("over range" if b is None else f"{1e3 * b:+.3f}" for b in field_T)
-        scatter_T = max((sd for sd in record["sd_T"].get(name, []) if sd is not None), default=math.nan)
-        settled = "settled" if record["is_settled"] else "STILL CHANGING"
-        lost = ", READINGS LOST" if record.get("n_gaps", {}).get(name) else ""
+        scatter_T = max((sd for sd in entry["sd_T"].get(name, []) if sd is not None), default=math.nan)
+        settled = "settled" if entry["is_settled"] else "STILL CHANGING"
+        lost = ", READINGS LOST" if entry.get("n_gaps", {}).get(name) else ""
         states.append((name, f"{numbers} mT, scatter {1e6 * scatter_T:.1f} µT, {settled}{lost}"))
-    states += [(name, f"{current_A:+.4f} A") for name, current_A in record["measured_A"].items()]
-    for name, celsius in record.get("temperature_C", {}).items():
+    states += [(name, f"{current_A:+.4f} A") for name, current_A in entry["measured_A"].items()]
+    for name, celsius in entry.get("temperature_C", {}).items():
         states.append((f"{name} temperature", "no number" if celsius is None else f"{celsius:.1f} °C"))
-    states += [(mover.name, motion_words(mover, record["motion"][mover.name])) for mover in movers]
+    states += [(mover.name, motion_words(mover, entry["motion"][mover.name])) for mover in movers]
     return states
 
 
@@ -122,9 +122,9 @@ def screen(state: LiveState) -> RenderableType:
     """The whole screen."""
     # Texts, not strings: in a string rich would read coil_heating[coil1] as a style.
     parts: list[RenderableType] = [Text(f"{state.name}  {state.progress}", style="bold")]
-    if state.records:
+    if state.entries:
         devices = Table(box=None, show_header=False, padding=(0, 2))
-        for name, words in device_states(state.records[-1], state.movers):
+        for name, words in device_states(state.entries[-1], state.movers):
             devices.add_row(Text(name), Text(words))
         parts.append(Panel(devices, title="instruments", title_align="left"))
     if state.estimate is not None:

@@ -115,7 +115,7 @@ CREDIBLE_SHARE = 0.95
 yet."""
 
 LEAST_HELD_OUT_LOSS_SE = 2.0
-"""Standard errors by which a cause that earns its place by evidence must predict left-out blocks of places worse to lose it again.
+"""Standard errors by which a cause with sufficient evidence must predict left-out blocks of positions worse to be refused all the same.
 Statistics: 2 % of causes that change nothing. Study: not tried yet."""
 
 FEWEST_PLACES = 2
@@ -188,9 +188,9 @@ prior of one in twenty, for others may imitate it; by judgement. Study: not trie
 VALIDATION_SHARE = 0.2
 """Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention. Study: not tried yet."""
 
-LEAST_GAIN_SE = 2.0
-"""Standard errors from which on a gain in log predictive density is there: the report says so, and a recalibration may replace a version.
-Statistics: 2 % by chance. Study: not tried yet."""
+LEAST_IMPROVEMENT_SE = 2.0
+"""Standard errors from which on a rise of the log predictive density is significant: the report says so, and a recalibration may replace a
+version. Statistics: 2 % by chance. Study: not tried yet."""
 
 LEAST_LOSS_SE = 3.0
 """Standard errors from which on a loss in log predictive density turns the verdict into `unexplained`. Statistics: 0.1 % by chance, for a
@@ -206,7 +206,7 @@ judgement: below, that block alone determines the direction, and one over the sh
 
 VISIBLE_SIGMA = 5.0
 """Standard deviations by which a cause must change the readings, beyond what the fit follows, to be called visible. Convention; about the
-size at which a cause earns its place in the linear model. Study: not tried yet."""
+size at which the evidence for a cause suffices in the linear model. Study: not tried yet."""
 
 PLAUSIBLE_SD = 3.0
 """Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond. Study: not tried yet."""

@@ -64,7 +64,7 @@ class Improvement:
     @property
     def is_significant(self) -> bool:
         """Whether the elpd rises by more than chance explains."""
-        return self.elpd_difference > policy.LEAST_GAIN_SE * self.elpd_se
+        return self.elpd_difference > policy.LEAST_IMPROVEMENT_SE * self.elpd_se
 
     @property
     def is_loss(self) -> bool:

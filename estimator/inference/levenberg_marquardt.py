@@ -158,11 +158,11 @@ def _gradient_and_precision(
     mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
     curvature = torch.maximum(2.0 * mean_chi2, torch.tensor(0.5, dtype=vector.dtype))[..., None]
     information = information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
-    prior_gradient, prior_precision = prior_slope(posterior.coordinates, vector)
+    prior_gradient, prior_precision = prior_gradient_and_precision(posterior.coordinates, vector)
     return gradient + prior_gradient, information, information + prior_precision
 
 
-def prior_slope(
+def prior_gradient_and_precision(
     coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
     """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.laplace import covariance
-from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_slope, solve
+from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_gradient_and_precision, solve
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -115,7 +115,7 @@ class RunningFit:
             self.refit(observations, self._point)
 
     def _evaluate_prior(self) -> None:
-        gradient, precision = prior_slope(self.coordinates, self._point[None])
+        gradient, precision = prior_gradient_and_precision(self.coordinates, self._point[None])
         self._prior_gradient, self._prior_precision = gradient[0], precision[0]
         self.precision = self._information + self._prior_precision
 

@@ -196,9 +196,9 @@ def _add_positions(collection: Collection, model: MeasurementModel, coil: Coil, 
     nearby = torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m))
     shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
     collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
-    drives = {f"place relative to {coil.name}, with its current": current}
+    drives = {f"position relative to {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
-        drives[f"place relative to {coil.name}, without current"] = torch.ones_like(current)
+        drives[f"position relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
         collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], rotation)
         collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], rotation)

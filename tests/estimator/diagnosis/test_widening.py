@@ -28,7 +28,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 def test_blocks_know_of_curves_that_the_noise_does_not(fit):
     """Over many draws of curve and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
-    curves = [f for f in families(fit) if f.name == "place relative to coil1, with its current"]
+    curves = [f for f in families(fit) if f.name == "position relative to coil1, with its current"]
     generator = torch.Generator().manual_seed(13)
     block = pose_blocks(fit.observations, np.random.default_rng(0))
     by_noise, by_block = [], []

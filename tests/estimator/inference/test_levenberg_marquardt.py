@@ -11,6 +11,8 @@ from torch import Tensor
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.rig.parameters import Prior
+from scripts.paper.solvers import Problem as SolverProblem
+from scripts.paper.tables import TRUTH
 
 
 def gradient(posterior: LogPosterior, vector: Tensor) -> Tensor:
@@ -219,6 +221,23 @@ def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(probl
         if p.prior and _at_end(float(values[name]), p.prior)
     ]
     assert len(held) > 1
+
+
+def test_a_step_to_where_no_winding_exists_is_refused():
+    """Noise-free readings from a start where the full step leads to an area without a radius (not a number), found by the solver study."""
+    problem = SolverProblem()
+    posterior = LogPosterior(problem.coordinates, problem.model, problem.readings)
+    start = torch.tensor(
+        [[0.05349318131435165, 0.0003214883031304358, 43.075244680546675, 12.05315999248238]],
+        dtype=torch.float64,
+    )
+    fit = levenberg_marquardt(posterior, problem.vector(start), max_iterations=200)
+    torch.testing.assert_close(
+        problem.values(fit.vector)[0],
+        torch.tensor(list(TRUTH.values()), dtype=torch.float64),
+        rtol=1e-3,
+        atol=0.0,
+    )
 
 
 def _at_end(value: float, prior: Prior) -> bool:
