@@ -52,6 +52,12 @@ class Projector:
         product: Tensor = first.T @ second - followed_first.T @ followed_second
         return product
 
+    def grams(self, columns: Float[Tensor, "batch component column"]) -> Float[Tensor, "batch column column"]:
+        """Inner products of the columns of each of several sets after projection."""
+        followed = self.factor.T @ (self.jacobian.T @ columns)
+        product: Tensor = columns.mT @ columns - followed.mT @ followed
+        return product
+
     def rest(self, change: Float[Tensor, "component ..."]) -> Float[Tensor, "component ..."]:
         """The part of one or several changes of the readings that the fit cannot follow."""
         followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))

@@ -164,6 +164,32 @@ N_INSTANTS = 11
 """Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it. Study: no change in
 1 case."""
 
+MOST_PERIODS = 320
+"""Periods that are looked for in time, from twice the session down in steps of half a cycle per session. Effort: sessions with fewer
+readings have fewer. Study: not tried yet."""
+
+MOST_PERIODS_ALONG_AXIS = 24
+"""The same along each axis of a mover, whose grids are coarser. By judgement: a screw has a turn every few millimetres. Study: not tried
+yet."""
+
+WANDERING_SHARES = (0.2, 0.05, 0.0125)
+"""Times over which what wanders keeps its value, over the duration. By judgement: factors of four, down to two readings of 160. Study:
+not tried yet."""
+
+WANDERING_COMPONENTS = 24
+"""Principal components of such a wandering that are kept. By judgement: they hold most of its variance. Study: not tried yet."""
+
+SETTING_DEGREE = 4
+"""Degree of the curves in one circumstance, such as a current or a pause. As `SMOOTH_DEGREE`. Study: not tried yet."""
+
+MOVER_DEGREE = 3
+"""Degree of the errors of position in the position itself. By judgement: sag and bending are of second and third degree. Study: not tried
+yet."""
+
+LEAST_PAUSE_RANGE = 0.1
+"""Range of the logarithm of pauses between readings from which on they may matter. By judgement: a tenth is jitter of a clock. Study: not
+tried yet."""
+
 MOST_HISTORY_PREDICTED = 4000
 """Readings of the history, times sensors, beyond which nothing is said of what lingers. Effort: each field is predicted. Study: no change
 in 1 case."""

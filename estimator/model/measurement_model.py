@@ -249,16 +249,21 @@ class NominalPrediction(Prediction):
 
     def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
         """Change of each component per displacement of a mover along its axes."""
-        sources = self.model.sources
-        values, poses = nominal_tensors(sources.rig), sources.flange[mover]
+        return gradient_T_per_m(self.model, nominal_tensors(self.model.rig), mover)
 
-        def moved(shift_m: Tensor) -> Tensor:
-            displaced = Transform(poses.rotation, poses.translation_m + shift_m)
-            there = replace(sources, flange={**sources.flange, mover: displaced})
-            return replace(self.model, sources=there).predict(values)
 
-        gradient: Tensor = jacfwd(moved)(torch.zeros(3, dtype=torch.float64))
-        return gradient
+def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Float[Tensor, "reading 3 3"]:
+    """Change of each component that a model predicts per displacement of a mover along its axes, at some values (no batch)."""
+    sources = model.sources
+    poses = sources.flange[mover]
+
+    def moved(shift_m: Tensor) -> Tensor:
+        displaced = Transform(poses.rotation, poses.translation_m + shift_m)
+        there = replace(sources, flange={**sources.flange, mover: displaced})
+        return replace(model, sources=there).predict(values).expand(len(model.circumstances), 3)
+
+    gradient: Tensor = jacfwd(moved)(torch.zeros(3, dtype=torch.float64))
+    return gradient
 
 
 def nominal_tensors(rig: Rig) -> dict[str, Tensor]:

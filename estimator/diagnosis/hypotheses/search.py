@@ -23,7 +23,8 @@ from estimator.diagnosis.hypotheses.step import (
     take_step,
 )
 from estimator.diagnosis.structure.cross_validation import held_out
-from estimator.diagnosis.structure.discrepancy import Discrepancy, Family, discrepancy, families
+from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
+from estimator.diagnosis.structure.families import Family, families
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause

@@ -24,7 +24,8 @@ from estimator.diagnosis.hypotheses.step import (
     with_probabilities,
 )
 from estimator.diagnosis.linear import Projector, log_bayes_factor
-from estimator.diagnosis.structure.discrepancy import Family, discrepancy
+from estimator.diagnosis.structure.discrepancy import discrepancy
+from estimator.diagnosis.structure.families import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause

@@ -20,7 +20,8 @@ from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
-from estimator.diagnosis.structure.discrepancy import Discrepancy, Family, discrepancy
+from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
+from estimator.diagnosis.structure.families import Family
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause

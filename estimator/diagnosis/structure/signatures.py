@@ -15,15 +15,11 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
-from estimator.diagnosis.structure.discrepancy import (
-    Collection,
-    Family,
-    before,
-    dipoles,
-    evidence_by_amplitude,
-)
+from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
+from estimator.diagnosis.structure.families.collection import Collection, Family
+from estimator.diagnosis.structure.families.history import before
+from estimator.diagnosis.structure.families.position import dipoles
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import winding_of
@@ -137,10 +133,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
 
 
 def _evidence(fit: Fit, families: list[Family]) -> Evidence:
-    parts: dict[str, list[Tensor]] = {}
-    for family in families:
-        parts.setdefault(family.name, []).append(evidence_by_amplitude(fit, family))
-    return {name: log_mean_exp(torch.cat(values)) for name, values in parts.items()}
+    return by_name(families, evidence_by_amplitude(fit, families))
 
 
 def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.structure.discrepancy import discrepancy, families
+from estimator.diagnosis.structure.discrepancy import discrepancy
+from estimator.diagnosis.structure.families import families
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of

@@ -14,7 +14,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
-from estimator.diagnosis.structure.discrepancy import Discrepancy, families
+from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.verdict import (
     Alternative,
     NamedCause,

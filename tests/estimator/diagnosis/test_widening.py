@@ -8,7 +8,8 @@ import torch
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
-from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy, families
+from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
+from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.widening import Widening, envelope
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks

@@ -9,7 +9,8 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import search
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.step import take_step
-from estimator.diagnosis.structure.discrepancy import discrepancy, families
+from estimator.diagnosis.structure.discrepancy import discrepancy
+from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong

@@ -15,7 +15,7 @@ from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps, joint_evidence
 from estimator.diagnosis.linear import log_bayes_factor
-from estimator.diagnosis.structure.discrepancy import families
+from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, with_wrong

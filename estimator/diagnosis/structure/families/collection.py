@@ -1,0 +1,81 @@
+"""Families of flexible curves: columns that depend on one covariate, and their collection for one fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.fitting import Fit
+
+
+@dataclass(frozen=True)
+class Family:
+    """Columns that depend on one covariate.
+
+    Attributes:
+        name: What they depend on, in words; families with the same name are alternatives.
+        columns: Whitened; the mean over components of their summed squares is 1.
+        detail: What tells it from the other alternatives, such as a period.
+    """
+
+    name: str
+    columns: Float[Tensor, "component column"]
+    detail: str = ""
+
+    @classmethod
+    def of(cls, name: str, whitened: Float[Tensor, "component column"], detail: str = "") -> Family:
+        """The family of columns given at any common scale."""
+        return cls(name, whitened / whitened.square().sum(1).mean().sqrt().clamp(min=1e-300), detail)
+
+    def weighed(self, weight: Float[Tensor, " component"]) -> Family:
+        """The family with each component's weight multiplied; amplitudes stay in units of the noise."""
+        return Family.of(self.name, self.columns * weight[:, None], self.detail)
+
+    @property
+    def words(self) -> str:
+        """Name and detail."""
+        return f"{self.name}, {self.detail}" if self.detail else self.name
+
+
+class Collection:
+    """Collects families for one fit; columns that vanish are left out.
+
+    Attributes:
+        fit: The fit.
+        predicted_T: Its predictions, in the sensor frame.
+        field: The same over the largest component.
+        axes: The three directions of the sensor at every reading.
+        along_field: One column per axis, proportional to the component along it, as wrong gains are.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        self.families: list[Family] = []
+        circumstances = fit.posterior.model.circumstances
+        with torch.no_grad():
+            self.predicted_T = fit.posterior.model.predict(fit.values).expand(len(circumstances), 3)
+        self.field = self.predicted_T / self.predicted_T.abs().max().clamp(min=1e-12)
+        self.axes = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
+        self.along_field = torch.diag_embed(self.field)
+
+    def add(
+        self,
+        name: str,
+        smooth: Float[Tensor, "reading order"],
+        vectors: Float[Tensor, "reading 3 direction"],
+        detail: str = "",
+    ) -> None:
+        """Add the products of smooth functions and vectors."""
+        self.add_fields(name, torch.einsum("rk,rcv->rkvc", smooth, vectors).flatten(1, 2), detail)
+
+    def add_fields(self, name: str, fields: Float[Tensor, "reading column 3"], detail: str = "") -> None:
+        """Add columns given by reading and component."""
+        columns = self.fit.posterior.measured_components(fields.movedim(1, 0)).T
+        whitened = columns * self.fit.whitening_per_T[:, None]
+        norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-300)
+        is_nonzero = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
+        if bool(is_nonzero.any()):
+            self.families.append(Family.of(name, whitened[:, is_nonzero], detail))

@@ -1,0 +1,73 @@
+"""Curves in the settings of a reading: currents, temperatures, the mover's position, and any two circumstances together."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import torch
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.structure.covariates import covariates
+from estimator.diagnosis.structure.families.collection import Collection
+from estimator.diagnosis.structure.families.unit_field import unit_field_T
+from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
+from estimator.geometry.motion import base_from_motion
+from estimator.model.measurement_model import gradient_T_per_m
+
+
+def add_settings(collection: Collection) -> None:
+    """Add all families of the settings."""
+    collection.add(
+        "the reading itself",
+        polynomials(unit_interval(collection.field), 2, policy.SMOOTH_DEGREE),
+        collection.axes,
+    )
+    _add_currents(collection)
+    _add_mover_positions(collection)
+    _add_circumstances(collection)
+
+
+def _add_currents(collection: Collection) -> None:
+    """A field that is not proportional to the current, and what a sensor picks up of the current itself."""
+    circumstances = collection.fit.posterior.model.circumstances
+    for i, coil in enumerate(collection.fit.rig.coils):
+        share = circumstances.current_A[:, i] / circumstances.largest_current_A
+        if not bool((share != share[0]).any()):
+            continue
+        bends = torch.stack((share.abs(), share**2, share.abs() * share, share**3), dim=1)
+        name = f"the current of {coil.name}"
+        collection.add(name, bends, unit_field_T(collection.fit, i)[:, :, None])
+        collection.add(name, legendre(share, policy.SETTING_DEGREE)[:, 1:], collection.axes)
+
+
+def _add_mover_positions(collection: Collection) -> None:
+    """Errors of position that depend on where the mover stands, smoothly or with a period, or on time."""
+    fit = collection.fit
+    model = fit.posterior.model
+    time = 2.0 * model.circumstances.hours / model.circumstances.duration_h - 1.0
+    for mover in fit.rig.movers:
+        pose = base_from_motion(mover, fit.observations.motion[mover.name])
+        position = unit_interval(pose.translation_m)
+        slope = gradient_T_per_m(model, fit.values, mover.name)
+        name = f"where {mover.name} stands"
+        collection.add(name, polynomials(position, 1, policy.MOVER_DEGREE), slope)
+        collection.add(name, legendre(time, policy.TIME_DEGREE)[:, 1:], slope, "moving with time")
+        for i, axis in enumerate("xyz"):
+            for half_cycles in range(2, policy.MOST_PERIODS_ALONG_AXIS + 1):
+                phase = 0.5 * math.pi * half_cycles * position[:, i]
+                waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=1)
+                collection.add(name, waves, slope, f"periodic along {axis}")
+
+
+def _add_circumstances(collection: Collection) -> None:
+    """Smooth curves in each covariate, and products of any two, for every component and every gain."""
+    known = covariates(collection.fit)
+    scaled = {c.name: unit_interval(c.by_reading[:, None])[:, 0] for c in known}
+    for name, values in scaled.items():
+        for vectors in (collection.axes, collection.along_field):
+            collection.add("one circumstance", legendre(values, policy.SETTING_DEGREE)[:, 1:], vectors, name)
+    for (name, values), (other, others) in combinations(scaled.items(), 2):
+        collection.add(
+            "two circumstances", (values * others)[:, None], collection.axes, f"{name} and {other}"
+        )

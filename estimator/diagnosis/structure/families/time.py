@@ -1,0 +1,97 @@
+"""Curves in time: slow ones, changes and spells in mid-session, periods of any length, and what wanders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.structure.families.collection import Collection
+from estimator.diagnosis.structure.smooth import legendre
+from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances
+
+
+def add_time(collection: Collection) -> None:
+    """Add all families in time."""
+    circumstances = collection.fit.posterior.model.circumstances
+    time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
+    clock = legendre(time, policy.TIME_DEGREE)[:, 1:]
+    collection.add("time", clock[:, 1:], collection.axes)
+    collection.add("field and time", clock, collection.along_field)
+    instants = torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]
+    for sensor, seen in _by_sensor(circumstances):
+        _add_changes(collection, time, instants, seen, sensor)
+    for sensor, seen in [("", torch.ones(len(time), dtype=torch.float64)), *_by_sensor(circumstances)]:
+        _add_spells(collection, time, instants, seen, sensor)
+        _add_periods(collection, circumstances, seen, sensor)
+        _add_wandering(collection, circumstances, seen, sensor)
+        if len(collection.fit.rig.sensors) == 1:
+            break
+
+
+def _by_sensor(circumstances: Circumstances) -> Iterator[tuple[str, Float[Tensor, " reading"]]]:
+    """Each sensor that was read, and 1 at its readings."""
+    for i, sensor in enumerate(circumstances.rig.sensors):
+        seen = (circumstances.sensor == i).to(torch.float64)
+        if bool(seen.any()):
+            yield sensor.name, seen
+
+
+def _add_changes(
+    collection: Collection, time: Tensor, instants: list[float], seen: Tensor, sensor: str
+) -> None:
+    """From an instant on a sensor shows something else: a constant, a share of each component, or both with cross terms."""
+    mixed = torch.cat([torch.diag_embed(torch.roll(collection.field, k, dims=1)) for k in range(3)], dim=-1)
+    everything = torch.cat((collection.axes, mixed), dim=-1)
+    for instant in instants:
+        later = ((time > instant) * seen)[:, None]
+        if bool(later.any()):
+            for vectors in (collection.axes, collection.along_field, everything):
+                collection.add("a change in mid session", later, vectors, sensor)
+
+
+def _add_spells(
+    collection: Collection, time: Tensor, instants: list[float], seen: Tensor, sensor: str
+) -> None:
+    """For a while there is something else."""
+    for begin, end in combinations(instants, 2):
+        during = ((time > begin) * (time <= end) * seen)[:, None]
+        if bool(during.any()):
+            for vectors in (collection.axes, collection.along_field):
+                collection.add("a spell in mid session", during, vectors, sensor)
+
+
+def _add_periods(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:
+    """Sinusoids of all periods from twice the session to two readings, of a field and of a gain.
+
+    Periods below two readings are seen at their aliases. Half a cycle per session between frequencies loses at most a fifth of the power.
+
+    References: Lomb, Astrophys. Space Sci. 39, 447 (1976); Scargle, Astrophys. J. 263, 835 (1982): least-squares periodogram.
+    """
+    n_instants = len(torch.unique(circumstances.hours))
+    for half_cycles in range(1, min(n_instants, policy.MOST_PERIODS) + 1):
+        phase = math.pi * half_cycles * circumstances.hours / circumstances.duration_h
+        waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=1) * seen[:, None]
+        period_s = 2.0 * SECONDS_PER_HOUR * circumstances.duration_h / half_cycles
+        detail = ", ".join(filter(None, (f"about {period_s:.3g} s", sensor)))
+        for vectors in (collection.axes, collection.along_field):
+            collection.add("a period in time", waves, vectors, detail)
+
+
+def _add_wandering(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:
+    """What keeps its value for a while and then forgets it: an Ornstein-Uhlenbeck process, by its largest principal components."""
+    apart_h = (circumstances.hours[:, None] - circumstances.hours[None, :]).abs()
+    for share in policy.WANDERING_SHARES:
+        kernel = torch.exp(-apart_h / (share * circumstances.duration_h)) * seen[:, None] * seen[None, :]
+        size, vectors = torch.linalg.eigh(kernel)
+        components = (
+            vectors[:, -policy.WANDERING_COMPONENTS :]
+            * size[-policy.WANDERING_COMPONENTS :].clamp(min=0.0).sqrt()
+        )
+        for directions in (collection.axes, collection.along_field):
+            collection.add("wandering in time", components, directions, sensor)
