@@ -67,13 +67,19 @@ def _add_spells(
 
 
 def _add_periods(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:
-    """Sinusoids of all periods from twice the session to two readings, of a field and of a gain.
+    """Sinusoids of all periods from twice the session down to two typical times between readings, of a field and of a gain.
 
-    Periods below two readings are seen at their aliases. Half a cycle per session between frequencies loses at most a fifth of the power.
+    Shorter periods are seen at their aliases. Half a cycle per session between frequencies loses at most a fifth of the power.
 
     References: Lomb, Astrophys. Space Sci. 39, 447 (1976); Scargle, Astrophys. J. 263, 835 (1982): least-squares periodogram.
     """
-    n_instants = len(torch.unique(circumstances.hours))
+    time_s = circumstances.observations.history.time_s
+    typical_h = (
+        float(torch.diff(time_s.unique()).median()) / SECONDS_PER_HOUR
+        if len(time_s.unique()) > 1
+        else math.inf
+    )
+    n_instants = round(circumstances.duration_h / typical_h)
     for half_cycles in range(1, min(n_instants, policy.MOST_PERIODS) + 1):
         phase = math.pi * half_cycles * circumstances.hours / circumstances.duration_h
         waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=1) * seen[:, None]
