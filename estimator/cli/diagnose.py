@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +18,7 @@ from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.result import Diagnosis
 
 
@@ -40,6 +45,19 @@ if TYPE_CHECKING:
     show_default=True,
     help="Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
 )
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0.0),
+    default=math.inf,
+    help="Time for the search. When it is over, the best so far is reported; the same command goes on from there.",
+)
+@click.option("--most-causes", type=click.IntRange(min=0), help="Number of causes at which the search ends.")
+@click.option(
+    "--thin",
+    "most_readings",
+    type=click.IntRange(min=20),
+    help="Readings that causes are searched with, thinned evenly where there are more.",
+)
 @seed_option
 @overwrite_option
 @json_option
@@ -49,6 +67,9 @@ def diagnose_command(
     out: Path,
     rig_path: Path | None,
     has_posterior: bool,
+    minutes: float,
+    most_causes: int | None,
+    most_readings: int | None,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -57,16 +78,22 @@ def diagnose_command(
 
     The cause is named, the rig is extended by it, and the improvement is measured on unseen readings. The verdict is named,
     indistinguishable, unexplained or nothing_found; each ends with exit code 0.
+
+    A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
     from estimator.calibration.report import calibration_report
+    from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
+    from estimator.diagnosis.fit_journal import FITS
+    from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.report import diagnosis_report
     from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, REPORT
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
     from estimator.store.session import load_session
 
-    refuse_existing(out, overwrite)
+    was_cut_short = (out / FITS).exists()
+    refuse_existing(out, overwrite or was_cut_short)
     if out.exists() and not (out / DIAGNOSIS).exists():
         raise InvalidInput(
             f"--overwrite replaces folders that coilcal diagnose has made; received {out}, which has no {DIAGNOSIS}"
@@ -75,16 +102,22 @@ def diagnose_command(
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
     unfinished = out.with_name(f".{out.name}.unfinished")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    diagnosis = diagnose(
-        session,
-        rig,
-        validation=validation,
-        out=unfinished,
-        seed=seed,
-        has_posterior=has_posterior,
-        on_stage=_show_stage,
-    )
+    if was_cut_short and not (unfinished / FITS).exists():
+        unfinished.mkdir(exist_ok=True)
+        shutil.copy(out / FITS, unfinished / FITS)
+    limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
+    with _stopping(limits):
+        diagnosis = diagnose(
+            session,
+            rig,
+            validation=validation,
+            out=unfinished,
+            seed=seed,
+            has_posterior=has_posterior,
+            limits=limits,
+            most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
+            on_stage=_show_stage,
+        )
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
     write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
@@ -92,6 +125,26 @@ def diagnose_command(
     shutil.rmtree(out, ignore_errors=True)
     unfinished.rename(out)
     show(diagnosis.to_json(), _text(diagnosis, out), as_json)
+
+
+@contextmanager
+def _stopping(limits: Limits) -> Iterator[None]:
+    """The first Ctrl-C or SIGTERM ends the search, and the report of the best so far follows; the second ends the program."""
+
+    def stop(*_: object) -> None:
+        if limits.stopped.is_set():
+            raise KeyboardInterrupt
+        limits.stopped.set()
+        _show_stage(
+            "stopping after the fit at hand; the report of the best so far follows (once more to quit at once)"
+        )
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _show_stage(words: str) -> None:
@@ -105,10 +158,15 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
     lines = [f"verdict: {diagnosis.verdict}"]
+    if diagnosis.findings.search.ended_early:
+        lines.append(
+            f"  the search ended early: {diagnosis.findings.search.ended_early}; the same command goes on"
+        )
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
         alternatives = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
-        lines.append(f"  {cause.name} ({cause.probability:.0%}){alternatives}")
+        outside = f", or something not in the library ({cause.p_not_in_library:.0%})"
+        lines.append(f"  {cause.name} ({cause.probability:.0%}){alternatives}{outside}")
         for name, quantity in cause.quantities.items():
             low, high = quantity.ci90
             lines.append(

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.extension import extended_rig
-from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.fit_journal import FITS, remembering
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
 from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
@@ -25,7 +27,7 @@ from estimator.diagnosis.result import (
     label_of,
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
-from estimator.diagnosis.validation import improvement_of
+from estimator.diagnosis.validation import improvement_of, is_refuted
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,
@@ -53,7 +55,8 @@ def diagnose(
     out: Path | str | None = None,
     seed: int = 0,
     has_posterior: bool = False,
-    most_causes: int = policy.MOST_CAUSES,
+    limits: Limits | None = None,
+    most_readings: int = policy.MOST_READINGS_SEARCHED,
     on_stage: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and validate the extension.
@@ -62,11 +65,13 @@ def diagnose(
         session: Readings. Those marked as validation are kept out of the fits; where none is marked, a fifth is, in blocks.
         rig: Another description of the session's rig.
         validation: Another session of the same rig; validates the extension instead.
-        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is sampled.
+        out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is sampled. Fits that an
+            interrupted diagnosis has left there are not made again.
         seed: Of the split, the thinning, the starts and the sampling.
         has_posterior: Sample the posterior of the extended rig from all readings but those for validation. It needs a coil that carried
             current, and a cause or something unexplained, which widens the posterior.
-        most_causes: Number of causes at which the search ends; each further one takes longer.
+        limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
+        most_readings: Readings that causes are searched with, thinned evenly where there are more.
         on_stage: Called with a message at the start of each stage.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
@@ -79,68 +84,14 @@ def diagnose(
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     check_readings(rig, session.observations, session.source, needs_current=False)
     seen, unseen = _split(session, validation, seed)
-    few = thinned(seen, policy.MOST_READINGS_SEARCHED, seed)
-
-    tell("fitting the rig as described")
-    model = MeasurementModel.build(rig, few)
-    plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
-    tell("looking for mistakes of the record")
-    base, mistakes = without_record_mistakes(plain)
-    tell("searching for causes")
-    search_result = search(base, tell, most_causes)
-    if mistakes and _are_doubtful(mistakes, search_result):
-        tell("the mistakes of the record are doubtful: searching again with the record as it is")
-        base, mistakes = plain, []
-        search_result = search(base, tell, most_causes)
-    named = named_causes(search_result)
-    verdict = verdict_of(search_result, named)
-    if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(search_result, named)
-    extended = extended_fit(search_result, named)
-    if verdict is Verdict.NOTHING_FOUND and mistakes:
-        verdict = Verdict.INDISTINGUISHABLE if any(mistake.twins for mistake in mistakes) else Verdict.NAMED
-    tell("validating on readings not used for fitting")
-    before, after = plain, extended
-    if len(seen) > len(few):
-        fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
-        before, after = (fit_rig(fit.rig, fitted, fit.values, model.rules) for fit in (plain, extended))
-    improvement = (
-        improvement_of(before, after, thinned(unseen, policy.MOST_READINGS_FITTED, seed))
-        if len(unseen)
-        else None
-    )
-    if improvement is not None and improvement.is_loss:
-        verdict = Verdict.UNEXPLAINED  # the named causes predict worse: they stand in for something else
-    is_unexplained = verdict is Verdict.UNEXPLAINED
-    result = Diagnosis(
-        question=Question(rig, session.source, seed),
-        verdict=verdict,
-        findings=Findings(
-            search=search_result,
-            record_mistakes=tuple(mistakes),
-            causes=tuple(named),
-            stand_ins=tuple(stand_ins(search_result, named)),
-        ),
-        fits=Fits(
-            plain=plain,
-            extended=extended,
-            final=after,
-            before=Symptoms.of(plain, seed),
-            after=Symptoms.of(extended, seed),
-            improvement=improvement,
-        ),
-        left_open=LeftOpen(
-            visible=tuple(smallest_visible(base, search_result.pool)),
-            twins=tuple(indistinguishable(base, search_result.pool)),
-            next_measurements=tuple(_next_measurements(search_result, named, rig)),
-            widening=Widening.of(extended, after, search_result.steps[-1].discrepancy)
-            if is_unexplained
-            else None,
-        ),
-        extended_rig=extended_rig(rig, after),
-    )
     folder = None if out is None else Path(out)
-    is_changed = bool(result.fits.final.rig.effects) or is_unexplained
+    with remembering(folder) as journal:
+        if journal is not None and len(journal):
+            tell(f"continuing: {len(journal)} fits were made before")
+        result = _judged(
+            Question(rig, session.source, seed), seen, unseen, limits or Limits(), most_readings, tell
+        )
+    is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
         tell("sampling the posterior of the extended rig")
         sampled = extended_posterior(
@@ -154,7 +105,89 @@ def diagnose(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
+        if not result.findings.search.ended_early:
+            (folder / FITS).unlink(missing_ok=True)
     return result
+
+
+def _judged(
+    question: Question,
+    seen: Observations,
+    unseen: Observations,
+    limits: Limits,
+    most_readings: int,
+    tell: Callable[[str], None],
+) -> Diagnosis:
+    """The diagnosis from readings to be fitted and others to judge the fits."""
+    rig, seed = question.rig, question.seed
+    few = thinned(seen, most_readings, seed)
+    tell("fitting the rig as described")
+    model = MeasurementModel.build(rig, few)
+    plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
+    search_result, mistakes = _searched(plain, limits, tell)
+    named = named_causes(search_result)
+    verdict = verdict_of(search_result, named)
+    if verdict is Verdict.UNEXPLAINED and named:
+        named = beside_discrepancy(search_result, named)
+    extended = extended_fit(search_result, named)
+    if verdict is Verdict.NOTHING_FOUND and mistakes:
+        verdict = Verdict.INDISTINGUISHABLE if any(mistake.twins for mistake in mistakes) else Verdict.NAMED
+    tell("validating on readings not used for fitting")
+    before, after = plain, extended
+    if len(seen) > len(few):
+        fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
+        before, after = (fit_rig(fit.rig, fitted, fit.values, model.rules) for fit in (plain, extended))
+    improvement = None
+    if len(unseen):
+        unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
+        improvement = improvement_of(before, after, unseen)
+        is_few = len(named) <= policy.MOST_CAUSES_REFITTED
+        shown = [c for c in named if not is_few or not is_refuted(after, c.cause, unseen)]
+        if len(shown) < len(named) or improvement.is_loss:
+            verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
+            named = shown
+    is_unexplained = verdict is Verdict.UNEXPLAINED
+    return Diagnosis(
+        question=question,
+        verdict=verdict,
+        findings=Findings(
+            search=search_result,
+            record_mistakes=tuple(mistakes),
+            causes=tuple(named),
+            stand_ins=tuple(stand_ins(search_result, named, extended)),
+        ),
+        fits=Fits(
+            plain=plain,
+            extended=extended,
+            final=after,
+            before=Symptoms.of(plain, seed),
+            after=Symptoms.of(extended, seed),
+            improvement=improvement,
+        ),
+        left_open=LeftOpen(
+            visible=tuple(smallest_visible(search_result.base, search_result.pool)),
+            twins=tuple(indistinguishable(search_result.base, search_result.pool)),
+            next_measurements=tuple(_next_measurements(search_result, named, rig)),
+            widening=Widening.of(extended, after, search_result.steps[-1].discrepancy)
+            if is_unexplained
+            else None,
+        ),
+        extended_rig=extended_rig(rig, after),
+    )
+
+
+def _searched(
+    plain: Fit, limits: Limits, tell: Callable[[str], None]
+) -> tuple[Search, Sequence[RecordMistake]]:
+    """The search for causes beside mistakes of the record; without such mistakes where they are doubtful."""
+    tell("looking for mistakes of the record")
+    base, mistakes = without_record_mistakes(plain)
+    tell("searching for causes")
+    result = search(base, tell, limits)
+    if mistakes and _are_doubtful(mistakes, result):
+        tell("the mistakes of the record are doubtful: searching again with the record as it is")
+        return search(plain, tell, limits), []
+    return result, mistakes
 
 
 def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.func import jacfwd, jacrev
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.fit_journal import current_journal, key_of
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
@@ -263,11 +264,17 @@ def fit_rig(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
-    optimum = levenberg_marquardt(
-        posterior, vector, tolerance=policy.FINE_TOLERANCE if tolerance is None else tolerance
-    )
+    tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
+    journal = current_journal()
+    key = "" if journal is None else key_of(rig, observations, vector, tolerance)
+    if journal is not None and (known := journal.optimum(key)) is not None:
+        return Fit(posterior, known)
+    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance)
     top = int(optimum.log_posterior.argmax())
-    return Fit(posterior, optimum.rows(slice(top, top + 1)))
+    best = optimum.rows(slice(top, top + 1))
+    if journal is not None:
+        journal.add(key, best)
+    return Fit(posterior, best)
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:

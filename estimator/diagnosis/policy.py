@@ -92,6 +92,10 @@ LOG_PRIOR_UNEXPLAINED = math.log(0.3)
 MOST_LEADERS = 4
 """Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008). Study: no change in 1 case."""
 
+MOST_FITTED = 16
+"""Causes that are fitted in full where more could be better, by their screening, than the best that was fitted. Effort: a leader may
+collapse in its fit; in a map of a large solenoid the fifth by screening was the best. Study: not tried yet."""
+
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint 2 behind
 the best fell to 17 behind once it was fitted (docs/decisions/0008). Study: no change in 1 case."""
@@ -200,6 +204,15 @@ in 1 case."""
 
 WINDING_DEGREE = 2
 """Degree along the axis of the same. By judgement. Study: no change in 1 case."""
+
+# What is in no list
+
+PRIOR_OUTSIDE = 0.3
+"""Share of what goes wrong that is in no list. By judgement; the study of the open world has it so. Study: not tried yet."""
+
+RELATIVE_SHARES = (0.1, 0.3, 1.0)
+"""Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. Factors of three, down to where
+the two are hardly different. Study: not tried yet."""
 
 # Verdict
 

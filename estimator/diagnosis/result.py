@@ -16,7 +16,7 @@ from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search import Addition, Search
-from estimator.diagnosis.hypotheses.step import Hypothesis, Step
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.structure.symptoms import Symptoms
@@ -132,7 +132,8 @@ class SizedCause:
     Attributes:
         cause: Name and place.
         name: Of the cause, with its place where the rig has several for it.
-        probability: Posterior probability among itself and its alternatives.
+        probability: Posterior probability, beside its alternatives and what no list holds.
+        p_not_in_library: Probability that it is something else which no list holds.
         alternatives: The other causes that it could be.
         alternative_names: Their names, written like `name`.
         log_bayes_factor: Against nothing, when it was taken.
@@ -143,6 +144,7 @@ class SizedCause:
     cause: Cause
     name: str
     probability: float
+    p_not_in_library: float
     alternatives: tuple[Alternative, ...]
     alternative_names: tuple[str, ...]
     log_bayes_factor: float
@@ -160,6 +162,7 @@ class SizedCause:
             "name": self.name,
             "place": self.cause.place,
             "probability": self.probability,
+            "p_not_in_library": self.p_not_in_library,
             "alternatives": alternatives,
             "log_bayes_factor": self.log_bayes_factor,
             "parameters": _to_json(self.quantities),
@@ -234,6 +237,12 @@ class Diagnosis:
         """Mistakes of the record, then the named causes, with their sizes."""
         return (*map(self._sized_mistake, self.record_mistakes), *map(self._sized, self.causes))
 
+    @property
+    def p_not_in_library(self) -> float:
+        """Probability that something is there which no list holds: beside the named causes, or instead of one."""
+        left = p_of_structure(self.findings.search.steps[-1].discrepancy)
+        return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
+
     def evidence(self) -> dict[str, float]:
         """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
         return {
@@ -268,6 +277,8 @@ class Diagnosis:
         remainder = search.steps[-1].discrepancy
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
+            "p_not_in_library": self.p_not_in_library,
+            "ended_early": search.ended_early,
             "causes": [cause.to_json() for cause in self.sized_causes],
             "stand_ins": [
                 {"name": self.label(c), "place": c.place, "parameters": _to_json(self.quantities(c))}
@@ -333,6 +344,7 @@ class Diagnosis:
             named.cause,
             self.label(named.cause),
             named.probability,
+            named.p_not_in_library,
             named.alternatives,
             tuple(self.label(alternative.cause) for alternative in named.alternatives),
             named.log_bayes_factor,

@@ -11,11 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,27 @@ def improvement_of(before: Fit, after: Fit, unseen: Observations) -> Improvement
         value_before, value_after = (fit.values[name] for fit in (before, after))
         moved_sd[name] = float(value_after - value_before) / before.value_sd(name)
     return Improvement(scores_before, scores_after, float(difference.sum()), se, moved_sd)
+
+
+def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
+    """Whether unseen readings do not show what a cause should change in them.
+
+    Without the cause they are predicted otherwise, by D in the sum of squares in units of the noise. Were the cause true, the log
+    predictive density would rise by D/2 with a standard deviation of sqrt(D). It is refuted where that rise should be clear and is none.
+    """
+    rules, values = after.posterior.model.rules, after.values
+    rig = after.rig.without_cause(cause)
+    before = fit_rig(rig, after.observations, values, rules, tolerance=policy.ROUGH_TOLERANCE)
+    predicted_T = []
+    for fit in (before, after):
+        model = MeasurementModel.unruled(fit.rig, unseen).with_rules(rules)
+        posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
+        with torch.no_grad():
+            predicted_T.append(posterior.predicted(fit.vector))
+            sigma_T = posterior.component_sigma_T(fit.vector)
+    distance2 = float(((predicted_T[1] - predicted_T[0]) / sigma_T).square().sum())
+    is_clear = 0.5 * distance2 > policy.LEAST_LOSS_SE * math.sqrt(distance2)
+    return is_clear and improvement_of(before, after, unseen).elpd_difference < 0.0
 
 
 def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:

@@ -21,6 +21,8 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
+from estimator.diagnosis.structure.families import families
+from estimator.diagnosis.structure.relatives import p_not_in_library
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -39,7 +41,7 @@ class Alternative:
     """Another cause that a named one could be.
 
     Attributes:
-        probability: Posterior probability among the causes of the step.
+        probability: Posterior probability, beside the other causes of the credible set and what no list holds.
         expected_log_evidence: Expected log Bayes factor of the named cause against this one from these readings, were the named one true;
             None where this one was not fitted in full.
     """
@@ -55,15 +57,17 @@ class NamedCause:
 
     Attributes:
         cause: Name and place.
-        probability: Posterior probability among the causes of its step.
+        probability: Posterior probability, beside its alternatives and what no list holds.
         alternatives: The other causes of its 95 % credible set.
         log_bayes_factor: Against nothing, when it was taken.
+        p_not_in_library: Probability that it is something else which no list holds.
     """
 
     cause: Cause
     probability: float
     alternatives: tuple[Alternative, ...]
     log_bayes_factor: float
+    p_not_in_library: float = 0.0
 
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
@@ -91,11 +95,13 @@ def _idealise_the_same(named: list[NamedCause]) -> bool:
 def named_causes(search: Search) -> list[NamedCause]:
     """The causes of the final fit in the order in which they were taken, each with its credible set."""
     final_causes = set(search.final.rig.effects)
+    curves = families(search.final) if final_causes - set(search.base.rig.effects) else []
     named = []
     for step in search.steps:
         if step.taken is None or step.taken not in final_causes:
             continue
-        shares = _shares(step.credible)
+        outside = p_not_in_library(search.final, step.taken, curves)
+        shares = {cause: (1.0 - outside) * share for cause, share in _shares(step.credible).items()}
         leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
         others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]
         alternatives = tuple(
@@ -103,7 +109,9 @@ def named_causes(search: Search) -> list[NamedCause]:
             for hypothesis in others
             if hypothesis.cause is not None
         )
-        named.append(NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor))
+        named.append(
+            NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor, outside)
+        )
     return named
 
 
@@ -118,9 +126,16 @@ def _expected(truth: Hypothesis, hypothesis: Hypothesis) -> float | None:
 def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
     """The causes that keep their evidence beside the strongest flexible curves of the first and of the last fit.
 
-    A few causes are each judged by a fit without it, many to first order about the last fit.
+    A cause that is larger than its source allows, or explains less than is left, stands in for something else. Of the others a few are
+    each judged by a fit without it, many to first order about the last fit.
     """
     final = search.final
+    left = search.steps[-1].discrepancy.log_bayes_factor
+    named = [
+        cause
+        for cause in named
+        if is_plausible(final, cause.cause) and final.log_evidence_for(cause.cause) > left
+    ]
     of_base = search.base_discrepancy.weighed(final.weight_over(search.base))
     columns = torch.cat((of_base.columns, search.steps[-1].discrepancy.columns), dim=1)
     if len(named) > policy.MOST_CAUSES_REFITTED:
@@ -146,6 +161,17 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     return still_named
 
 
+def is_plausible(fit: Fit, cause: Cause) -> bool:
+    """Whether the fitted quantities of a cause lie within a few widths of their priors, which its source states."""
+    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+    free = set(fit.posterior.coordinates.names)
+    return all(
+        abs(q.prior.distance(float(fit.values[name]))) <= policy.PLAUSIBLE_SD
+        for q in quantities
+        if not q.is_shape and (name := f"{cause.label}.{q.key}") in free
+    )
+
+
 def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
     """The last fit of a search where a cause was named, else the first.
 
@@ -154,10 +180,10 @@ def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
     return search.final if named else search.base
 
 
-def stand_ins(search: Search, named: list[NamedCause]) -> list[Cause]:
+def stand_ins(search: Search, named: list[NamedCause], extended: Fit) -> list[Cause]:
     """Causes of the extended fit that are not named, for something unknown may look like them."""
     known = {cause.cause for cause in named} | set(search.base.rig.effects)
-    return [cause for cause in extended_fit(search, named).rig.effects if cause not in known]
+    return [cause for cause in extended.rig.effects if cause not in known]
 
 
 def _with_columns(fit: Fit, columns: Tensor) -> Fit:

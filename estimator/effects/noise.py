@@ -17,6 +17,7 @@ from estimator.rig.parameters import LogNormal, Uniform
 
 EM_STEPS = 60
 FEWEST_COMPONENTS = 10  # for a share of them to mean anything
+MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it
 FIRST_RATIOS = (4.0, 10.0, 25.0)  # widths of outliers that the estimate starts from, in units of the noise
 
 
@@ -38,6 +39,10 @@ class Outliers(NoiseEffect):
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Ten times the noise."""
         return ({"ratio": 10.0},)
+
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
+        """Whether the share is one that instruments have; a larger one says that the model is wrong."""
+        return float(theta["share"]) <= MOST_SHARE
 
     def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
         """Its two quantities."""

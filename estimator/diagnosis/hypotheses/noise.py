@@ -89,5 +89,7 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
         start[noise] = fit.values[noise] * estimate.noise_factor
     full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
     # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.
+    if not full.still_has(use.cause):
+        return 0.0, full
     occam = 0.5 * len(estimate.quantities) * math.log(max(len(whitened), 1))
     return full.log_evidence - fit.log_evidence - occam, full

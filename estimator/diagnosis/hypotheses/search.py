@@ -22,6 +22,7 @@ from estimator.diagnosis.hypotheses.step import (
     leaves_structure,
     take_step,
 )
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import Family, families
@@ -49,6 +50,7 @@ class Search:
         dropped: Causes that were taken and later not needed.
         pool: Columns of every cause at the base fit.
         base_discrepancy: Structure in the residual of the base fit.
+        ended_early: Why it ended before the evidence did; empty where it did not.
     """
 
     base: Fit
@@ -58,6 +60,7 @@ class Search:
     dropped: tuple[Cause, ...]
     pool: tuple[Candidate, ...]
     base_discrepancy: Discrepancy
+    ended_early: str = ""
 
     def step_of(self, cause: Cause) -> Step:
         """The step that took a cause."""
@@ -72,29 +75,37 @@ class Search:
         return self.final.log_evidence - self.base.log_evidence + n * log_prior_odds
 
 
-def search(base: Fit, tell: Callable[[str], None], most_causes: int = policy.MOST_CAUSES) -> Search:
+def search(base: Fit, tell: Callable[[str], None], limits: Limits) -> Search:
     """Add causes to a fit while their evidence suffices, then test for each whether another does better beside the rest.
 
     Args:
         base: Fit of the rig as described.
         tell: Called with a message at each step.
-        most_causes: Number of causes at which the search ends.
+        limits: When the search ends before the evidence does.
     """
     pool = candidates(base, causes_of(base.rig, base))
-    state = _SearchState(base, pool, families(base), tell, most_causes)
+    state = _SearchState(base, pool, families(base), tell, limits)
     base_discrepancy = discrepancy(base, state.smooth)
     fit = state.forward(base)
-    if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED:
+    if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
         fit = state.forward(state.revisited(fit))
     else:
         state.compare_again(fit)
-    if len(state.added(fit)) == 1 and leaves_structure(state.steps[-1].discrepancy):
+    is_alone = len(state.added(fit)) == 1
+    if is_alone and leaves_structure(state.steps[-1].discrepancy) and not limits.is_over:
         fit = state.with_alternative(fit)
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
-        base, fit, tuple(state.steps), state.additions_in(fit), dropped, tuple(pool), base_discrepancy
+        base,
+        fit,
+        tuple(state.steps),
+        state.additions_in(fit),
+        dropped,
+        tuple(pool),
+        base_discrepancy,
+        limits.words if limits.is_over else state.ended_early,
     )
 
 
@@ -107,11 +118,12 @@ class _SearchState:
         pool: list[Candidate],
         smooth: list[Family],
         tell: Callable[[str], None],
-        most_causes: int,
+        limits: Limits,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
-        self.tell, self.most_causes = tell, most_causes
+        self.tell, self.limits = tell, limits
+        self.ended_early = ""
         self.steps: list[Step] = []
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
@@ -124,17 +136,17 @@ class _SearchState:
         """Take causes until the evidence for none suffices."""
         self.steps = [step for step in self.steps if step.taken in self.added(fit)]
         while True:
-            if (wider := self._with_several_places(fit)) is not None:
+            is_over = self.limits.is_over
+            if not is_over and (wider := self._with_several_places(fit)) is not None:
                 fit = self._without_idle(wider)
                 continue
             step = self.step(fit)
-            if step.taken is None and (both := self._with_pair(fit, step)) is not None:
+            if step.taken is None and not is_over and (both := self._with_pair(fit, step)) is not None:
                 fit = both
                 continue
-            if step.taken is not None and len(self.added(fit)) >= self.most_causes:
-                self.tell(
-                    f"{step.taken.label} has enough evidence too, but the number of causes is limited to {self.most_causes}"
-                )
+            if step.taken is not None and len(self.added(fit)) >= self.limits.most_causes:
+                self.ended_early = f"the number of causes is limited to {self.limits.most_causes}"
+                self.tell(f"{step.taken.label} has enough evidence too, but {self.ended_early}")
                 step = replace(step, taken=None)
             self.steps.append(step)
             if step.taken is None:
@@ -169,6 +181,8 @@ class _SearchState:
     def revisited(self, fit: Fit) -> Fit:
         """Test each cause again beside the others: exchange it where another does better, drop it where none is needed."""
         for cause in self.added(fit):
+            if self.limits.is_over:
+                return fit
             without = fit_rig(
                 fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.model.rules
             )
@@ -204,7 +218,7 @@ class _SearchState:
         wider = at_several_places(fit, self._pool(fit))
         if wider is None or held_out(fit, wider, self.block).is_loss:
             return None
-        if len(self.added(wider)) > self.most_causes:
+        if len(self.added(wider)) > self.limits.most_causes:
             return None
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
         log_bayes_factor = wider.log_evidence - fit.log_evidence
@@ -221,7 +235,7 @@ class _SearchState:
         pool = [c for c in self._pool(fit) if c.cause not in taken]
         n = len({c.cause for c in pool})
         ranked = pairs(fit, pool)
-        if not ranked or len(self.added(fit)) + 2 > self.most_causes:
+        if not ranked or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None
         nothing = policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS
         unexplained = policy.LOG_PRIOR_UNEXPLAINED + last.discrepancy.log_bayes_factor
@@ -251,7 +265,7 @@ class _SearchState:
 
     def step(self, fit: Fit) -> Step:
         """Compare all hypotheses at a fit."""
-        return take_step(fit, self._pool(fit), self._smooth(fit), self.block)
+        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits)
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""

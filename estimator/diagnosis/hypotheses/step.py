@@ -19,6 +19,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.hypotheses.screening import in_full, screening
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import Family
@@ -76,7 +77,9 @@ class Step:
         )
 
 
-def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks) -> Step:
+def take_step(
+    fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks, limits: Limits
+) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
     Args:
@@ -84,6 +87,7 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
         pool: Columns of every cause; causes that the fit has are left out.
         smooth: Families of flexible curves, for what no cause explains.
         block: Block number of each reading, for cross-validation.
+        limits: Once they are reached, no further hypothesis is fitted.
     """
     present = set(fit.rig.effects)
     remainder = discrepancy(fit, smooth)
@@ -97,7 +101,9 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted = None
-        if i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0):
+        is_leader = i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0)
+        could_be_best = i < policy.MOST_FITTED and highest > max(best, 0.0)
+        if (is_leader or could_be_best) and not limits.is_over:
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
@@ -128,10 +134,16 @@ def least_log_evidence(n_causes: int) -> float:
 
 def leaves_structure(remainder: Discrepancy) -> bool:
     """Whether the posterior odds favour something unexplained in the residual."""
-    return (
-        remainder.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
-        > policy.LEAST_LOG_ODDS_LEFT
-    )
+    return _log_odds_left(remainder) > policy.LEAST_LOG_ODDS_LEFT
+
+
+def p_of_structure(remainder: Discrepancy) -> float:
+    """Posterior probability that something unexplained is in the residual."""
+    return 1.0 / (1.0 + math.exp(-min(max(_log_odds_left(remainder), -700.0), 700.0)))
+
+
+def _log_odds_left(remainder: Discrepancy) -> float:
+    return remainder.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
 
 
 def _cross_validated(fit: Fit, hypothesis: Hypothesis, block: Blocks) -> Hypothesis:

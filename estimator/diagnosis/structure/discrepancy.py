@@ -66,13 +66,20 @@ def by_name(families: Sequence[Family], evidence: Float[Tensor, "family amplitud
     return {name: log_mean_exp(torch.cat(values)) for name, values in parts.items()}
 
 
-def evidence_by_amplitude(fit: Fit, families: Sequence[Family]) -> Float[Tensor, "family amplitude"]:
-    """Log Bayes factor of each family against no structure, for each of `policy.AMPLITUDES`.
+def evidence_by_amplitude(
+    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float] | None = None
+) -> Float[Tensor, "family amplitude"]:
+    """Log Bayes factor of each family against no structure, for each amplitude in units of the noise.
 
     Families with equally many columns are taken together, some at a time.
+
+    Args:
+        fit: Whose residual is asked.
+        families: The curves.
+        amplitudes: Rms of the curves; `policy.AMPLITUDES` by default.
     """
-    amplitudes = torch.tensor(policy.AMPLITUDES, dtype=torch.float64)
-    result = torch.zeros(len(families), len(amplitudes), dtype=torch.float64)
+    rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
+    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
     by_width: dict[int, list[int]] = {}
     for i, family in enumerate(families):
         by_width.setdefault(family.columns.shape[1], []).append(i)
@@ -82,8 +89,8 @@ def evidence_by_amplitude(fit: Fit, families: Sequence[Family]) -> Float[Tensor,
             some = members[first : first + n_together]
             columns = torch.stack([families[i].columns for i in some])
             gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-            sd = amplitudes[:, None].expand(len(some), -1, width)
-            shape = (len(some), len(amplitudes), width)
+            sd = rms[:, None].expand(len(some), -1, width)
+            shape = (len(some), len(rms), width)
             result[some] = log_bayes_factor(
                 gram[:, None].expand(*shape, width), score[:, None].expand(shape), sd, fit.free_noise
             )

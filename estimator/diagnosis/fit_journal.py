@@ -1,0 +1,122 @@
+"""A file that remembers the fits of a diagnosis, so that one which was interrupted continues where it was.
+
+A diagnosis is deterministic: started again, it asks for the same fits in the same order, and those that the file holds cost nothing. The
+result is, bit by bit, that of an uninterrupted run.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from estimator.code_version import code_version
+from estimator.inference.levenberg_marquardt import Optimum
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+
+FITS = "fits.jsonl"
+_current: ContextVar[FitJournal | None] = ContextVar("current", default=None)
+
+
+class FitJournal:
+    """Maxima by what was fitted, in a file with one line each.
+
+    Args:
+        path: The file; a last line that was torn by an interruption is dropped.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lines: dict[str, str] = {}
+        if path.exists():
+            whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
+            path.write_bytes(whole.lstrip(b"\n"))
+            for line in whole.decode().splitlines():
+                if line:
+                    self._lines[json.loads(line)["key"]] = line
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def optimum(self, key: str) -> Optimum | None:
+        """The maximum that was found before; None if there was none."""
+        if key not in self._lines:
+            return None
+        known = json.loads(self._lines[key])
+        vector, log_posterior, precision, information = map(_tensor, known["numbers"])
+        return Optimum(
+            vector,
+            log_posterior,
+            precision,
+            information,
+            torch.tensor([known["is_converged"]]),
+            known["n_iterations"],
+        )
+
+    def add(self, key: str, optimum: Optimum) -> None:
+        """Remember a maximum (one row)."""
+        numbers = (optimum.vector, optimum.log_posterior, optimum.precision, optimum.information)
+        line = json.dumps(
+            {
+                "key": key,
+                "is_converged": bool(optimum.is_converged[0]),
+                "n_iterations": optimum.n_iterations,
+                "numbers": [_text(values) for values in numbers],
+            }
+        )
+        self._lines[key] = line
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+
+@contextmanager
+def remembering(folder: Path | None) -> Iterator[FitJournal | None]:
+    """While it lasts, fits are looked up in a folder's journal and added to it; None remembers nothing."""
+    if folder is None:
+        yield None
+        return
+    is_new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    journal = FitJournal(folder / FITS)
+    token = _current.set(journal)
+    try:
+        yield journal
+    finally:
+        _current.reset(token)
+        if is_new and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def current_journal() -> FitJournal | None:
+    """The journal of the diagnosis that runs; None where nothing is remembered."""
+    return _current.get()
+
+
+def key_of(rig: Rig, observations: Observations, start: Tensor, tolerance: float) -> str:
+    """What identifies a fit: code, rig, readings, starts and tolerance."""
+    digest = hashlib.sha256(f"{code_version()} {rig.hash} {tolerance!r}".encode())
+    for values in (observations.time_s, observations.row, observations.field_sensor_T, start):
+        digest.update(values.detach().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _text(values: Tensor) -> tuple[list[int], str]:
+    array = values.detach().to(torch.float64).contiguous().numpy()
+    return list(array.shape), base64.b64encode(array.tobytes()).decode()
+
+
+def _tensor(stored: tuple[list[int], str]) -> Tensor:
+    shape, text = stored
+    return torch.from_numpy(np.frombuffer(base64.b64decode(text), dtype=np.float64).reshape(shape).copy())

@@ -1,0 +1,39 @@
+"""When a search ends before the evidence does."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from threading import Event
+
+from estimator.diagnosis import policy
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a search. One that reaches a limit reports the best it has.
+
+    Attributes:
+        most_causes: Causes that it may take.
+        minutes: Time that it may take; the fit at hand is finished, and the report follows.
+        stopped: Set by another thread, or a signal, to end it as if the time were over.
+        begin_s: When it began, by the monotonic clock.
+    """
+
+    most_causes: int = policy.MOST_CAUSES
+    minutes: float = math.inf
+    stopped: Event = field(default_factory=Event)
+    begin_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the search must end."""
+        return self.stopped.is_set() or time.monotonic() - self.begin_s > 60.0 * self.minutes
+
+    @property
+    def words(self) -> str:
+        """Why it ended, or must end."""
+        if self.stopped.is_set():
+            return "it was stopped"
+        return f"its time of {self.minutes:g} min was over"
