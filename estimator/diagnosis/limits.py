@@ -21,7 +21,7 @@ class Limits:
         begin_s: When it began, by the monotonic clock.
     """
 
-    most_causes: int = policy.MOST_CAUSES
+    most_causes: int = field(default_factory=lambda: policy.MOST_CAUSES)
     minutes: float = math.inf
     stopped: Event = field(default_factory=Event)
     begin_s: float = field(default_factory=time.monotonic)

@@ -18,6 +18,7 @@ from estimator import diagnose, load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import REPORT
 from estimator.effects.attach import with_effect
@@ -82,7 +83,9 @@ def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, c
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
-    diagnosis = diagnose(session, seed=seed, out=out / data_set.name, most_causes=most_causes, on_stage=tell)
+    diagnosis = diagnose(
+        session, seed=seed, out=out / data_set.name, limits=Limits(most_causes), on_stage=tell
+    )
     write_text(
         out / data_set.name / REPORT,
         diagnosis_report(diagnosis, f"python -m scripts.studies.diagnose_real {data_set.name}"),

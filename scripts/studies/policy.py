@@ -176,11 +176,7 @@ def run_case(case: tuple[str, int, Path, tuple[str, ...]]) -> str:
     elif kind == "design":
         branches.run(lambda: designed(hidden_session("clean", seed)))
     else:
-        branches.run(
-            lambda: diagnosed(
-                diagnose(hidden_session(kind, seed), seed=seed, most_causes=diagnosis_policy.MOST_CAUSES)
-            )
-        )
+        branches.run(lambda: diagnosed(diagnose(hidden_session(kind, seed), seed=seed)))
     return f"{kind} {seed}: {len(branches.seen)} rules"
 
 

@@ -199,6 +199,7 @@ def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_n
 
 def test_what_was_taken_and_is_not_named_stands_in(base, both):
     search = search_with(base, both, LAST)
-    assert stand_ins(search, [named(OFFSET), named(GAIN)]) == []
-    assert stand_ins(search, [named(GAIN)]) == [OFFSET]
-    assert stand_ins(search, []) == []
+    final, base = search.final, search.base
+    assert stand_ins(search, [named(OFFSET), named(GAIN)], final) == []
+    assert stand_ins(search, [named(GAIN)], final) == [OFFSET]
+    assert stand_ins(search, [], base) == []

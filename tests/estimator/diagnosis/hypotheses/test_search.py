@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import search
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.step import take_step
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
@@ -40,13 +40,13 @@ def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypa
     pool = candidates(noisy, [GAIN])
     given = []
 
-    def spy(fit, pool, smooth, block):
+    def spy(fit, pool, smooth, block, limits):
         given.append((pool, smooth))
-        return take_step(fit, pool, smooth, block)
+        return take_step(fit, pool, smooth, block, limits)
 
     monkeypatch.setattr(search, "take_step", spy)
     smooth = families(noisy)
-    search._SearchState(noisy, pool, smooth, lambda words: None, policy.MOST_CAUSES).step(quiet)
+    search._SearchState(noisy, pool, smooth, lambda words: None, Limits()).step(quiet)
     ((columns,), curves) = given[0]
     torch.testing.assert_close(columns.columns, 4.0 * pool[0].columns)
     for before, after in zip(smooth, curves, strict=True):  # amplitudes stay in units of the noise
@@ -66,9 +66,20 @@ def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
     told = []
-    result = search.search(fit_of(small_rig, readings.calibration), told.append, most_causes=1)
+    result = search.search(fit_of(small_rig, readings.calibration), told.append, Limits(most_causes=1))
     taken = [step.taken for step in result.steps]
     assert taken[-1] is None
     assert tuple(taken[:-1]) == result.final.rig.effects
     assert len(result.final.rig.effects) == 1
+    assert result.ended_early == "the number of causes is limited to 1"
     assert told[-1].endswith("has enough evidence too, but the number of causes is limited to 1")
+
+
+def test_a_search_without_time_takes_nothing_and_says_why(small_rig, small_session, small_truth):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
+    result = search.search(fit_of(small_rig, readings), lambda words: None, Limits(minutes=0.0))
+    assert result.final.rig.effects == ()
+    assert all(hypothesis.fit is None for hypothesis in result.steps[-1].hypotheses if hypothesis.cause)
+    assert result.ended_early == "its time of 0 min was over"
+    assert result.steps[-1].discrepancy.log_bayes_factor > 10.0

@@ -14,6 +14,7 @@ from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps, joint_evidence
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
@@ -164,7 +165,9 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
         readings = with_wrong(rig, readings, cause, {"x_at_z_m": 2e-3, "z_at_z_m": -2e-3, "y_at_x_m": 2e-3})
     base = fit_of(rig, readings)
     asked = [c for c in causes_of(rig, base) if c.name in ("element_displacement", "sensor_misplaced")]
-    state = _SearchState(base, candidates(base, asked), families(base), lambda words: None, 10)
+    state = _SearchState(
+        base, candidates(base, asked), families(base), lambda words: None, Limits(most_causes=10)
+    )
     fit = fit_of(rig, readings, *apart)
     state.additions.append(Addition(tuple(apart), fit))
     early = [c for c in state.pool if c.cause != misplaced]
@@ -177,7 +180,7 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
     """The comparison is dropped too; one that takes the cause again later is new."""
-    state = _SearchState(base, pool, families(base), lambda words: None, 10)
+    state = _SearchState(base, pool, families(base), lambda words: None, Limits(most_causes=10))
     taken = list(OFFSET.values())
     fit = fit_of(rig, readings, *taken)
     state.additions.append(Addition(tuple(taken), fit))

@@ -1,0 +1,88 @@
+"""An interrupted diagnosis goes on where it was, and ends bit by bit as one that was not interrupted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from estimator.diagnosis import fitting
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.fit_journal import FITS, FitJournal, remembering
+from estimator.diagnosis.limits import Limits
+from estimator.rig.rig import Cause
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+OFFSET = Cause("sensor_offset", "hall")
+
+
+@pytest.fixture(scope="module")
+def session(small_rig, small_session, small_truth) -> Session:
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 30e-6, "z_T": -20e-6})
+    return Session(small_rig, readings, "with an offset")
+
+
+class Killed(BaseException):
+    """Stands for a signal that cannot be caught."""
+
+
+def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(session, tmp_path, monkeypatch):
+    whole = diagnose(session, seed=1, out=tmp_path / "whole")
+    n_fits = []
+    climb = fitting.levenberg_marquardt
+
+    def killed_after_three(*args, **kwargs):
+        n_fits.append(1)
+        if len(n_fits) > 3:
+            raise Killed
+        return climb(*args, **kwargs)
+
+    monkeypatch.setattr(fitting, "levenberg_marquardt", killed_after_three)
+    with pytest.raises(Killed):
+        diagnose(session, seed=1, out=tmp_path / "killed")
+    with (tmp_path / "killed" / FITS).open("a") as file:
+        file.write('{"key": "torn')
+    monkeypatch.setattr(fitting, "levenberg_marquardt", climb)
+    told = []
+    diagnose(session, seed=1, out=tmp_path / "killed", on_stage=told.append)
+    assert told[0] == "continuing: 3 fits were made before"
+    written, expected = (
+        json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("killed", "whole")
+    )
+    assert written == expected == json.loads(json.dumps(whole.to_json()))
+    assert not (tmp_path / "killed" / FITS).exists()
+
+
+def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(session, tmp_path):
+    hasty = diagnose(session, seed=1, out=tmp_path, limits=Limits(minutes=0.0))
+    assert hasty.findings.search.ended_early
+    assert hasty.causes == ()
+    assert (tmp_path / FITS).exists()
+    patient = diagnose(session, seed=1, out=tmp_path)
+    assert not patient.findings.search.ended_early
+    assert {cause.cause.name for cause in patient.causes} & {"sensor_offset", "background_field"}
+
+
+def test_another_rig_other_readings_and_another_start_are_other_fits(small_rig, session, tmp_path):
+    readings = session.observations.calibration
+    with remembering(tmp_path):
+        first = fit_of(small_rig, readings)
+        n = len(FitJournal(tmp_path / FITS))
+        again = fit_of(small_rig, readings)
+        assert len(FitJournal(tmp_path / FITS)) == n
+        fit_of(small_rig, readings.with_field(readings.field_sensor_T + 1e-6))
+        fit_of(small_rig.with_values({"hall.noise_T": 6e-6}), readings)
+        assert len(FitJournal(tmp_path / FITS)) == n + 2
+    assert torch.equal(first.optimum.vector, again.optimum.vector)
+    assert torch.equal(first.optimum.precision, again.optimum.precision)
+    assert first.log_evidence == again.log_evidence
+
+
+def test_an_empty_folder_is_not_left_behind(tmp_path: Path):
+    with pytest.raises(ValueError), remembering(tmp_path / "new"):  # noqa: PT011 - any error
+        raise ValueError
+    assert not (tmp_path / "new").exists()
