@@ -310,6 +310,9 @@ CLEARLY_MORE = 1.2
 MOVED_SD = 1.0
 """Standard deviations that a number of the rig must move to be listed as moved. For a reader. Study: not in it."""
 
+LISTED_IMPACT_SD = 0.3
+"""Standard deviations that a cause must move a number of the rig for its impact to be listed. For a reader. Study: not in it."""
+
 LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
 """Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets wrong, so the
 share scatters by some per cent. Study: not in it."""

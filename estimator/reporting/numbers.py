@@ -14,6 +14,7 @@ from jaxtyping import Num
 
 from estimator.units import UNITS, split_unit
 
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
 
 
@@ -74,6 +75,24 @@ def summary(values: Num[np.ndarray, " draw"], display: Display) -> str:
         best = int(number.argmax())
         return f"{counts[best]:.0f} ({100.0 * number[best] / len(values):.0f} %)"
     return f"{with_sd(float(np.median(values)), float(values.std()))} {display.unit}".strip()
+
+
+def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
+    """A size to two or more digits in the unit of its order: `12 µT`, `0.17 %`.
+
+    Examples:
+        >>> size_with_unit(1.234e-5, "T"), size_with_unit(0.00171, "1"), size_with_unit(3.2e-4, "T/h")
+        ('12 µT', '0.17 %', '320 µT/h')
+        >>> size_with_unit(0.0345678, "T", 4)
+        '34.57 mT'
+    """
+    if unit == "1":
+        return f"{100.0 * value:.{digits}g} %" if abs(value) < 1.0 else f"{value:.3g}"
+    if unit.partition("/")[0] in ("T", "m", "rad", "A"):
+        factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
+        scaled = value / factor
+        return f"{float(f'{scaled:.{digits}g}'):g} {prefix}{unit}"
+    return f"{value:.{digits}g} {unit}"
 
 
 def with_sd(value: float, sd: float) -> str:

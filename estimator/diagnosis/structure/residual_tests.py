@@ -87,7 +87,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     References: Westfall and Young, Resampling-Based Multiple Testing (1993), section 2.3 (unadjusted-step minP); Langsrud, Stat. Comput. 15
         (2005) 53 (rotation tests: exact for normal noise of unknown size).
     """
-    constant = Covariate("nothing: a constant", "1", torch.ones(len(fit.observations), dtype=torch.float64))
+    constant = Covariate("a constant offset", "1", torch.ones(len(fit.observations), dtype=torch.float64))
     tested = [constant, *covariates(fit)]
     bases = [[_basis(fit, covariate, axis) for axis in range(3)] for covariate in tested]
     bases[1:] = [

@@ -28,7 +28,7 @@ def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
     [
         ((("offset_drift.x_T_per_h", 2e-3),), "time"),
         ((("cubic_response.z_per_T2", -60.0),), "field in the sensor frame, z"),
-        ((("sensor_offset.z_T", 60e-6),), "nothing: a constant"),
+        ((("sensor_offset.z_T", 60e-6),), "a constant offset"),
         ((("axis_gain.x", 0.02),), "field in the sensor frame, x"),
     ],
 )

@@ -1,0 +1,91 @@
+"""The first box of a report: what is wrong and how sure that is, what it cost, and what to do next, in at most four sentences."""
+
+from __future__ import annotations
+
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.verdict import NamedCause, Verdict
+from estimator.effects import EFFECTS
+from estimator.reporting.numbers import size_with_unit
+
+MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
+
+
+def headline(diagnosis: Diagnosis) -> list[str]:
+    """The sentences, most important first."""
+    sentences = [_what(diagnosis), _cost(diagnosis), _next(diagnosis)]
+    if ended := diagnosis.findings.search.ended_early:
+        sentences.append(f"The search ended early, for {ended}; the same command goes on with it.")
+    return [sentence for sentence in sentences if sentence]
+
+
+def _what(diagnosis: Diagnosis) -> str:
+    """What is wrong, where, and how sure that is."""
+    if diagnosis.verdict is Verdict.NOTHING_FOUND:
+        return "These readings show nothing wrong."
+    found = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
+    found += _causes(diagnosis)
+    if diagnosis.verdict is not Verdict.UNEXPLAINED:
+        return f"{_capital('; '.join(found))}."
+    remainder = diagnosis.findings.search.steps[-1].discrepancy
+    if remainder.log_bayes_factor <= 0.0:
+        remainder = diagnosis.findings.search.base_discrepancy
+    unknown = (
+        f"Something is wrong that no known cause explains: it depends on {remainder.family} and is "
+        f"{remainder.rms_sigma:.2g} times the noise"
+    )
+    return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+
+
+def _mistakes(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    causes = [mistake.cause for mistake in diagnosis.record_mistakes]
+    return [(diagnosis.label(cause), EFFECTS[cause.name].words) for cause in causes]
+
+
+def _causes(diagnosis: Diagnosis) -> list[str]:
+    """The named causes with what they are confused with; several places of one cause in one phrase."""
+    phrases = []
+    for name in dict.fromkeys(named.cause.name for named in diagnosis.causes):
+        same = [named for named in diagnosis.causes if named.cause.name == name]
+        first = same[0]
+        places = ", ".join(named.cause.place for named in same)
+        label = diagnosis.label(first.cause) if len(same) == 1 else f"{name}[{places}]"
+        least = min(named.probability for named in same)
+        phrases.append(f"{EFFECTS[name].words} ({label}, {least:.0%}){_others(diagnosis, first)}")
+    return phrases
+
+
+def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
+    others = [
+        f"{diagnosis.label(o.cause)} {o.probability:.0%}" for o in named.alternatives[:MOST_ALTERNATIVES]
+    ]
+    n_more = len(named.alternatives) - len(others)
+    others += [f"{n_more} more causes"] if n_more > 0 else []
+    if named.p_not_in_library >= 0.005:
+        others.append(f"something not in the library {named.p_not_in_library:.0%}")
+    return f", or {', or '.join(others)}" if others else ""
+
+
+def _cost(diagnosis: Diagnosis) -> str:
+    """What the extension gains on unseen readings."""
+    improvement = diagnosis.improvement
+    if improvement is None or not diagnosis.fits.extended.rig.effects:
+        return ""
+    before, after = (scores.errors.vector_T for scores in (improvement.before, improvement.after))
+    unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
+    if improvement.is_significant:
+        return f"{unseen} falls from {size_with_unit(before, 'T', 3)} to {size_with_unit(after, 'T', 3)}."
+    return f"{unseen} does not fall clearly: {size_with_unit(before, 'T', 3)} before, {size_with_unit(after, 'T', 3)} after."
+
+
+def _next(diagnosis: Diagnosis) -> str:
+    """What to do next."""
+    if diagnosis.left_open.next_measurements:
+        best = diagnosis.left_open.next_measurements[0]
+        return f"To tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})."
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
+    return ""
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]

@@ -1,0 +1,266 @@
+"""Tables of a diagnosis: sizes, improvement on unseen readings, impacts, hypotheses, and what the readings can show."""
+
+from __future__ import annotations
+
+import math
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
+from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.result import Diagnosis, Interval
+from estimator.effects import EFFECTS
+from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
+from estimator.reporting.page import Table
+from estimator.units import split_unit
+
+MOST_HYPOTHESES = 8
+MOST_STEPS = 6
+MOST_IMPACT_COLUMNS = 6
+
+
+def tables(diagnosis: Diagnosis) -> list[Table]:
+    """Tables below the headline: what was found, what it gains, what it moves, what to measure next."""
+    tables = []
+    rows = [
+        [label, key, with_sd(p.median * f, p.sd * f), f"{to_digit_of(p.sd * f, p.ci90[0] * f)} to "
+         f"{to_digit_of(p.sd * f, p.ci90[1] * f)}", unit]
+        for label, key, p, f, unit in _parameters(diagnosis)
+    ]  # fmt: skip
+    if rows:
+        header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
+        tables.append(
+            Table(
+                "What was found",
+                header,
+                rows,
+                "Quantities of the causes in the extended rig (rig_extended.yaml).",
+            )
+        )
+    if diagnosis.improvement is not None:
+        tables.append(_validation_table(diagnosis))
+        tables += [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
+    if diagnosis.left_open.next_measurements:
+        proposals = [
+            [proposal.action.words, " or ".join(proposal.splits), f"{proposal.expected_log_evidence:.1f}"]
+            for proposal in diagnosis.left_open.next_measurements
+        ]
+        tables.append(
+            Table(
+                "What to measure next",
+                ["readings", "tells apart", "expected log evidence"],
+                proposals,
+                "Expected log evidence that each adds, best first. Programmes that add less than 3 (odds of 20 to 1) are not listed.",
+            )
+        )
+    return tables
+
+
+def appendix(diagnosis: Diagnosis) -> list[Table]:
+    """Tables below the figures: symptoms, hypotheses step by step, and what the readings can show."""
+    comparisons = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
+    return [
+        _symptoms_table(diagnosis),
+        *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons),
+        _visible_table(diagnosis),
+    ]
+
+
+def _symptoms_table(diagnosis: Diagnosis) -> Table:
+    """Tests of the residual before and after the extension."""
+    rows = [["before", sentence] for sentence in diagnosis.fits.before.sentences()]
+    if diagnosis.fits.extended.rig.effects:
+        rows += [["after", sentence] for sentence in diagnosis.fits.after.sentences()]
+    return Table(
+        "Symptoms", ["model", "residual"], rows, "Tests of the residual of the readings that were fitted."
+    )
+
+
+def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
+    parameters = []
+    for cause in diagnosis.fits.final.rig.effects:
+        for key, p in diagnosis.quantities(cause).items():
+            display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
+            if p.unit == "1" and abs(p.median) < 1.0:
+                factor, unit = 100.0, "%"
+            elif p.unit.startswith("T/") and not p.unit.startswith("T/m"):
+                factor, unit = 1e6, f"µ{p.unit}"
+            else:
+                factor, unit = display.factor, display.unit or p.unit
+            label = diagnosis.label(cause)
+            role = " (stands in)" if cause in diagnosis.findings.stand_ins else ""
+            parameters.append((label + role, key, p, factor, unit))
+    return parameters
+
+
+def _validation_table(diagnosis: Diagnosis) -> Table:
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    rows = []
+    for name, scores in (("before", improvement.before), ("after", improvement.after)):
+        angle = scores.errors.angular_deviation_rad
+        rows.append(
+            [
+                name,
+                size_with_unit(scores.errors.vector_T, "T", 4),
+                f"{scores.errors.relative:.3%}",
+                size_with_unit(scores.errors.max_T, "T", 4),
+                f"{math.degrees(angle):.3f}°" if math.isfinite(angle) else "—",
+                f"{scores.coverage50:.0%}",
+                f"{scores.coverage90:.0%}",
+                f"{scores.elpd:.1f}",
+            ]
+        )
+    header = [
+        "model",
+        "vector rms",
+        "of rms field",
+        "largest",
+        "mean angle",
+        "in 50 %",
+        "in 90 %",
+        "elpd",
+    ]
+    caption = (
+        f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
+        "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
+    )
+    return Table("Improvement on readings not used for fitting", header, rows, caption)
+
+
+def _moved_table(diagnosis: Diagnosis) -> Table:
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    names = [name for name, sd in improvement.moved_sd.items() if abs(sd) > policy.MOVED_SD]
+    display = displays(names)
+    rows = []
+    for name in sorted(names, key=lambda n: -abs(improvement.moved_sd[n])):
+        show = display[name]
+        old, new = (
+            float(fit.values[name]) * show.factor for fit in (diagnosis.fits.plain, diagnosis.fits.final)
+        )
+        rows.append(
+            [
+                show.words,
+                with_sd(old, diagnosis.fits.plain.value_sd(name) * show.factor),
+                with_sd(new, diagnosis.value_sd(name) * show.factor),
+                show.unit or "1",
+                f"{improvement.moved_sd[name]:+.1f}".replace("-", "−"),
+            ]
+        )
+    return Table(
+        "Parameters biased in the plain model",
+        ["parameter", "before", "after", "unit", "moved (sd)"],
+        rows,
+        "Parameters of the rig that the extension moves by more than one standard deviation of the plain fit.",
+    )
+
+
+def _impact_table(diagnosis: Diagnosis) -> Table:
+    """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
+    causes = list(diagnosis.fits.final.rig.effects)[:MOST_IMPACT_COLUMNS]
+    impacts = {cause: impact_sd(diagnosis.fits.final, cause) for cause in causes}
+    names = [p.name for p in diagnosis.rig.free if p.name in diagnosis.fits.final.posterior.coordinates.names]
+    names = [n for n in names if any(abs(impacts[c].get(n, 0.0)) > policy.LISTED_IMPACT_SD for c in causes)]
+    display = displays(names)
+    rows = [
+        [display[name].words, *(f"{impacts[c].get(name, 0.0):+.1f}".replace("-", "−") for c in causes)]
+        for name in names
+    ]
+    return Table(
+        "Impact of each cause",
+        ["parameter", *(diagnosis.label(cause) for cause in causes)],
+        rows,
+        "How far each parameter of the rig would move, in its standard deviations, if one cause were left out and the others stayed.",
+    )
+
+
+def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
+    """All hypotheses of a step."""
+    causes = [hypothesis for hypothesis in step.hypotheses if hypothesis.cause is not None]
+    probability = dict(zip((hypothesis.name for hypothesis in causes), shares_of(causes), strict=True))
+    rows = [
+        [
+            diagnosis.label_of_hypothesis(hypothesis),
+            _words(hypothesis),
+            _signed(hypothesis.log_bayes_factor),
+            _percent(probability.get(hypothesis.name)),
+            "—"
+            if hypothesis.held_out is None
+            else f"{_signed(hypothesis.held_out.elpd_difference)} ± {hypothesis.held_out.elpd_se:.1f}",
+            _why(step, hypothesis),
+        ]
+        for i, hypothesis in enumerate(step.hypotheses)
+        if i < MOST_HYPOTHESES or hypothesis.cause is None  # `nothing` and `unexplained` are always listed
+    ]
+    return Table(
+        f"Hypotheses considered, step {number}: {title} taken",
+        ["hypothesis", "meaning", "log Bayes factor", "among causes", "unseen blocks", "outcome"],
+        rows,
+        "Log Bayes factors are against nothing wrong. Unseen blocks: change in log predictive density where each block of neighbouring "
+        "positions is predicted from the others, with its standard error.",
+    )
+
+
+def _signed(value: float) -> str:
+    """To one digit, without a sign before zero.
+
+    Examples:
+        >>> _signed(-0.04), _signed(-2.34)
+        ('0.0', '−2.3')
+    """
+    return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "—"
+    return f"{share:.1%}" if share > 1e-3 else "< 0.1 %"
+
+
+def _words(hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None:
+        return EFFECTS[hypothesis.cause.name].words
+    return (
+        "nothing wrong"
+        if hypothesis.name == "nothing"
+        else "a flexible curve, for what no known cause explains"
+    )
+
+
+def _why(step: Step, hypothesis: Hypothesis) -> str:
+    if hypothesis.cause is not None and hypothesis.cause == step.taken:
+        return "taken"
+    if hypothesis in step.credible and step.taken is not None:
+        return "cannot be told apart from what was taken"
+    best = next((r for r in step.hypotheses if r.cause == step.taken), None)
+    if hypothesis.name == "unexplained":
+        return "tested again at the end"
+    if best is None or step.taken is None:
+        return "not needed" if hypothesis.cause is not None else ""
+    if hypothesis.held_out is not None and hypothesis.held_out.is_loss:
+        return "predicts unseen blocks worse"
+    behind = best.log_bayes_factor - hypothesis.log_bayes_factor
+    if hypothesis.name == "nothing":
+        return f"explains nothing: {behind:.1f} behind"
+    return f"explains less: {behind:.1f} behind" if behind > 0.0 else "tested again later"
+
+
+def _visible_table(diagnosis: Diagnosis) -> Table:
+    visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
+    hidden = {diagnosis.label(quantity.cause) for quantity in diagnosis.left_open.visible} - {
+        diagnosis.label(quantity.cause) for quantity in visible
+    }
+    sizes: dict[str, list[str]] = {}
+    for quantity in visible:
+        name = split_unit(quantity.key)[0] if quantity.unit != "T/h" else quantity.key[0]
+        sizes.setdefault(diagnosis.label(quantity.cause), []).append(
+            f"{name} {size_with_unit(quantity.size, quantity.unit)}"
+        )
+    rows = [[label, "; ".join(words)] for label, words in sizes.items()]
+    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
+    caption = "Sizes that would change these readings by five standard deviations if nothing else were wrong."
+    if hidden:
+        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
+    if twins:
+        caption += f" These readings cannot tell apart: {twins}."
+    return Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)
