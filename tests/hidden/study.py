@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.library import names
+from tests.hidden.open_session import draw_open_session, within
 from tests.hidden.session import draw_session
 
 KINDS = ("single", "clean", "pair", "outside", "discrete")
+OPEN_KINDS = (
+    "open",
+    "clean_open",
+    "unknown8",
+    "unknown12",
+    "unknown30",
+)  # new ones at the end: seeds count them
+KNOWN_SHARE, NATURAL_SIGMA = 0.7, (4.0, 40.0)  # of kind `open`
 PROTOCOLS = ("paper", "recommended")
 SIGMA = 8.0
 DISCRETE = ("axes_swapped", "unit_error", "left_handed", "displacement_frame", "current_sign")
@@ -20,8 +29,15 @@ MOST_TRIES = 40
 Translation = Callable[[dict[str, float]], dict[str, float]]
 
 
-def draw_case(kind: str, seed: int) -> HiddenSession:
-    """A session of a kind; protocol and causes are drawn from the seed."""
+def draw_case(kind: str, seed: int, library: Collection[str] = ()) -> HiddenSession:
+    """A session of a kind; all about it is drawn from the seed.
+
+    Args:
+        kind: One of `KINDS` or of `OPEN_KINDS`.
+        library: Names of the causes that coilcal knows; the kinds of the open world depend on them.
+    """
+    if kind in OPEN_KINDS:
+        return _draw_open(kind, seed, library)
     rng = np.random.default_rng([991, KINDS.index(kind), seed])
     protocol = PROTOCOLS[int(rng.integers(2))]
     for _ in range(MOST_TRIES):
@@ -39,6 +55,18 @@ def draw_case(kind: str, seed: int) -> HiddenSession:
         except ValueError:
             continue  # the cause cannot become visible in this session
     raise RuntimeError(f"no {kind} session for seed {seed}")
+
+
+def _draw_open(kind: str, seed: int, library: Collection[str]) -> HiddenSession:
+    number = OPEN_KINDS.index(kind)
+    rng = np.random.default_rng([992, number, seed])
+    is_known, sigma = False, float(np.exp(rng.uniform(*np.log(NATURAL_SIGMA))))
+    if kind == "open":
+        is_known = bool(rng.random() < KNOWN_SHARE)
+    elif kind != "clean_open":
+        sigma = float(kind.removeprefix("unknown"))
+    choice = None if kind == "clean_open" else within(library, is_known=is_known)
+    return draw_open_session([993, number], choice, sigma, seed)
 
 
 def label(cause: dict[str, Any]) -> str:
