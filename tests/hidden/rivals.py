@@ -8,7 +8,7 @@ measured by what is left beside any two of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,14 @@ from tests.hidden.protocols import Array
 from tests.hidden.visible_size import Adjustable, effect_T, whiten
 
 DRAWS, DRAWS_OF_PLACES = 24, 100
-PLACED = ("iron_plate", "iron_body")
+PLACED = (
+    "iron_plate",
+    "iron_body",
+    "second_iron_body",
+    "magnetised_link",
+    "hidden_winding",
+    "periodic_interference",
+)
 BEST_FIRST = 4  # of the rivals, to be joined by a second
 SMALL_SHARE = 0.02  # of the largest plausible size, where most causes are linear
 FIRST_SEED = 9000
@@ -64,6 +71,13 @@ def rival_of(adjustable: Adjustable, cause: Cause) -> Rival:
     columns = adjustable.cleared(np.stack(effects, axis=1))
     is_visible = np.linalg.norm(columns, axis=0) > LEAST_SIGMA * SMALL_SHARE
     return Rival(cause.name, columns[:, is_visible], cause.freedom)
+
+
+def left_beside(adjustable: Adjustable, flaw: Flaw, others: Iterable[str]) -> dict[str, float]:
+    """What of a flaw no fit of one other cause imitates, in sigmas, by that cause; the best imitation first."""
+    left_over = adjustable.left_over([flaw])
+    rests = {name: rival_of(adjustable, CAUSES[name]).left_over(left_over) for name in others}
+    return dict(sorted(rests.items(), key=lambda item: item[1]))
 
 
 def known_rivals(adjustable: Adjustable) -> list[Rival]:

@@ -87,6 +87,11 @@ def credible_sets(row: dict[str, Any]) -> list[list[str]]:
     return sets
 
 
+def is_relative(name: str, truth: str) -> bool:
+    """Whether a name that is not the truth says the same of it in other words: the same part moves or bends, in a like way."""
+    return name in RELATIVES.get(truth, ())
+
+
 def true_quantities(cause: dict[str, Any]) -> dict[str, float]:
     """What a diagnosis should find for the numbers of a true cause, by the keys of `diagnosis.json`; those without a counterpart left out."""
     known = {name: one["value"] for name, one in cause["parameters"].items()}
@@ -104,6 +109,45 @@ def _with(prefix: str) -> Translation:
 def _per_hour(known: dict[str, float]) -> dict[str, float]:
     return {f"{name[5]}_T_per_h": 3600.0 * value for name, value in known.items()}
 
+
+# Hidden cause -> names that send the laboratory to the right part.
+RELATIVES: dict[str, tuple[str, ...]] = {
+    "second_iron_body": ("iron_body", "iron_plate"),
+    "chair_moved": ("iron_body", "iron_plate", "second_iron_body"),
+    "sheared_ellipse": ("coil_ovality",),
+    "magnetised_link": ("background_field",),
+    "eddy_lag": ("sensor_lag",),
+    "sensor_lag": ("eddy_lag",),
+    "sensor_exchanged": ("axis_gain", "cross_axis", "sensor_offset"),
+    "thermal_lag": ("temperature_drift",),
+    "coil_misplaced": ("mount_tilt", "base_misplaced"),
+    "base_misplaced": ("coil_misplaced", "joint_zeros"),
+    "joint_zeros": ("base_misplaced", "coil_misplaced"),
+    "winding_misstated": ("axial_pitch", "radial_pitch"),
+    "axial_pitch": ("winding_misstated",),
+    "radial_pitch": ("winding_misstated",),
+    "reversed_layer": ("hidden_winding", "short_layer", "radial_pitch"),
+    "hidden_winding": ("reversed_layer", "turns_gradient", "short_layer"),
+    "gravity_droop": ("robot_scale", "robot_shear"),
+    "screw_pitch_error": ("robot_scale", "backlash"),
+    "arm_warming": ("robot_scale",),
+    "overshoot": ("position_lag", "backlash"),
+    "cable_pull": ("mount_tilt", "coil_misplaced", "robot_shear"),
+    "table_sag": ("robot_shear", "robot_scale"),
+    "creeping_clamp": ("sensor_bumped", "sensor_misplaced"),
+    "soft_limit": ("core_saturation", "coil_heating"),
+    "polarity_gain": ("current_offset",),
+    "loose_connector": ("current_step",),
+    "barkhausen_jumps": ("current_step", "current_remanence"),
+    "current_crosstalk": ("sensor_offset",),
+    "tram_walk": ("background_drift", "periodic_interference", "offset_drift"),
+    "tool_left": ("background_field", "background_drift"),
+    "adc_ripple": ("cubic_response",),
+    "adc_carry": ("cubic_response",),
+    "late_trigger": ("sensor_lag",),
+    "offset_memory": ("sensor_offset",),
+    "directional_gain": ("planar_hall", "cubic_response", "axis_gain", "cross_axis"),
+}
 
 TRANSLATED: dict[str, Translation] = {
     "background_field": _with("background_"),
