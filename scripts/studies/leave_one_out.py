@@ -22,7 +22,7 @@ from scripts.studies.hidden_cases import (
     share_and_interval,
 )
 from scripts.studies.open_world import ABSENT, LEAST_OF_A_SET, lone_name, stated
-from tests.hidden.library import CAUSES, patterns
+from tests.hidden.library import CAUSES
 from tests.hidden.open_session import adjustable_of, draw_open_session
 from tests.hidden.rivals import left_beside
 
@@ -63,9 +63,8 @@ def run_case(name: str, seed: int, sigma: float) -> Row:
     with without(name):
         diagnosis, seconds = diagnosed(hidden, seed)
         row = row_of(name, hidden, diagnosis, seconds)
-        assert hidden.rig is not None
-        others = [n for n in patterns(hidden.schedule.protocol, hidden.rig.motion) if n in EFFECTS]
-    left = left_beside(adjustable_of(hidden.rig, hidden.scene), hidden.flaws[0], others)
+    assert hidden.rig is not None
+    left = left_beside(adjustable_of(hidden.rig, hidden.scene), hidden.flaws[0], EFFECTS)
     return row | {
         "sigma": sigma,
         "left_beside": {n: s for n, s in left.items() if s < NEAR_SIGMA or n == next(iter(left))},

@@ -15,7 +15,7 @@ from tests.hidden.flaw import Cause, Flaw
 from tests.hidden.library import CAUSES, FIRST, OUTSIDE, names
 from tests.hidden.open_session import adjustable_of, draw_open_scene, draw_open_session, within
 from tests.hidden.protocols import DWELL_S, MOTIONS, PROTOCOLS
-from tests.hidden.rivals import rival_of
+from tests.hidden.rivals import left_beside, rival_of
 from tests.hidden.scene import Scene
 from tests.hidden.session import CLEARANCE_M, clearance_m, draw_ideal
 from tests.hidden.stated_rig import WIDE_WINDING_SD, StatedRig
@@ -439,9 +439,41 @@ def test_what_is_unknown_depends_on_the_library_alone() -> None:
     assert not set(KINDS) & set(OPEN_KINDS)
 
 
-def test_an_exact_twin_leaves_nothing_beside_its_twin(sessions: Sessions) -> None:
+def test_an_exact_twin_leaves_nothing_and_itself_is_no_twin(sessions: Sessions) -> None:
     rig, scene = sessions["displacement", "paper"]
+    library = (
+        "background_field",
+        "sensor_offset",
+        "robot_scale",
+        "iron_core",
+        "mains_hum",
+        "current_remanence",
+    )
+    left = left_beside(adjustable_of(rig, scene), Flaw(CAUSES["background_field"], 5e-5, 3), library)
+    assert next(iter(left)) == "sensor_offset"
+    assert set(left) == {"sensor_offset", "robot_scale", "iron_core"}
+    assert left["sensor_offset"] < 1e-6
+    assert left["robot_scale"] > 3.0
+
+
+def test_a_library_that_moves_every_element_imitates_a_gain(sessions: Sessions) -> None:
+    """The hidden cause leaves the x element in place; fitted broadly it is nearer to a gain of x."""
+    rig, scene = sessions["displacement", "recommended"]
     here = adjustable_of(rig, scene)
-    left_over = here.left_over([Flaw(CAUSES["background_field"], 5e-5, 3)])
-    assert rival_of(here, CAUSES["sensor_offset"]).left_over(left_over) < 1e-6
-    assert rival_of(here, CAUSES["robot_scale"]).left_over(left_over) > 0.3 * np.linalg.norm(left_over)
+    gain = replace(
+        CAUSES["axis_gain"], apply=lambda s, size, _: CAUSES["axis_gain"].apply(s, size, _of_axis(0))
+    )
+    flaw = Flaw(gain, 0.02, 0)
+    broad = left_beside(here, flaw, ("element_displacement",))["element_displacement"]
+    narrow = rival_of(here, CAUSES["element_displacement"]).left_over(here.left_over([flaw]))
+    assert broad < 0.8 * narrow
+
+
+def _of_axis(wanted: int) -> np.random.Generator:
+    """A generator that first draws the first of two sensors, then this axis."""
+
+    def draws(seed: int) -> tuple[int, int]:
+        rng = np.random.default_rng(seed)
+        return int(rng.integers(2)), int(rng.integers(3))
+
+    return np.random.default_rng(next(seed for seed in range(100) if draws(seed) == (0, wanted)))

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.hidden.coil import Winding, blocks_of, circular_field
-from tests.hidden.flaw import Cause, Flaw, record
+from tests.hidden.flaw import Cause, Flaw, Record, record
 from tests.hidden.protocols import Array
 from tests.hidden.scene import Scene
 
@@ -42,7 +42,11 @@ PRIOR_SD = {
 
 def effect_T(scene: Scene, flaws: Sequence[Flaw]) -> Array:
     """What flaws change: recorded perfect readings less those that the base model expects at the recorded commands."""
-    made = record(scene, flaws)
+    return unexpected_T(scene, record(scene, flaws))
+
+
+def unexpected_T(scene: Scene, made: Record) -> Array:
+    """Recorded readings less those that the base model expects at the recorded commands."""
     expected = replace(scene, current_A=made.current_A, displacement_m=made.displacement_m).measured()
     return made.field_T - expected.readings_T
 
