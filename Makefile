@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden policy real diagnose-real mice-filaments storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out policy real diagnose-real mice-filaments storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -44,6 +44,12 @@ coverage: $(INSTALLED)    # simulation-based calibration, continues where it was
 
 hidden: $(INSTALLED)      # effects hidden by independent code: found, named, missed; hours, continues where it was interrupted
 	$(RUN) scripts.studies.hidden --cases 300 --out out/hidden.jsonl
+
+open-world: $(INSTALLED)  # causes of the library and others at natural sizes, on rigs described in several ways; hours, continues where it was interrupted
+	$(RUN) scripts.studies.open_world --cases 100 --out out/open_world.jsonl
+
+leave-one-out: $(INSTALLED)   # each cause taken out of the library, hidden and diagnosed; hours, continues where it was interrupted
+	$(RUN) scripts.studies.leave_one_out --sigma 30 --out out/leave_one_out_30.jsonl
 
 policy: $(INSTALLED)      # every rule with a number halved and doubled, and what changes; hours, continues where it was interrupted
 	$(RUN) scripts.studies.policy --out out/policy.jsonl

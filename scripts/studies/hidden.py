@@ -6,101 +6,41 @@ coverage and the confusion matrix.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import multiprocessing
-import sys
 import tempfile
-import time
 from collections import Counter
 from itertools import permutations
 from pathlib import Path
 from typing import Any
 
-from estimator import diagnose, load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
+from scripts.studies.hidden_cases import Row, diagnosed, gather, noise_T, options_of, row_of, share, truth_of
 from tests.hidden.handed_in import HiddenSession
-from tests.hidden.study import KINDS, credible_sets, draw_case, label, true_quantities
+from tests.hidden.study import KINDS, credible_sets, draw_case, true_quantities
 
-Row = dict[str, Any]
 LUCKY_SD = 3.09  # standard deviations that a normal number exceeds once in a thousand
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=300, help="number of cases of each kind")
-    parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--first-seed", type=int, default=30_000)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("out/hidden.jsonl"))
-    options = parser.parse_args()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = read(options.out)
-    seeds = range(options.first_seed, options.first_seed + options.cases)
-    cases = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
-    missing = [case for case in cases if case not in rows]
-    with (
-        multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool,
-        options.out.open("a") as file,
-    ):
-        for i, row in enumerate(pool.imap_unordered(worker, missing), start=1):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            rows[row["kind"], row["seed"]] = row
-            print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
-    failed = [rows[case] for case in cases if "error" in rows[case]]
-    for row in failed:
-        print(line(row))
-    print(f"{len(failed)} of {len(cases)} diagnoses failed; they are in no share below")
-    show([rows[case] for case in cases if "error" not in rows[case]])
+    parser = options_of(__doc__, KINDS, 300, 30_000, "out/hidden.jsonl")
+    show(gather(parser.parse_args(), run_case))
 
 
-def one_thread() -> None:
-    import torch
-
-    torch.set_num_threads(1)
-
-
-def worker(case: tuple[str, int]) -> Row:
-    kind, seed = case
-    try:
-        return run_case(kind, seed)
-    except Exception as error:  # a case that fails is a result of the study
-        return {"kind": kind, "seed": seed, "error": f"{type(error).__name__}: {error}"}
-
-
-def run_case(kind: str, seed: int) -> dict[str, Any]:
-    """Hide effects and diagnose; the diagnosis sees only the rig file and the table of readings."""
+def run_case(kind: str, seed: int) -> Row:
+    """Hide effects and diagnose."""
     hidden = draw_case(kind, seed)
-    with tempfile.TemporaryDirectory() as folder:
-        hidden.write(Path(folder))
-        rig = load_rig(Path(folder) / "rig.yaml")
-        session = read_readings_csv(Path(folder) / "readings.csv", rig)
-    begin = time.perf_counter()
-    diagnosis = diagnose(session, seed=seed)
-    seconds = time.perf_counter() - begin
-    record, truth = diagnosis.to_json(), hidden.truth()
+    diagnosis, seconds = diagnosed(hidden, seed)
+    record = diagnosis.to_json()
     unflawed = fit_without_flaws(hidden, diagnosis.fits.plain) if kind == "single" else None
-    noise_T = {name: value for name, value in truth["values"].items() if name.endswith("noise_T")}
-    return {
-        "kind": kind,
-        "seed": seed,
-        "protocol": truth["protocol"],
-        "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
-        "noise_T": noise_T,
-        "verdict": record["verdict"],
-        "causes": record["causes"],
+    return row_of(kind, hidden, diagnosis, seconds) | {
         "twins": record["indistinguishable"],
-        "unexplained": record["unexplained"],
         "steps": [
             [(c["name"], c["log_bayes_factor"], c["probability"]) for c in step["considered"][:6]]
             for step in record["steps"]
         ],
-        "gain": record.get("gain"),
         "coil": {
             name: {
                 "truth": value,
@@ -110,11 +50,9 @@ def run_case(kind: str, seed: int) -> dict[str, Any]:
                 "sd_after": diagnosis.value_sd(name),
                 "unflawed": None if unflawed is None else float(unflawed.values[name]),
             }
-            for name, value in truth["values"].items()
+            for name, value in hidden.truth()["values"].items()
             if name in diagnosis.fits.plain.posterior.coordinates.names and not name.endswith("noise_T")
         },
-        "n_unseen": None if diagnosis.improvement is None else len(diagnosis.improvement.after.log_density),
-        "seconds": seconds,
     }
 
 
@@ -125,20 +63,6 @@ def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
     rules = plain.posterior.model.rules
     return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, policy.MORE_STARTS)
-
-
-def read(path: Path) -> dict[tuple[str, int], Row]:
-    if not path.exists():
-        return {}
-    return {(row["kind"], row["seed"]): row for row in map(json.loads, path.read_text().splitlines())}
-
-
-def line(row: Row) -> str:
-    if "error" in row:
-        return f"{row['kind']} {row['seed']}: {row['error']}"
-    truth = " + ".join(cause["label"] for cause in row["truth"]) or "nothing"
-    sets = " + ".join(" or ".join(names) for names in credible_sets(row)) or "-"
-    return f"{row['kind']} {row['seed']} {row['protocol']}: {truth} -> {row['verdict']}: {sets} ({row['seconds']:.1f} s)"
 
 
 def show(rows: list[Row]) -> None:
@@ -215,8 +139,7 @@ def show_sizes(rows: list[Row]) -> None:
                 low, high = sized[key]["ci90"]
                 inside.append(low <= value <= high)
         if row["gain"]:
-            noise_T = math.sqrt(3.0 * sum(v**2 for v in row["noise_T"].values()) / len(row["noise_T"]))
-            ratio.append((row["gain"]["after"]["vector_T"] / noise_T) ** 2)
+            ratio.append((row["gain"]["after"]["vector_T"] / noise_T(row)) ** 2)
         coils.append([in_sd(numbers) for numbers in row["coil"].values()])
     if inside:
         print(f"  true sizes inside their 90 % intervals: {share(sum(inside), len(inside))}")
@@ -273,17 +196,9 @@ def has_found_all(row: Row) -> bool:
     )
 
 
-def truth_of(row: Row) -> str:
-    return " + ".join(cause["label"] for cause in row["truth"])
-
-
 def named_in(row: Row) -> str:
     names = " or ".join(credible_sets(row)[0]) if row["causes"] else "-"
     return f"{row['verdict']}: {names}"
-
-
-def share(part: int, whole: int) -> str:
-    return f"{part / max(whole, 1):.1%} ({part} of {whole})"
 
 
 if __name__ == "__main__":

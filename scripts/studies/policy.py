@@ -41,7 +41,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.recalibration import policy as recalibration_policy
 from estimator.recalibration.judgement import judge
 from estimator.store.importers.readings_csv import read_readings_csv
-from scripts.studies.hidden import one_thread
+from scripts.studies.hidden_cases import one_thread
 from scripts.studies.recalibrate_years import CONFIGS, PLAN
 from tests.hidden.study import KINDS, draw_case
 

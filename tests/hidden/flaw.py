@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from tests.hidden.protocols import Array
+from tests.hidden.protocols import MOTIONS, PROTOCOLS, Array
 from tests.hidden.scene import Scene
 
 
@@ -61,8 +61,7 @@ class Cause:
         freedom: How many numbers it has beside those that are drawn from a few (an axis, a sensor).
         is_discrete: It is there (size 1) or not.
         is_random: Its effect is noise of another kind, not a pattern.
-        is_known: In the library that a diagnosis searches.
-        protocols: Where it can happen.
+        protocols, motions: Where it can happen.
     """
 
     name: str
@@ -73,8 +72,8 @@ class Cause:
     freedom: int = 1
     is_discrete: bool = False
     is_random: bool = False
-    is_known: bool = True
-    protocols: tuple[str, ...] = ("paper", "recommended")
+    protocols: tuple[str, ...] = PROTOCOLS
+    motions: tuple[str, ...] = MOTIONS
 
     @property
     def has_size(self) -> bool:

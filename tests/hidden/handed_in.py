@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.hidden.causes.surroundings import NEIGHBOUR, NEIGHBOUR_POSITION_M, neighbour_rotation_rad
 from tests.hidden.flaw import Flaw, Record
-from tests.hidden.protocols import Schedule
+from tests.hidden.protocols import Array, Schedule
 from tests.hidden.scene import Scene
+from tests.hidden.stated_rig import POSE, StatedRig
 
 WINDING_KEYS = ("radius_m", "wire_radius_m", "axial_loops", "radial_loops")
 POSE_KEYS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
@@ -44,6 +45,7 @@ class HiddenSession:
         record: What the laboratory wrote down.
         unflawed: What it would have written down without the flaws, the same noise in it.
         has_neighbour: The rig has an idle coil2.
+        rig: What the rig file states of arm and coil1; None is the file of the first study.
     """
 
     seed: int
@@ -53,6 +55,7 @@ class HiddenSession:
     record: Record
     unflawed: Record
     has_neighbour: bool
+    rig: StatedRig | None = None
 
     def without_flaws(self) -> HiddenSession:
         """The same session, noise included, in which nothing is wrong."""
@@ -65,23 +68,15 @@ class HiddenSession:
 
     def truth(self) -> dict[str, Any]:
         """Everything that is hidden, under coilcal's names where it has one."""
-        tilt_rad = Rotation.from_matrix(self.scene.coil_rotation).as_rotvec()
-        w, position_m = self.scene.winding, self.scene.coil_position_m
-        values = {f"coil1.{key}": getattr(w, key) for key in WINDING_KEYS}
-        values |= {
-            f"coil1.world_from_coil0.{axis}_m": float(v) for axis, v in zip("xyz", position_m, strict=True)
-        }
-        values |= {
-            f"coil1.world_from_coil0.tilt_{axis}_rad": float(v)
-            for axis, v in zip("xy", tilt_rad[:2], strict=True)
-        }
+        values = {
+            f"coil1.{key}": float(getattr(self.scene.winding, key)) for key in WINDING_KEYS
+        } | self._true_pose()
         sensors = self.schedule.sensors
         values |= {f"{s.name}.noise_T": float(v) for s, v in zip(sensors, self.scene.noise_T, strict=True)}
         causes = [
             {
                 "name": flaw.cause.name,
                 "place": truth.place,
-                "is_known": flaw.cause.is_known,
                 "size": flaw.size,
                 "size_unit": flaw.cause.unit,
                 "visible_sigma": visible.sigma,
@@ -90,7 +85,21 @@ class HiddenSession:
             }
             for flaw, visible, truth in zip(self.flaws, self.visible, self.record.truths, strict=True)
         ]
-        return {"seed": self.seed, "protocol": self.schedule.protocol, "causes": causes, "values": values}
+        told = {"seed": self.seed, "protocol": self.schedule.protocol, "causes": causes, "values": values}
+        return told if self.rig is None else told | {"motion": self.rig.motion, "is_tight": self.rig.is_tight}
+
+    def _true_pose(self) -> dict[str, float]:
+        """Where coil1 stands, in the numbers that the rig file leaves free."""
+        scene = self.scene
+        if self.rig is None or self.rig.base_rotation is None or scene.arm is None:
+            return _pose("coil1.world_from_coil0", scene.coil_position_m, scene.coil_rotation, 5)
+        base = _pose(
+            "arm1.world_from_base",
+            scene.arm.base_position_m,
+            self.rig.base_rotation.T @ scene.arm.base_rotation,
+            6,
+        )
+        return base | _pose("coil1.flange_from_coil", scene.arm.mount_m, scene.flange_from_coil, 6)
 
     def write(self, folder: Path) -> None:
         """Write `rig.yaml`, `readings.csv` and `truth.json`."""
@@ -113,7 +122,7 @@ class HiddenSession:
         }
         if self.has_neighbour:
             columns["coil2_current_A"] = [0.0] * len(schedule)
-        columns |= {f"arm1_{axis}_m": made.displacement_m[:, i].tolist() for i, axis in enumerate("xyz")}
+        columns |= _motion(schedule, made)
         columns |= {f"B{axis}_T": made.field_T[:, i].tolist() for i, axis in enumerate("xyz")}
         columns["set"] = ["validation" if is_kept else "calibration" for is_kept in schedule.is_validation]
         columns["repeat"] = _repeats(schedule)
@@ -124,8 +133,10 @@ class HiddenSession:
         return columns
 
     def rig_text(self) -> str:
-        """The rig file of configs/paper_simulation.yaml at this session's distance, with its sensors."""
-        lines = [_RIG.format(name=f"hidden {self.seed}", z_mm=-1e3 * self.schedule.distance_m)]
+        """The rig file of configs/paper_simulation.yaml at this session's distance, or another's, with its sensors."""
+        title = f"hidden {self.seed}"
+        first = _RIG.format(name=title, z_mm=-1e3 * self.schedule.distance_m)
+        lines = [first if self.rig is None else self.rig.text(title)]
         if self.has_neighbour:
             lines.append(_neighbour_text())
         lines.append("\nsensors:\n")
@@ -137,6 +148,23 @@ class HiddenSession:
                 f"    world_from_sensor: {{{entries}}}\n"
             )
         return "".join(lines)
+
+
+def _pose(block: str, place_m: Array, rotation: Array, count: int) -> dict[str, float]:
+    """The first few free numbers of a pose, the rotation as a small one about the body's axes."""
+    numbers = [*place_m.tolist(), *Rotation.from_matrix(rotation).as_rotvec().tolist()]
+    return {f"{block}.{key}": v for key, v in zip(POSE[:count], numbers, strict=False)}
+
+
+def _motion(schedule: Schedule, made: Record) -> dict[str, Sequence[object]]:
+    """Columns of the arm."""
+    if schedule.joint_rad is not None:
+        return {f"arm1_q{k}_rad": schedule.joint_rad[:, k].tolist() for k in range(6)}
+    columns = {f"arm1_{axis}_m": made.displacement_m[:, i].tolist() for i, axis in enumerate("xyz")}
+    if schedule.turn is None:
+        return columns
+    turn_rad = Rotation.from_matrix(schedule.turn).as_rotvec()
+    return columns | {f"arm1_r{axis}_rad": turn_rad[:, i].tolist() for i, axis in enumerate("xyz")}
 
 
 def _repeats(schedule: Schedule) -> list[int]:

@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 Array = npt.NDArray[np.float64]
 
 PROTOCOLS = ("paper", "recommended")
+MOTIONS = ("displacement", "pose", "UR3", "UR3e")  # what the arm writes down
+CARTESIAN = MOTIONS[:2]
 DWELL_S = 2.0
 ROOM_C = 25.0
 
@@ -40,6 +42,9 @@ class Schedule:
         coil_warming: Rise of the coil's temperature above the room's, as a share of the final rise at the largest current.
         steady_rise_K: That final rise.
         coil_temperature_C, sensor_temperature_C: True temperatures; `has_temperature` says whether the record shows them.
+        motion: One of `MOTIONS`; but for a displacement, `displacement_m` is the commanded place of the flange in the arm's base.
+        turn: Commanded rotation base_from_flange, reading by matrix; None for displacements.
+        joint_rad: Commanded joint angles, where they are written down.
     """
 
     protocol: str
@@ -57,6 +62,9 @@ class Schedule:
     coil_temperature_C: Array
     sensor_temperature_C: Array
     has_temperature: bool
+    motion: str = "displacement"
+    turn: Array | None = None
+    joint_rad: Array | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -8,18 +8,26 @@ measured by what is left beside any two of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tests.hidden.flaw import Cause, Flaw
+from tests.hidden.broad import BROAD
+from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.library import CAUSES, names
 from tests.hidden.protocols import Array
-from tests.hidden.visible_size import Adjustable, effect_T, whiten
+from tests.hidden.visible_size import Adjustable, effect_T, unexpected_T, whiten
 
 DRAWS, DRAWS_OF_PLACES = 24, 100
-PLACED = ("iron_plate", "iron_body")
+PLACED = (
+    "iron_plate",
+    "iron_body",
+    "second_iron_body",
+    "magnetised_link",
+    "hidden_winding",
+    "periodic_interference",
+)
 BEST_FIRST = 4  # of the rivals, to be joined by a second
 SMALL_SHARE = 0.02  # of the largest plausible size, where most causes are linear
 FIRST_SEED = 9000
@@ -64,6 +72,33 @@ def rival_of(adjustable: Adjustable, cause: Cause) -> Rival:
     columns = adjustable.cleared(np.stack(effects, axis=1))
     is_visible = np.linalg.norm(columns, axis=0) > LEAST_SIGMA * SMALL_SHARE
     return Rival(cause.name, columns[:, is_visible], cause.freedom)
+
+
+def left_beside(adjustable: Adjustable, flaw: Flaw, library: Collection[str]) -> dict[str, float]:
+    """What of a flaw no fit of one cause of a library imitates, in sigmas, by that cause; the best imitation first.
+
+    Each cause acts at one place, as broadly as a library may fit it.
+    """
+    schedule, left_over = adjustable.scene.schedule, adjustable.left_over([flaw])
+    possible = [n for n in (*CAUSES, *BROAD) if n in library and n != flaw.cause.name]
+    causes = [BROAD.get(name) or CAUSES[name] for name in dict.fromkeys(possible)]
+    rests = {
+        cause.name: unlike_sigma(left_over, rivals_by_place(adjustable, cause))
+        for cause in causes
+        if cause.has_size and schedule.protocol in cause.protocols and schedule.motion in cause.motions
+    }
+    return dict(sorted(rests.items(), key=lambda item: item[1]))
+
+
+def rivals_by_place(adjustable: Adjustable, cause: Cause) -> list[Rival]:
+    """A cause as it could act at each of its places in a session."""
+    columns: dict[str, list[Array]] = {}
+    for k in range(DRAWS_OF_PLACES if cause.name in PLACED else DRAWS):
+        made = record(adjustable.scene, [Flaw(cause, SMALL_SHARE * cause.largest, FIRST_SEED + k)])
+        effect = adjustable.cleared(whiten(adjustable.scene, unexpected_T(adjustable.scene, made)))
+        if np.linalg.norm(effect) > LEAST_SIGMA * SMALL_SHARE:
+            columns.setdefault(made.truths[0].place, []).append(effect)
+    return [Rival(cause.name, np.stack(mine, axis=1), cause.freedom) for mine in columns.values()]
 
 
 def known_rivals(adjustable: Adjustable) -> list[Rival]:

@@ -10,7 +10,7 @@ import numpy as np
 from tests.hidden.coil import Winding
 from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
-from tests.hidden.library import CAUSES
+from tests.hidden.library import CAUSES, OUTSIDE
 from tests.hidden.protocols import draw_schedule
 from tests.hidden.rivals import known_rivals, rival_of, unlike_any_two_sigma, unlike_sigma
 from tests.hidden.scene import Scene, ideal_scene
@@ -71,7 +71,7 @@ def draw_ideal(protocol: str, rng: np.random.Generator) -> Scene:
         tilt_rad = np.array([draw["tilt_x_rad"], draw["tilt_y_rad"], 0.0])
         noise_T = 1e-6 * np.exp(rng.uniform(np.log(10.0), np.log(40.0), len(schedule.sensors)))
         scene = ideal_scene(schedule, winding, position_m, tilt_rad, noise_T)
-        if winding.radii_m.min() > LEAST_BORE_M and _clearance_m(scene) > CLEARANCE_M:
+        if winding.radii_m.min() > LEAST_BORE_M and clearance_m(scene) > CLEARANCE_M:
             return scene
 
 
@@ -83,7 +83,7 @@ def _hide(
     for one in causes:
         rivals = [rival_of(adjustable, other) for other in causes if other is not one and other.has_size]
         unlike = unlike_sigma
-        if not one.is_known:
+        if one.name in OUTSIDE:
             rivals, unlike = [*rivals, *known_rivals(adjustable)], unlike_any_two_sigma
         for _ in range(SHAPES_TRIED):
             shape = int(rng.integers(2**31))
@@ -101,7 +101,6 @@ def _hide(
     return hidden
 
 
-def _clearance_m(scene: Scene) -> float:
+def clearance_m(scene: Scene) -> float:
     """Least distance of a reading from the winding's front face; readings level with the winding count as 0."""
-    points_m = (scene.sensor_position_m - scene.coil_position_m) @ scene.coil_rotation - scene.coil_offset_m
-    return float(points_m[:, 2].min())
+    return float(scene.in_coil_frame(scene.sensor_position_m)[:, 2].min())

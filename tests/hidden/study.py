@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.library import names
+from tests.hidden.open_session import draw_open_session, within
 from tests.hidden.session import draw_session
 
 KINDS = ("single", "clean", "pair", "outside", "discrete")
+OPEN_KINDS = (
+    "open",
+    "clean_open",
+    "unknown8",
+    "unknown12",
+    "unknown30",
+)  # new ones at the end: seeds count them
+KNOWN_SHARE, NATURAL_SIGMA = 0.7, (4.0, 40.0)  # of kind `open`
 PROTOCOLS = ("paper", "recommended")
 SIGMA = 8.0
 DISCRETE = ("axes_swapped", "unit_error", "left_handed", "displacement_frame", "current_sign")
@@ -20,8 +29,15 @@ MOST_TRIES = 40
 Translation = Callable[[dict[str, float]], dict[str, float]]
 
 
-def draw_case(kind: str, seed: int) -> HiddenSession:
-    """A session of a kind; protocol and causes are drawn from the seed."""
+def draw_case(kind: str, seed: int, library: Collection[str] = ()) -> HiddenSession:
+    """A session of a kind; all about it is drawn from the seed.
+
+    Args:
+        kind: One of `KINDS` or of `OPEN_KINDS`.
+        library: Names of the causes that coilcal knows; the kinds of the open world depend on them.
+    """
+    if kind in OPEN_KINDS:
+        return _draw_open(kind, seed, library)
     rng = np.random.default_rng([991, KINDS.index(kind), seed])
     protocol = PROTOCOLS[int(rng.integers(2))]
     for _ in range(MOST_TRIES):
@@ -39,6 +55,18 @@ def draw_case(kind: str, seed: int) -> HiddenSession:
         except ValueError:
             continue  # the cause cannot become visible in this session
     raise RuntimeError(f"no {kind} session for seed {seed}")
+
+
+def _draw_open(kind: str, seed: int, library: Collection[str]) -> HiddenSession:
+    number = OPEN_KINDS.index(kind)
+    rng = np.random.default_rng([992, number, seed])
+    is_known, sigma = False, float(np.exp(rng.uniform(*np.log(NATURAL_SIGMA))))
+    if kind == "open":
+        is_known = bool(rng.random() < KNOWN_SHARE)
+    elif kind != "clean_open":
+        sigma = float(kind.removeprefix("unknown"))
+    choice = None if kind == "clean_open" else within(library, is_known=is_known)
+    return draw_open_session([993, number], choice, sigma, seed)
 
 
 def label(cause: dict[str, Any]) -> str:
@@ -59,6 +87,11 @@ def credible_sets(row: dict[str, Any]) -> list[list[str]]:
     return sets
 
 
+def is_relative(name: str, truth: str) -> bool:
+    """Whether a name that is not the truth says the same of it in other words: the same part moves or bends, in a like way."""
+    return name in RELATIVES.get(truth, ())
+
+
 def true_quantities(cause: dict[str, Any]) -> dict[str, float]:
     """What a diagnosis should find for the numbers of a true cause, by the keys of `diagnosis.json`; those without a counterpart left out."""
     known = {name: one["value"] for name, one in cause["parameters"].items()}
@@ -76,6 +109,45 @@ def _with(prefix: str) -> Translation:
 def _per_hour(known: dict[str, float]) -> dict[str, float]:
     return {f"{name[5]}_T_per_h": 3600.0 * value for name, value in known.items()}
 
+
+# Hidden cause -> names that send the laboratory to the right part.
+RELATIVES: dict[str, tuple[str, ...]] = {
+    "second_iron_body": ("iron_body", "iron_plate"),
+    "chair_moved": ("iron_body", "iron_plate", "second_iron_body"),
+    "sheared_ellipse": ("coil_ovality",),
+    "magnetised_link": ("background_field",),
+    "eddy_lag": ("sensor_lag",),
+    "sensor_lag": ("eddy_lag",),
+    "sensor_exchanged": ("axis_gain", "cross_axis", "sensor_offset"),
+    "thermal_lag": ("temperature_drift",),
+    "coil_misplaced": ("mount_tilt", "base_misplaced"),
+    "base_misplaced": ("coil_misplaced", "joint_zeros"),
+    "joint_zeros": ("base_misplaced", "coil_misplaced"),
+    "winding_misstated": ("axial_pitch", "radial_pitch"),
+    "axial_pitch": ("winding_misstated",),
+    "radial_pitch": ("winding_misstated",),
+    "reversed_layer": ("hidden_winding", "short_layer", "radial_pitch"),
+    "hidden_winding": ("reversed_layer", "turns_gradient", "short_layer"),
+    "gravity_droop": ("robot_scale", "robot_shear"),
+    "screw_pitch_error": ("robot_scale", "backlash"),
+    "arm_warming": ("robot_scale",),
+    "overshoot": ("position_lag", "backlash"),
+    "cable_pull": ("mount_tilt", "coil_misplaced", "robot_shear"),
+    "table_sag": ("robot_shear", "robot_scale"),
+    "creeping_clamp": ("sensor_bumped", "sensor_misplaced"),
+    "soft_limit": ("core_saturation", "coil_heating"),
+    "polarity_gain": ("current_offset",),
+    "loose_connector": ("current_step",),
+    "barkhausen_jumps": ("current_step", "current_remanence"),
+    "current_crosstalk": ("sensor_offset",),
+    "tram_walk": ("background_drift", "periodic_interference", "offset_drift"),
+    "tool_left": ("background_field", "background_drift"),
+    "adc_ripple": ("cubic_response",),
+    "adc_carry": ("cubic_response",),
+    "late_trigger": ("sensor_lag",),
+    "offset_memory": ("sensor_offset",),
+    "directional_gain": ("planar_hall", "cubic_response", "axis_gain", "cross_axis"),
+}
 
 TRANSLATED: dict[str, Translation] = {
     "background_field": _with("background_"),

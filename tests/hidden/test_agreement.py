@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.flaw import record
-from tests.hidden.protocols import PROTOCOLS
+from tests.hidden.handed_in import HiddenSession
+from tests.hidden.open_session import draw_open_session
+from tests.hidden.protocols import MOTIONS, PROTOCOLS
 from tests.hidden.session import draw_session
 
 TOLERANCE = 1e-8  # of the largest field; the two codes round mu0 differently in its tenth digit
@@ -23,7 +26,28 @@ TOLERANCE = 1e-8  # of the largest field; the two codes round mu0 differently in
 def test_coilcal_predicts_the_generators_readings_from_its_truth(
     protocol: str, cause: str | None, tmp_path: Path
 ) -> None:
-    hidden = draw_session(7, cause, protocol=protocol)
+    compare(draw_session(7, cause, protocol=protocol), tmp_path)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_they_agree_on_every_way_in_which_an_arm_writes_down_where_it_is(motion: str, tmp_path: Path) -> None:
+    sessions = (draw_open_session([5], None, 0.0, seed) for seed in range(60))
+    hidden = next(h for h in sessions if h.rig is not None and h.rig.motion == motion)
+    assert (hidden.schedule.turn is None) == (motion == "displacement")
+    compare(hidden, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["coil_misplaced", "base_misplaced"])
+def test_a_wrong_pose_is_that_of_the_rig_file(name: str, tmp_path: Path) -> None:
+    hidden = draw_open_session([5], lambda possible: [name] if "base_misplaced" in possible else [], 20.0, 1)
+    (flaw,) = hidden.flaws
+    moved, _ = flaw.cause.apply(hidden.scene, flaw.size, np.random.default_rng(flaw.seed))
+    np.testing.assert_array_equal(record(hidden.scene, [flaw]).field_T, record(moved, []).field_T)
+    compare(replace(hidden, scene=moved, flaws=(), visible=(), record=hidden.unflawed), tmp_path)
+
+
+def compare(hidden: HiddenSession, tmp_path: Path) -> None:
+    """coilcal's prediction from the truth beside the generator's readings."""
     hidden.write(tmp_path)
     rig = load_rig(tmp_path / "rig.yaml")
     session = read_readings_csv(tmp_path / "readings.csv", rig)

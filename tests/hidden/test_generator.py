@@ -31,7 +31,10 @@ LOOPS: Any = magpylib  # published without types
 TARGET = 8.0
 SEED = 5
 POSSIBLE = [
-    (protocol, cause) for protocol in PROTOCOLS for cause in CAUSES.values() if protocol in cause.protocols
+    (protocol, cause)
+    for protocol in PROTOCOLS
+    for cause in CAUSES.values()
+    if protocol in cause.protocols and "displacement" in cause.motions
 ]
 # What a fit of pose and winding absorbs, or too small to be seen at any plausible size.
 INVISIBLE = {

@@ -1,8 +1,9 @@
 """The visible size of a flaw: what of it is left, in sigmas, after the base model has adjusted everything it may.
 
 Effect on each component of the calibration readings, divided by its noise; less its least-squares projection on the derivatives of
-the base model by the nine numbers a fit is free in: R_c, R_w, N_a, N_r and the five of the coil's pose. The norm of the rest is the
-visible size: the square root of the likelihood ratio (chi-squared) between model with and without the flaw, for a linear flaw.
+the base model by the numbers a fit is free in: R_c, R_w, N_a, N_r and the five of the coil's pose, or those of another rig file. The norm
+of the rest is the visible size: the square root of the likelihood ratio (chi-squared) between model with and without the flaw, for a
+linear flaw. Where a rig file states numbers tightly, leaving their priors counts as misfit.
 
 A count need not be whole here. One loop more at the same pitch multiplies turns and length (or thickness) by 1 + 1/N, so the derivative
 by a count is taken with the true number of loops, a pitch and the strength of all loops stretched by that factor. Both windings have the
@@ -11,14 +12,14 @@ same turns, length and mean radius; they differ in the variance of the loops' pl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.hidden.coil import Winding, blocks_of, circular_field
-from tests.hidden.flaw import Cause, Flaw, record
+from tests.hidden.flaw import Cause, Flaw, Record, record
 from tests.hidden.protocols import Array
 from tests.hidden.scene import Scene
 
@@ -41,7 +42,11 @@ PRIOR_SD = {
 
 def effect_T(scene: Scene, flaws: Sequence[Flaw]) -> Array:
     """What flaws change: recorded perfect readings less those that the base model expects at the recorded commands."""
-    made = record(scene, flaws)
+    return unexpected_T(scene, record(scene, flaws))
+
+
+def unexpected_T(scene: Scene, made: Record) -> Array:
+    """Recorded readings less those that the base model expects at the recorded commands."""
     expected = replace(scene, current_A=made.current_A, displacement_m=made.displacement_m).measured()
     return made.field_T - expected.readings_T
 
@@ -53,21 +58,25 @@ class Adjustable:
     Attributes:
         slopes: Component by number of `PRIOR_SD`, per standard deviation of its prior.
         basis: Orthonormal, of the space of the slopes.
+        has_priors: Below the components stands one line for each number, its distance from its prior in standard deviations.
     """
 
     scene: Scene
     slopes: Array
     basis: Array
+    has_priors: bool = False
 
     @classmethod
-    def of(cls, scene: Scene) -> Adjustable:
+    def of(
+        cls, scene: Scene, prior_sd: Mapping[str, float] = PRIOR_SD, *, has_priors: bool = False
+    ) -> Adjustable:
         """Central differences about the truth."""
         columns = []
-        for name, sd in PRIOR_SD.items():
+        for name, sd in prior_sd.items():
             up, down = (_adjusted(scene, name, s * STEP * sd).measured().readings_T for s in (1.0, -1.0))
             columns.append(whiten(scene, (up - down) / (2.0 * STEP)))
         slopes = np.stack(columns, axis=1)
-        return cls(scene, slopes, np.linalg.qr(slopes).Q)
+        return cls(scene, slopes, np.linalg.qr(_padded(slopes) if has_priors else slopes).Q, has_priors)
 
     def left_over(self, flaws: Sequence[Flaw]) -> Array:
         """Whitened effect of flaws less what the base model imitates.
@@ -75,12 +84,9 @@ class Adjustable:
         Discrete flaws are so large that a linear model would make a count negative: there it pays for leaving its priors.
         """
         effect = whiten(self.scene, effect_T(self.scene, flaws))
-        if not any(flaw.cause.is_discrete for flaw in flaws):
+        if self.has_priors or not any(flaw.cause.is_discrete for flaw in flaws):
             return self.cleared(effect)
-        width = self.slopes.shape[1]
-        basis = np.linalg.qr(np.concatenate([self.slopes, np.eye(width)])).Q
-        padded = np.concatenate([effect, np.zeros(width)])
-        return np.asarray(padded - basis @ (basis.T @ padded))
+        return replace(self, basis=np.linalg.qr(_padded(self.slopes)).Q, has_priors=True).cleared(effect)
 
     def visible_sigma(self, flaws: Sequence[Flaw]) -> float:
         """Visible size of flaws together, in sigmas."""
@@ -88,7 +94,13 @@ class Adjustable:
 
     def cleared(self, whitened: Array) -> Array:
         """Whitened effects, in columns or one, less what the base model imitates."""
+        if self.has_priors:
+            whitened = np.concatenate([whitened, np.zeros((self.slopes.shape[1], *whitened.shape[1:]))])
         return np.asarray(whitened - self.basis @ (self.basis.T @ whitened))
+
+
+def _padded(slopes: Array) -> Array:
+    return np.concatenate([slopes, np.eye(slopes.shape[1])])
 
 
 def size_for(adjustable: Adjustable, cause: Cause, seed: int, target_sigma: float) -> float | None:
@@ -134,10 +146,27 @@ def _adjusted(scene: Scene, name: str, step: float) -> Scene:
     if name == "radial_loops":
         stretch = 1.0 + step / winding.radial_loops
         return _rewound(scene, replace(winding, turn_factor=stretch, radial_pitch_factor=stretch))
+    if name.startswith(("base_", "mount_")):
+        return _rearranged(scene, name, step)
     if name.startswith("tilt"):
         turn = Rotation.from_rotvec(step * np.eye(3)["xyz".index(name[5])]).as_matrix()
         return replace(scene, coil_rotation=scene.coil_rotation @ turn)
     return replace(scene, coil_position_m=scene.coil_position_m + step * np.eye(3)["xyz".index(name[0])])
+
+
+def _rearranged(scene: Scene, name: str, step: float) -> Scene:
+    """The ideal scene with one number of the arm's base or of the mount moved."""
+    arm, (place, _, quantity) = scene.arm, name.partition("_")
+    assert arm is not None
+    along = step * np.eye(3)[2 if quantity == "spin_rad" else "xyz".index(quantity.split("_")[-2])]
+    turn = Rotation.from_rotvec(along).as_matrix()
+    if place == "mount" and quantity.endswith("_rad"):
+        return replace(scene, flange_from_coil=scene.flange_from_coil @ turn)
+    if place == "mount":
+        return replace(scene, arm=replace(arm, mount_m=arm.mount_m + along))
+    if quantity.endswith("_rad"):
+        return replace(scene, arm=replace(arm, base_rotation=arm.base_rotation @ turn))
+    return replace(scene, arm=replace(arm, base_position_m=arm.base_position_m + along))
 
 
 def _rewound(scene: Scene, winding: Winding) -> Scene:

@@ -33,7 +33,7 @@ def eddy_lag(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene
     lingering_T = np.zeros_like(scene_T)
     for which in range(len(scene.schedule.sensors)):
         is_its = scene.schedule.sensor == which
-        everywhere = _as_if_all_were(scene, which)
+        everywhere = as_if_all_were(scene, which)
         state = np.zeros(3)
         for k in range(1, len(scene_T)):
             state = (state + everywhere[k - 1] - everywhere[k]) * keep
@@ -42,7 +42,7 @@ def eddy_lag(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene
     return replace(scene, field_T=scene_T + size * lingering_T), truth
 
 
-def _as_if_all_were(scene: Scene, which: int) -> Array:
+def as_if_all_were(scene: Scene, which: int) -> Array:
     """Field that one sensor would have seen at all readings."""
     if len(scene.schedule.sensors) == 1:
         return scene.readings_T
@@ -92,8 +92,13 @@ def magnetised_link(scene: Scene, size: float, rng: np.random.Generator) -> tupl
     offset_m = np.array([*beside_m, behind_m])
 
     def field(now: Scene, points_m: Array) -> Array:
-        place_m = now.coil_origin_m() + now.coil_rotation @ offset_m
-        return dipole_field(points_m - place_m, np.broadcast_to(moment_A_m2, points_m.shape))
+        place_m, moment = now.coil_rotation @ offset_m, np.broadcast_to(moment_A_m2, points_m.shape)
+        if now.turn is not None:  # a part of the arm turns with it
+            place_m, moment = (
+                now.from_coil_axes(np.broadcast_to(offset_m, points_m.shape)),
+                now.from_coil_axes(moment),
+            )
+        return dipole_field(points_m - now.coil_origin_m() - place_m, moment)
 
     known = (*vector("moment", moment_A_m2, "A m2"), *vector("offset_from_coil", offset_m, "m"))
     return with_source(scene, field), Truth("arm1", known)
@@ -113,9 +118,9 @@ def sensor_exchanged(scene: Scene, size: float, rng: np.random.Generator) -> tup
 
 
 CAUSES = (
-    Cause("eddy_lag", Stage.SENSOR, "1", 0.1, eddy_lag, is_known=False),
-    Cause("sheared_ellipse", Stage.WINDING, "1", 0.05, sheared_ellipse, is_known=False),
-    Cause("second_iron_body", Stage.SURROUNDINGS, "m3", 2.7e-5, second_iron_body, is_known=False),
-    Cause("magnetised_link", Stage.SURROUNDINGS, "A m2", 2.0, magnetised_link, is_known=False),
-    Cause("sensor_exchanged", Stage.SENSOR, "1", 0.05, sensor_exchanged, is_known=False),
+    Cause("eddy_lag", Stage.SENSOR, "1", 0.1, eddy_lag),
+    Cause("sheared_ellipse", Stage.WINDING, "1", 0.05, sheared_ellipse),
+    Cause("second_iron_body", Stage.SURROUNDINGS, "m3", 2.7e-5, second_iron_body),
+    Cause("magnetised_link", Stage.SURROUNDINGS, "A m2", 2.0, magnetised_link),
+    Cause("sensor_exchanged", Stage.SENSOR, "1", 0.05, sensor_exchanged),
 )

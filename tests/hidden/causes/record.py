@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.hidden.causes.surroundings import vector
 from tests.hidden.flaw import Cause, Known, Stage, Truth, afflicted_sensor
+from tests.hidden.protocols import MOTIONS
 from tests.hidden.scene import Scene
 
 # Recorded = true quantity x factor: the column says T and A.
@@ -77,6 +78,12 @@ def current_sign(scene: Scene, size: float, rng: np.random.Generator) -> tuple[S
 
 
 CAUSES = tuple(
-    Cause(apply.__name__, Stage.RECORD, "1", 1.0, apply, is_discrete=True)
-    for apply in (axes_swapped, unit_error, left_handed, displacement_frame, current_sign)
+    Cause(apply.__name__, Stage.RECORD, "1", 1.0, apply, is_discrete=True, motions=motions)
+    for apply, motions in (
+        (axes_swapped, MOTIONS),
+        (unit_error, MOTIONS),
+        (left_handed, ("displacement",)),
+        (displacement_frame, ("displacement",)),
+        (current_sign, MOTIONS),
+    )
 )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.hidden.causes.surroundings import vector
 from tests.hidden.flaw import Cause, Known, Stage, Truth, afflicted_sensor, direction, sign
-from tests.hidden.protocols import Array
+from tests.hidden.protocols import CARTESIAN, Array
 from tests.hidden.scene import Scene
 
 AXES = "xyz"
@@ -49,7 +49,7 @@ def robot_shear(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Sc
 def position_lag(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:
     """The arm stops `size` short of its target, along the last move; it begins at its first target."""
     del rng
-    move_m = _last_move(scene.schedule.displacement_m)
+    move_m = last_move(scene.schedule.displacement_m)
     length_m = np.linalg.norm(move_m, axis=1, keepdims=True)
     short_m = size * move_m / np.where(length_m > 0.0, length_m, 1.0)
     return replace(scene, displacement_m=scene.displacement_m - short_m), Truth(
@@ -87,7 +87,7 @@ def position_jitter(scene: Scene, size: float, rng: np.random.Generator) -> tupl
     )
 
 
-def _last_move(target_m: Array) -> Array:
+def last_move(target_m: Array) -> Array:
     """The last move that was one, at every reading; zero before the first."""
     step_m = np.diff(target_m, axis=0, prepend=target_m[:1])
     moved = np.linalg.norm(step_m, axis=1) > 0.0
@@ -95,11 +95,11 @@ def _last_move(target_m: Array) -> Array:
 
 
 CAUSES = (
-    Cause("mount_tilt", Stage.ROBOT, "rad", 0.05, mount_tilt, freedom=2),
-    Cause("robot_scale", Stage.ROBOT, "1", 0.02, robot_scale, freedom=3),
-    Cause("robot_shear", Stage.ROBOT, "1", 0.02, robot_shear, freedom=3),
+    Cause("mount_tilt", Stage.ROBOT, "rad", 0.05, mount_tilt, freedom=2, motions=("displacement",)),
+    Cause("robot_scale", Stage.ROBOT, "1", 0.02, robot_scale, freedom=3, motions=CARTESIAN),
+    Cause("robot_shear", Stage.ROBOT, "1", 0.02, robot_shear, freedom=3, motions=CARTESIAN),
     Cause("position_lag", Stage.ROBOT, "m", 1e-3, position_lag),
-    Cause("backlash", Stage.ROBOT, "m", 1e-3, backlash, freedom=3),
+    Cause("backlash", Stage.ROBOT, "m", 1e-3, backlash, freedom=3, motions=CARTESIAN),
     Cause("sensor_bumped", Stage.ROBOT, "m", 1e-3, sensor_bumped, freedom=4),
     Cause("position_jitter", Stage.ROBOT, "m", 3e-4, position_jitter, is_random=True),
 )
