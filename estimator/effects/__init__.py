@@ -43,7 +43,7 @@ from estimator.effects.sensor import (
 )
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.superconductor import FilamentMagnetisation
-from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
+from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, CurrentStep, NeighbourCoil
 from estimator.effects.surroundings import BackgroundDrift, BackgroundField
 from estimator.effects.winding import (
     AxialPitch,
@@ -66,6 +66,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
+        CurrentStep(),
         CoilHeating(),
         NeighbourCoil(),
         AxialPitch(),

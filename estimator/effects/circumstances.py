@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.frames import Transform
@@ -17,6 +17,7 @@ from estimator.rig.rig import Rig
 SECONDS_PER_HOUR = 3600.0
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9
+N_INSTANTS = 24  # at which something may have happened
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,20 @@ class Circumstances:
         """Time from the first reading of the session to the last; at least a second."""
         time_s = self.observations.history.time_s
         return max(float(time_s.max() - time_s.min()), 1.0) / SECONDS_PER_HOUR
+
+    @cached_property
+    def instants_h(self) -> tuple[float, ...]:
+        """Instants between readings, spread over the session, from which on something may be otherwise."""
+        time_h = (
+            self.observations.history.time_s - self.observations.history.time_s.min()
+        ) / SECONDS_PER_HOUR
+        rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
+        rows = rows[rows > 0]
+        return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
+
+    def is_since(self, instant_h: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch reading"]:
+        """Readings from an instant on."""
+        return self.hours >= instant_h[..., None]
 
     def temperature_K(self, place: str) -> Float[Tensor, " reading"] | None:
         """Temperature of a coil or sensor above its mean over the session; None without a thermometer."""

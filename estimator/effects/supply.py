@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, normal
+from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.parameters import LogNormal
@@ -87,6 +87,38 @@ class CurrentOffset(_OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A + theta["offset_A"][..., None]
+
+
+class CurrentStep(_OneCoilCurrent):
+    """From one instant on the coil carries less current, or has fewer turns that count."""
+
+    name: ClassVar[str] = "current_step"
+    words: ClassVar[str] = "from one instant on the coil carries less current, as after a shorted turn"
+    source: ClassVar[str] = (
+        "a shorted layer of a winding of 50 layers, 2 %; a supply that changes range, 0.1 to 1 %"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share that is lost, and the time since the session began at which it was."""
+        return (normal("step", "1", 0.02), since(extent))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 - theta["step"][..., None] * circumstances.is_since(theta["since_h"]))
 
 
 class CoilHeating(_OneCoilCurrent):

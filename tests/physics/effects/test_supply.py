@@ -59,6 +59,17 @@ def test_gain_and_offset_act_in_that_order():
     assert_same_field(predicted_T(readings(POINTS_M, (2.0, 0.0)), effects), coils_T(2.0 * 1.03 + 0.07, 0.0))
 
 
+def test_current_step_takes_its_share_from_its_instant_on_and_of_its_coil_only():
+    time_s = 1e9 + 600.0 * np.arange(N)
+    observations = readings(POINTS_M, (2.0, -3.0), time_s=time_s)
+    reading_T = predicted_T(observations, {"current_step[coil]": {"step": 0.02, "since_h": 0.6}})
+    lost = 0.02 * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])  # from 36 minutes on
+    assert_same_field(reading_T, coils_T(2.0 * (1.0 - lost), -3.0))
+    later = observations.rows(observations.time_s >= time_s[3])
+    part_T = predicted_T(later, {"current_step[coil]": {"step": 0.02, "since_h": 0.6}})
+    assert_same_field(part_T, reading_T[3:])
+
+
 @pytest.mark.parametrize(("coil", "expected"), [("coil", (2.0 + 0.04 * -3.0, -3.0)), ("other", (2.0, -2.92))])
 def test_neighbour_coil_carries_a_share_of_the_other_current(coil, expected):
     reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {f"neighbour_coil[{coil}]": {"share": 0.04}})
