@@ -43,8 +43,15 @@ from estimator.effects.sensor import (
 )
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.superconductor import FilamentMagnetisation
-from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, CurrentStep, NeighbourCoil
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField
+from estimator.effects.supply import (
+    CoilHeating,
+    CurrentGain,
+    CurrentOffset,
+    CurrentRemanence,
+    CurrentStep,
+    NeighbourCoil,
+)
+from estimator.effects.surroundings import BackgroundDrift, BackgroundField, PeriodicInterference
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -67,6 +74,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentGain(),
         CurrentOffset(),
         CurrentStep(),
+        CurrentRemanence(),
         CoilHeating(),
         NeighbourCoil(),
         AxialPitch(),
@@ -82,6 +90,7 @@ EFFECTS: dict[str, Effect] = {
         FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
+        PeriodicInterference(),
         IronPlate(),
         PiercedPlate(),
         IronBody(),

@@ -17,18 +17,20 @@ from estimator.rig.rig import Rig
 SECONDS_PER_HOUR = 3600.0
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9
+LEAST_STEP = 1e-3  # of the largest current: less is the noise of currents that were read back
 N_INSTANTS = 24  # at which something may have happened
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Duration, strength, width and middle of a session; the priors of some causes scale with them."""
+    """Duration, strength, width and middle of a session, and the time between readings; the priors of some causes scale with them."""
 
     duration_h: float = 1.0
     largest_current_A: float = 1.0
     largest_field_T: float = 1.0
     reach_m: float = 1.0
     middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    interval_h: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,11 @@ class Circumstances:
 
     @property
     def extent(self) -> Extent:
-        """Duration, strength, width and middle of the session."""
+        """Duration, strength, width and middle of the session, and the time between readings."""
         x, y, z = self.positions_m.mean(0).tolist()
-        return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m, (x, y, z))
+        middle_m = (x, y, z)
+        strength = self.largest_current_A, self.largest_field_T
+        return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h)
 
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
@@ -103,6 +107,18 @@ class Circumstances:
         """Time from the first reading of the session to the last; at least a second."""
         time_s = self.observations.history.time_s
         return max(float(time_s.max() - time_s.min()), 1.0) / SECONDS_PER_HOUR
+
+    @property
+    def is_moment(self) -> bool:
+        """Whether all readings of the session were taken at once."""
+        time_s = self.observations.history.time_s
+        return bool(time_s.max() == time_s.min())
+
+    @cached_property
+    def interval_h(self) -> float:
+        """Median time from one reading to the next; the duration where all were taken at once."""
+        steps_s = self.observations.history.time_s.unique().diff()
+        return float(steps_s.median()) / SECONDS_PER_HOUR if len(steps_s) else self.duration_h
 
     @cached_property
     def instants_h(self) -> tuple[float, ...]:
@@ -117,6 +133,15 @@ class Circumstances:
     def is_since(self, instant_h: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch reading"]:
         """Readings from an instant on."""
         return self.hours >= instant_h[..., None]
+
+    def last_turn_A(self, coil: int) -> Float[Tensor, " reading"]:
+        """Commanded current from which that of a coil last turned back; 0 before it first did. Every session comes from 0."""
+        held_A = torch.nn.functional.pad(self.observations.history.current_A[:, coil], (1, 0))
+        step_A = held_A.diff()
+        rows = (step_A.abs() > LEAST_STEP * self.largest_current_A).nonzero().flatten()
+        turns = rows[1:][step_A[rows].sign().diff() != 0.0]  # rows at which the current goes the other way
+        n_before = torch.searchsorted(turns, torch.arange(len(step_A)), right=True)
+        return torch.nn.functional.pad(held_A[turns], (1, 0))[n_before][self.observations.row]
 
     def temperature_K(self, place: str) -> Float[Tensor, " reading"] | None:
         """Temperature of a coil or sensor above its mean over the session; None without a thermometer."""

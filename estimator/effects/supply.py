@@ -175,6 +175,37 @@ class CoilHeating(_OneCoilCurrent):
         return current_A * (1.0 - loss)
 
 
+class CurrentRemanence(_OneCoilCurrent):
+    """The coil acts as if a share of the current from which it last turned back still flowed: hysteresis of its core or its supply."""
+
+    name: ClassVar[str] = "current_remanence"
+    words: ClassVar[str] = "a share of the current before its last turn still acts"
+    source: ClassVar[str] = "remanence of steel cores and screws, 0.1 to 2 % of the field they were in"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """What stays of the last local extreme of the current."""
+        return (normal("share", "1", 0.01),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the current of the coil has turned back."""
+        coil = [coil.name for coil in circumstances.rig.coils].index(place)
+        return bool(circumstances.last_turn_A(coil).any())
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """The way to a current is history."""
+        return "which current flowed before"
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A + theta["share"][..., None] * circumstances.last_turn_A(coil)
+
+
 class NeighbourCoil(CurrentEffect):
     """This coil carries a share of the other coils' currents, by coupling or leakage of its supply."""
 

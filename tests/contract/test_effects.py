@@ -161,7 +161,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
-    sensor_misplaced filament_magnetisation current_step"""
+    sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference"""
     assert set(EFFECTS) == set(stable.split())
 
 
