@@ -41,6 +41,7 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
+from estimator.effects.sensor_history import SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import (
@@ -109,10 +110,13 @@ EFFECTS: dict[str, Effect] = {
         CubicResponse(),
         PlanarHall(),
         TemperatureDrift(),
+        ThermalLag(),
         SensorOffset(),
         OffsetDrift(),
+        SensorExchanged(),
         RangeClipping(),
         AxesSwapped(),
+        SensorLag(),
         UnitError(),
         Outliers(),
         PositionJitter(),

@@ -17,6 +17,7 @@ from estimator.rig.rig import Rig
 SECONDS_PER_HOUR = 3600.0
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9
+LONG_AGO_S = 1e9  # before the first reading
 LEAST_STEP = 1e-3  # of the largest current: less is the noise of currents that were read back
 N_INSTANTS = 24  # at which something may have happened
 
@@ -134,6 +135,16 @@ class Circumstances:
         """Readings from an instant on."""
         return self.hours >= instant_h[..., None]
 
+    def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
+        """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
+        history = self.observations.history
+        own = (history.sensor == [s.name for s in self.rig.sensors].index(sensor)).nonzero().flatten()
+        row = torch.arange(len(history))
+        row[own[1:]] = own[:-1]
+        ago_s = history.time_s - history.time_s[row]
+        ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
+        return row[self.observations.row], ago_s[self.observations.row]
+
     def last_turn_A(self, coil: int) -> Float[Tensor, " reading"]:
         """Commanded current from which that of a coil last turned back; 0 before it first did. Every session comes from 0."""
         held_A = torch.nn.functional.pad(self.observations.history.current_A[:, coil], (1, 0))
@@ -180,6 +191,17 @@ class Circumstances:
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""
+        return self._low_passed(self.observations.history.current_A[:, coil] ** 2, tau_h)
+
+    def lagged_K(self, place: str, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"] | None:
+        """`temperature_K`, low-passed from the first reading on; None without a thermometer."""
+        kelvin = Circumstances(self.rig, self.observations.history).temperature_K(place)
+        return None if kelvin is None else kelvin[0] + self._low_passed(kelvin - kelvin[0], tau_h)
+
+    def _low_passed(
+        self, values: Float[Tensor, " history"], tau_h: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch reading"]:
+        """Values of the history, each held until the next, through a low pass that begins at 0."""
         history = self.observations.history
         time_h = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR
         edges = torch.linspace(
@@ -187,13 +209,12 @@ class Circumstances:
         )
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
-        square = history.current_A[held, coil] ** 2
         step_h = self.duration_h / (len(edges) - 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
         age_h = middle[:, None] - middle[None, :]
         decay = torch.exp(-age_h.clamp(min=0.0) / tau_h[..., None, None]) * (age_h >= 0.0)
-        heat = (decay @ square[:, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
-        return heat[..., bin_of[self.observations.row]]
+        passed = (decay @ values[held, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
+        return passed[..., bin_of[self.observations.row]]
 
     def _poses(self, mover: str) -> Transform:
         return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])

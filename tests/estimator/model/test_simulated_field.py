@@ -127,6 +127,8 @@ def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: 
     [
         "current_step",
         "current_remanence",
+        "sensor_lag",
+        "sensor_exchanged",
         "position_lag",
         "backlash",
         "sensor_bumped",
