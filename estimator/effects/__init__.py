@@ -11,8 +11,9 @@ from difflib import get_close_matches
 from importlib.metadata import entry_points
 
 from estimator.effects.base import Effect
+from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
-from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
+from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
     AxesSwapped,
@@ -64,6 +65,7 @@ from estimator.effects.winding import (
     ShortLayer,
     SphericalSum,
     TurnsGradient,
+    WindingSheared,
 )
 from estimator.errors import InvalidInput
 
@@ -83,11 +85,13 @@ EFFECTS: dict[str, Effect] = {
         TurnsGradient(),
         ShortLayer(),
         CoilOvality(),
+        WindingSheared(),
         LeadWire(),
         IronCore(),
         CoreSaturation(),
         SphericalSum(),
         DipoleModel(),
+        MagnetisedLink(),
         FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
@@ -95,6 +99,7 @@ EFFECTS: dict[str, Effect] = {
         IronPlate(),
         PiercedPlate(),
         IronBody(),
+        SecondIronBody(),
         LeftHanded(),
         DisplacementFrameError(),
         RobotScale(),
@@ -156,7 +161,7 @@ def register_effect(effect: object) -> None:
     if effect.name in EFFECTS:
         raise InvalidInput(f"effect must have a name of its own; received {effect.name!r}, which is taken")
     for quantity in effect.quantities(Extent()):
-        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        suffix = quantity.unit.replace(" ", "_").replace("/", "_per_").replace("1_per_", "per_")
         if quantity.unit != "1" and not quantity.key.endswith(suffix):
             raise InvalidInput(
                 f"quantity of {effect.name} must end in its unit {suffix}; received {quantity.key!r}"

@@ -143,7 +143,7 @@ def test_declaration_is_complete(name):
     keys = [quantity.key for quantity in effect.quantities(Extent())]
     assert len(set(keys)) == len(keys) > 0
     for quantity in effect.quantities(Extent()):
-        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        suffix = quantity.unit.replace(" ", "_").replace("/", "_per_").replace("1_per_", "per_")
         assert quantity.unit == "1" or quantity.key.endswith(suffix), quantity
 
 
@@ -163,7 +163,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
     sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag thermal_lag
-    sensor_exchanged"""
+    sensor_exchanged magnetised_link winding_sheared second_iron_body"""
     assert set(EFFECTS) == set(stable.split())
 
 
