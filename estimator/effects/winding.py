@@ -167,12 +167,12 @@ class WindingSheared(SourceEffect):
     name: ClassVar[str] = "winding_sheared"
     words: ClassVar[str] = "the winding leans: its loops' centres shift with the height"
     source: ClassVar[str] = (
-        "turns that slipped on a former or a former printed askew, 0.1 to 0.5 mm over 50 mm"
+        "turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm"
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Shift along x and y per height above the middle of the winding."""
-        return (normal("shear_x", "1", 0.01), normal("shear_y", "1", 0.01))
+        return (normal("shear_x", "1", 0.02), normal("shear_y", "1", 0.02))
 
     def apply(
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
