@@ -11,8 +11,9 @@ from difflib import get_close_matches
 from importlib.metadata import entry_points
 
 from estimator.effects.base import Effect
+from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
-from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
+from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
     AxesSwapped,
@@ -41,10 +42,18 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
+from estimator.effects.sensor_history import SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.superconductor import FilamentMagnetisation
-from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField
+from estimator.effects.supply import (
+    CoilHeating,
+    CurrentGain,
+    CurrentOffset,
+    CurrentRemanence,
+    CurrentStep,
+    NeighbourCoil,
+)
+from estimator.effects.surroundings import BackgroundDrift, BackgroundField, PeriodicInterference
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -56,6 +65,7 @@ from estimator.effects.winding import (
     ShortLayer,
     SphericalSum,
     TurnsGradient,
+    WindingSheared,
 )
 from estimator.errors import InvalidInput
 
@@ -66,6 +76,8 @@ EFFECTS: dict[str, Effect] = {
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
+        CurrentStep(),
+        CurrentRemanence(),
         CoilHeating(),
         NeighbourCoil(),
         AxialPitch(),
@@ -73,17 +85,21 @@ EFFECTS: dict[str, Effect] = {
         TurnsGradient(),
         ShortLayer(),
         CoilOvality(),
+        WindingSheared(),
         LeadWire(),
         IronCore(),
         CoreSaturation(),
         SphericalSum(),
         DipoleModel(),
+        MagnetisedLink(),
         FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
+        PeriodicInterference(),
         IronPlate(),
         PiercedPlate(),
         IronBody(),
+        SecondIronBody(),
         LeftHanded(),
         DisplacementFrameError(),
         RobotScale(),
@@ -99,10 +115,13 @@ EFFECTS: dict[str, Effect] = {
         CubicResponse(),
         PlanarHall(),
         TemperatureDrift(),
+        ThermalLag(),
         SensorOffset(),
         OffsetDrift(),
+        SensorExchanged(),
         RangeClipping(),
         AxesSwapped(),
+        SensorLag(),
         UnitError(),
         Outliers(),
         PositionJitter(),
@@ -142,7 +161,7 @@ def register_effect(effect: object) -> None:
     if effect.name in EFFECTS:
         raise InvalidInput(f"effect must have a name of its own; received {effect.name!r}, which is taken")
     for quantity in effect.quantities(Extent()):
-        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        suffix = quantity.unit.replace(" ", "_").replace("/", "_per_").replace("1_per_", "per_")
         if quantity.unit != "1" and not quantity.key.endswith(suffix):
             raise InvalidInput(
                 f"quantity of {effect.name} must end in its unit {suffix}; received {quantity.key!r}"

@@ -22,6 +22,9 @@ from estimator.rig.rig import Body, Mover, Rig
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 
 
+WHEN = "when it happened in a session that has not begun"  # what a cause with an instant depends on
+
+
 class Kind(StrEnum):
     """What an effect belongs to; a rig with several of them has the effect several times."""
 
@@ -76,6 +79,11 @@ def triple(keys: Iterable[str], suffix: str, unit: str, sd: float) -> tuple[Quan
 def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = False) -> Quantity:
     """A shape that may lie anywhere in a range."""
     return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, is_fixed)
+
+
+def since(extent: Extent) -> Quantity:
+    """The time since the session began at which something happened, one of `Circumstances.instants_h`."""
+    return shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True)
 
 
 class Effect(ABC):

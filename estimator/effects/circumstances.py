@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.frames import Transform
@@ -17,17 +17,21 @@ from estimator.rig.rig import Rig
 SECONDS_PER_HOUR = 3600.0
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9
+LONG_AGO_S = 1e9  # before the first reading
+LEAST_STEP = 1e-3  # of the largest current: less is the noise of currents that were read back
+N_INSTANTS = 24  # at which something may have happened
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Duration, strength, width and middle of a session; the priors of some causes scale with them."""
+    """Duration, strength, width and middle of a session, and the time between readings; the priors of some causes scale with them."""
 
     duration_h: float = 1.0
     largest_current_A: float = 1.0
     largest_field_T: float = 1.0
     reach_m: float = 1.0
     middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    interval_h: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,11 @@ class Circumstances:
 
     @property
     def extent(self) -> Extent:
-        """Duration, strength, width and middle of the session."""
+        """Duration, strength, width and middle of the session, and the time between readings."""
         x, y, z = self.positions_m.mean(0).tolist()
-        return Extent(self.duration_h, self.largest_current_A, self.largest_field_T, self.reach_m, (x, y, z))
+        middle_m = (x, y, z)
+        strength = self.largest_current_A, self.largest_field_T
+        return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h)
 
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
@@ -102,6 +108,51 @@ class Circumstances:
         """Time from the first reading of the session to the last; at least a second."""
         time_s = self.observations.history.time_s
         return max(float(time_s.max() - time_s.min()), 1.0) / SECONDS_PER_HOUR
+
+    @property
+    def is_moment(self) -> bool:
+        """Whether all readings of the session were taken at once."""
+        time_s = self.observations.history.time_s
+        return bool(time_s.max() == time_s.min())
+
+    @cached_property
+    def interval_h(self) -> float:
+        """Median time from one reading to the next; the duration where all were taken at once."""
+        steps_s = self.observations.history.time_s.unique().diff()
+        return float(steps_s.median()) / SECONDS_PER_HOUR if len(steps_s) else self.duration_h
+
+    @cached_property
+    def instants_h(self) -> tuple[float, ...]:
+        """Instants between readings, spread over the session, from which on something may be otherwise."""
+        time_h = (
+            self.observations.history.time_s - self.observations.history.time_s.min()
+        ) / SECONDS_PER_HOUR
+        rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
+        rows = rows[rows > 0]
+        return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
+
+    def is_since(self, instant_h: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch reading"]:
+        """Readings from an instant on."""
+        return self.hours >= instant_h[..., None]
+
+    def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
+        """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
+        history = self.observations.history
+        own = (history.sensor == [s.name for s in self.rig.sensors].index(sensor)).nonzero().flatten()
+        row = torch.arange(len(history))
+        row[own[1:]] = own[:-1]
+        ago_s = history.time_s - history.time_s[row]
+        ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
+        return row[self.observations.row], ago_s[self.observations.row]
+
+    def last_turn_A(self, coil: int) -> Float[Tensor, " reading"]:
+        """Commanded current from which that of a coil last turned back; 0 before it first did. Every session comes from 0."""
+        held_A = torch.nn.functional.pad(self.observations.history.current_A[:, coil], (1, 0))
+        step_A = held_A.diff()
+        rows = (step_A.abs() > LEAST_STEP * self.largest_current_A).nonzero().flatten()
+        turns = rows[1:][step_A[rows].sign().diff() != 0.0]  # rows at which the current goes the other way
+        n_before = torch.searchsorted(turns, torch.arange(len(step_A)), right=True)
+        return torch.nn.functional.pad(held_A[turns], (1, 0))[n_before][self.observations.row]
 
     def temperature_K(self, place: str) -> Float[Tensor, " reading"] | None:
         """Temperature of a coil or sensor above its mean over the session; None without a thermometer."""
@@ -140,6 +191,17 @@ class Circumstances:
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""
+        return self._low_passed(self.observations.history.current_A[:, coil] ** 2, tau_h)
+
+    def lagged_K(self, place: str, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"] | None:
+        """`temperature_K`, low-passed from the first reading on; None without a thermometer."""
+        kelvin = Circumstances(self.rig, self.observations.history).temperature_K(place)
+        return None if kelvin is None else kelvin[0] + self._low_passed(kelvin - kelvin[0], tau_h)
+
+    def _low_passed(
+        self, values: Float[Tensor, " history"], tau_h: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch reading"]:
+        """Values of the history, each held until the next, through a low pass that begins at 0."""
         history = self.observations.history
         time_h = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR
         edges = torch.linspace(
@@ -147,13 +209,12 @@ class Circumstances:
         )
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
-        square = history.current_A[held, coil] ** 2
         step_h = self.duration_h / (len(edges) - 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
         age_h = middle[:, None] - middle[None, :]
         decay = torch.exp(-age_h.clamp(min=0.0) / tau_h[..., None, None]) * (age_h >= 0.0)
-        heat = (decay @ square[:, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
-        return heat[..., bin_of[self.observations.row]]
+        passed = (decay @ values[held, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
+        return passed[..., bin_of[self.observations.row]]
 
     def _poses(self, mover: str) -> Transform:
         return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])

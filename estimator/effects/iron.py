@@ -15,6 +15,7 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import PerAmpere, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
+from estimator.rig.rig import Cause
 
 GAPS = (0.3, 1.0)  # of the reach, between the positions and a plane behind them
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate to stand between them
@@ -225,11 +226,9 @@ def _sheet(
     return -torch.where(is_behind, field, turned)
 
 
-class IronBody(RoomEffect):
+class _SoftIron(RoomEffect):
     """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
 
-    name: ClassVar[str] = "iron_body"
-    words: ClassVar[str] = "a piece of iron in the room answers the coils"
     source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and screws of 1 to 5 cm"
     idealises: ClassVar[str | None] = "iron in the room"
 
@@ -270,3 +269,25 @@ class IronBody(RoomEffect):
         r2 = (r**2).sum(-1, keepdim=True)
         dipole = (3.0 * r * (r * at_body).sum(-1, keepdim=True) - r2 * at_body) * r2**-2.5
         return theta["volume_m3"][..., None, None] * dipole
+
+
+class IronBody(_SoftIron):
+    """One such piece."""
+
+    name: ClassVar[str] = "iron_body"
+    words: ClassVar[str] = "a piece of iron in the room answers the coils"
+
+
+class SecondIronBody(_SoftIron):
+    """Another piece beside the one that the rig has; they do not answer each other.
+
+    A diagnosis that begins without iron asks for one piece alone, for both would be the same cause twice; a diagnosis of the extended rig
+    asks for the second. So two pieces are never two pictures of the same thing in one verdict, but a plate beside a piece still is.
+    """
+
+    name: ClassVar[str] = "second_iron_body"
+    words: ClassVar[str] = "a second piece of iron in the room answers the coils"
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Beside a first piece."""
+        return Cause(IronBody.name, place) in circumstances.rig.effects

@@ -10,13 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, normal, shape, triple
-from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances, Extent
+from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since, triple
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
-
-N_INSTANTS = 24  # at which a bump is looked for
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
@@ -180,17 +178,12 @@ class SensorBumped(MountEffect):
         """Shift in the sensor's frame, and the time since the session began at which it happened."""
         return (
             *triple("xyz", "_m", "m", 500e-6),
-            shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True),
+            since(extent),
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Instants with enough readings before and after."""
-        time_h = (
-            circumstances.observations.history.time_s - circumstances.observations.history.time_s.min()
-        ) / SECONDS_PER_HOUR
-        rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
-        rows = rows[rows > 0]
-        return tuple({"since_h": float(0.5 * (time_h[row - 1] + time_h[row]))} for row in rows)
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
 
     def columns(
         self, circumstances: Circumstances, theta: Mapping[str, float]
@@ -200,7 +193,7 @@ class SensorBumped(MountEffect):
 
     def beyond_the_moment(self, key: str) -> str | None:
         """An instant needs a session to lie in."""
-        return "when it happened in a session that has not begun"
+        return WHEN
 
     def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""

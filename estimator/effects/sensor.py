@@ -237,6 +237,13 @@ class TemperatureDrift(ReadingEffect):
         kelvin = circumstances.temperature_K(sensor)
         if kelvin is None:
             return field_sensor_T
-        zero = _vector(theta, ("x_T_per_K", "y_T_per_K", "z_T_per_K"))
-        gain = theta["gain_per_K"][..., None, None]
-        return field_sensor_T * (1.0 + gain * kelvin[:, None]) + zero * kelvin[:, None]
+        return at_temperature(field_sensor_T, theta, kelvin)
+
+
+def at_temperature(
+    field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, kelvin: Float[Tensor, "*#batch reading"]
+) -> Float[Tensor, "*#batch reading 3"]:
+    """Components as a sensor reads them at a temperature of its own, by its gain and zero per kelvin."""
+    zero = _vector(theta, ("x_T_per_K", "y_T_per_K", "z_T_per_K"))
+    gain = theta["gain_per_K"][..., None, None]
+    return field_sensor_T * (1.0 + gain * kelvin[..., None]) + zero * kelvin[..., None]

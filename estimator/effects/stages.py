@@ -55,9 +55,14 @@ class WindingEffect(Effect):
 
 
 class SourceEffect(Effect):
-    """Adds a source that moves with the coil and is driven by its current."""
+    """Adds a source that moves with the coil and is driven by its current, or is always there.
+
+    Attributes:
+        is_permanent: There without current too.
+    """
 
     kind = Kind.COIL
+    is_permanent: ClassVar[bool] = False
 
     @abstractmethod
     def apply(
@@ -68,8 +73,8 @@ class SourceEffect(Effect):
     def drive(
         self, current_A: Float[Tensor, "*#batch reading"], theta: Theta
     ) -> Float[Tensor, "*#batch reading"]:
-        """What the additional field is proportional to; the coil's current unless said otherwise."""
-        return current_A
+        """What the additional field is proportional to: the coil's current, or 1 where it is permanent, unless said otherwise."""
+        return torch.ones_like(current_A) if self.is_permanent else current_A
 
 
 class WindingMagnetisation(Effect):

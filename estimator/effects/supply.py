@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, normal
+from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.parameters import LogNormal
@@ -89,6 +89,38 @@ class CurrentOffset(_OneCoilCurrent):
         return current_A + theta["offset_A"][..., None]
 
 
+class CurrentStep(_OneCoilCurrent):
+    """From one instant on the coil carries less current, or has fewer turns that count."""
+
+    name: ClassVar[str] = "current_step"
+    words: ClassVar[str] = "from one instant on the coil carries less current, as after a shorted turn"
+    source: ClassVar[str] = (
+        "a shorted layer of a winding of 50 layers, 2 %; a supply that changes range, 0.1 to 1 %"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share that is lost, and the time since the session began at which it was."""
+        return (normal("step", "1", 0.02), since(extent))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 - theta["step"][..., None] * circumstances.is_since(theta["since_h"]))
+
+
 class CoilHeating(_OneCoilCurrent):
     """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit).
 
@@ -141,6 +173,37 @@ class CoilHeating(_OneCoilCurrent):
         if kelvin is not None:
             loss = loss + theta["loss_per_K"][..., None] * kelvin
         return current_A * (1.0 - loss)
+
+
+class CurrentRemanence(_OneCoilCurrent):
+    """The coil acts as if a share of the current from which it last turned back still flowed: hysteresis of its core or its supply."""
+
+    name: ClassVar[str] = "current_remanence"
+    words: ClassVar[str] = "a share of the current before its last turn still acts"
+    source: ClassVar[str] = "remanence of steel cores and screws, 0.1 to 2 % of the field they were in"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """What stays of the last local extreme of the current."""
+        return (normal("share", "1", 0.01),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the current of the coil has turned back."""
+        coil = [coil.name for coil in circumstances.rig.coils].index(place)
+        return bool(circumstances.last_turn_A(coil).any())
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """The way to a current is history."""
+        return "which current flowed before"
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A + theta["share"][..., None] * circumstances.last_turn_A(coil)
 
 
 class NeighbourCoil(CurrentEffect):

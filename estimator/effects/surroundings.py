@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Quantity, Theta, triple
+from estimator.effects.base import Quantity, Theta, shape, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
+
+MOST_FREQUENCIES = 160
 
 
 class BackgroundField(RoomEffect):
@@ -48,3 +51,51 @@ class BackgroundDrift(RoomEffect):
         """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
         return rate[..., None, :] * circumstances.hours[:, None]
+
+
+class PeriodicInterference(RoomEffect):
+    """The field of the room swings with a period of its own, everywhere alike.
+
+    On a regular clock, a swing faster than half a cycle between readings looks like a slower one; frequencies stop there. They also stop at
+    80 cycles in a session (160 starts): farther apart than half a cycle in a session, starts would miss swings between them.
+    """
+
+    name: ClassVar[str] = "periodic_interference"
+    words: ClassVar[str] = "the field of the room swings periodically"
+    source: ClassVar[str] = "mains and machines nearby, 1 to 50 uT; their beat with the clock of the readings"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Cosine and sine part of each component in the world frame, from the beginning of the session on, and the frequency."""
+        spacing, n = _frequencies(extent)
+        return (
+            *(
+                q
+                for part in ("cos", "sin")
+                for q in triple([f"{part}_{axis}" for axis in "xyz"], "_T", "T", 20e-6)
+            ),
+            shape("frequency_per_h", "1/h", 0.5 * spacing, (n + 0.5) * spacing),
+        )
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Frequencies from half a cycle per session on, half a cycle apart."""
+        spacing, n = _frequencies(circumstances.extent)
+        return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
+
+    def drifting_T(
+        self, theta: Theta, circumstances: Circumstances
+    ) -> Float[Tensor, "*#batch reading 3"] | None:
+        """Nothing where a single moment stands for a session, as in predictions: there it has no phase."""
+        if circumstances.is_moment:
+            return None
+        angle = 2.0 * math.pi * theta["frequency_per_h"][..., None] * circumstances.hours
+        cos_T, sin_T = (
+            torch.stack([theta[f"{part}_{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
+            for part in ("cos", "sin")
+        )
+        return cos_T * torch.cos(angle)[..., None] + sin_T * torch.sin(angle)[..., None]
+
+
+def _frequencies(extent: Extent) -> tuple[float, int]:
+    """Spacing of the frequencies that are looked for, which is the lowest too, and their number."""
+    n = int(extent.duration_h / extent.interval_h)  # up to half a cycle between readings
+    return 0.5 / extent.duration_h, max(1, min(n, MOST_FREQUENCIES))

@@ -161,6 +161,36 @@ class CoilOvality(SourceEffect):
         return scale * torch.stack([(weight[..., None, :] * part).sum(-1) for part in parts], dim=-1)
 
 
+class WindingSheared(SourceEffect):
+    """Loops lean: each stands across the axis, but their centres run away from it with the height."""
+
+    name: ClassVar[str] = "winding_sheared"
+    words: ClassVar[str] = "the winding leans: its loops' centres shift with the height"
+    source: ClassVar[str] = (
+        "turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift along x and y per height above the middle of the winding."""
+        return (normal("shear_x", "1", 0.02), normal("shear_y", "1", 0.02))
+
+    def apply(
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """Field of shifted less upright loops per ampere; the layers of one height are one row of the sum."""
+        loops = loops_of(winding, rule)
+        above_m = loops.height_m[..., 0] + 0.5 * winding.length_m[..., None]
+        x_m, y_m = (theta[f"shear_{axis}"][..., None] * above_m for axis in "xy")
+        shift_m = torch.stack(torch.broadcast_tensors(x_m, y_m, torch.zeros_like(above_m)), dim=-1)
+        at_height = Nodes(
+            loops.height_m[..., None], loops.radius_m[..., None, :, :], loops.weight[..., None, :]
+        )
+        of_heights = field_of_loops(
+            points_coil_m[..., None, :, :] - shift_m[..., None, :], at_height, rule.steps
+        )
+        return of_heights.sum(-3) - field_of_loops(points_coil_m, loops, rule.steps)
+
+
 class LeadWire(SourceEffect):
     """The two leads run straight out from the middle of the winding, apart along the axis instead of twisted."""
 

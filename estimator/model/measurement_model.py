@@ -17,7 +17,14 @@ from torch import Tensor
 from torch.func import jacfwd
 
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import CurrentEffect, ElementEffect, Prediction, ReadingEffect, RecordEffect
+from estimator.effects.stages import (
+    CurrentEffect,
+    ElementEffect,
+    Prediction,
+    ReadingEffect,
+    RecordEffect,
+    SourceEffect,
+)
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.node_sum import SumMode
@@ -69,9 +76,10 @@ class MeasurementModel:
         widths = [values.shape[1] for values in columns.values()]
         parts = distinct[:, 1 + 6 * len(rig.movers) :].split(widths, dim=1) if widths else ()
         columns = dict(zip(columns, parts, strict=True))
-        leaking = {use.place for use in uses_of(rig, CurrentEffect)}
+        always = {use.place for use in uses_of(rig, CurrentEffect)}  # a coil that is off may leak
+        always |= {use.place for use in uses_of(rig, SourceEffect) if use.effect.is_permanent}
         powered = {
-            coil.name: pose_row[(observations.current_A[:, i] != 0.0) | (coil.name in leaking)].unique()
+            coil.name: pose_row[(observations.current_A[:, i] != 0.0) | (coil.name in always)].unique()
             for i, coil in enumerate(rig.coils)
         }
         sources = Sources(rig, circumstances, len(distinct), pose_row, flange, columns, powered, {})
@@ -94,7 +102,7 @@ class MeasurementModel:
 
     @property
     def powered(self) -> Mapping[str, Int[Tensor, " powered"]]:
-        """Distinct poses at which each coil carries current in some reading."""
+        """Distinct poses at which each coil carries current in some reading, or has a field without."""
         return self.sources.powered
 
     @property

@@ -54,7 +54,7 @@ class Sources:
         pose_row: Row of each reading; None where every reading has the row of its own number.
         flange: Per mover base_from_flange (or the displacement) by row; one row, or one rotation, may stand for all.
         columns: Per effect that moves bodies, what else it depends on, by row; one row may stand for all.
-        powered: Per coil the rows where it ever carries current.
+        powered: Per coil the rows where it ever carries current, or has a field without.
         rules: Per coil the quadrature rule; coils without one are left out.
         mode: How loops are summed: compiled for long sampling, to first order for fits.
     """

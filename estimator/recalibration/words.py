@@ -34,7 +34,7 @@ def _quantity(name: str, interval: Interval) -> str:
     if show.unit or unit == "1":
         size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
         return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + unit.replace("/", "_per_"))
+    words = name.rpartition(".")[2].removesuffix("_" + unit.replace(" ", "_").replace("/", "_per_"))
     return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
 
 

@@ -90,11 +90,12 @@ def free_quantities(name: str) -> list[Quantity]:
     return [q for q in EFFECTS[name].quantities(Extent()) if not q.is_fixed and not q.is_shape]
 
 
-@pytest.mark.parametrize(
-    ("name", "place"), [c for c in CASES if not EFFECTS[c[0]].is_record_mistake and c[0] != "range_clipping"]
-)
+@pytest.mark.parametrize(("name", "place"), [c for c in CASES if not EFFECTS[c[0]].is_record_mistake])
 def test_null_is_identity(rig, observations, name, place):
     model, values = model_with(rig, observations, Cause(name, place))
+    for quantity in EFFECTS[name].quantities(model.circumstances.extent):
+        if not quantity.is_shape:  # some fits start away from the null
+            values[f"{name}[{place}].{quantity.key}"] = torch.tensor(quantity.null, dtype=torch.float64)
     torch.testing.assert_close(
         model.predict(values).expand(24, 3), observations.field_sensor_T, rtol=1e-12, atol=1e-18
     )
@@ -142,7 +143,7 @@ def test_declaration_is_complete(name):
     keys = [quantity.key for quantity in effect.quantities(Extent())]
     assert len(set(keys)) == len(keys) > 0
     for quantity in effect.quantities(Extent()):
-        suffix = quantity.unit.replace("/", "_per_").replace("1_per_", "per_")
+        suffix = quantity.unit.replace(" ", "_").replace("/", "_per_").replace("1_per_", "per_")
         assert quantity.unit == "1" or quantity.key.endswith(suffix), quantity
 
 
@@ -161,7 +162,8 @@ def test_names_are_those_that_other_scripts_rely_on():
     core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
-    sensor_misplaced filament_magnetisation"""
+    sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag thermal_lag
+    sensor_exchanged magnetised_link winding_sheared second_iron_body"""
     assert set(EFFECTS) == set(stable.split())
 
 

@@ -13,7 +13,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
-from estimator.effects.stages import NoiseEffect
+from estimator.effects.stages import MountEffect, NoiseEffect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 
@@ -75,50 +75,45 @@ def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
 
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
+    circumstances = fit.posterior.model.circumstances
     result = []
     for cause in causes:
-        effect = EFFECTS[cause.name]
-        circumstances = fit.posterior.model.circumstances
-        for shapes in effect.starts(circumstances, cause.place):
-            candidate = _candidate(fit, cause, shapes)
-            if candidate is not None:
-                result.append(candidate)
+        starts = list(EFFECTS[cause.name].starts(circumstances, cause.place))
+        is_alike = not isinstance(EFFECTS[cause.name], MountEffect)  # whose columns depend on the start
+        for together in filter(None, [starts] if is_alike else [[shapes] for shapes in starts]):
+            result += _at_starts(fit, cause, together)
     return result
 
 
-def _candidate(fit: Fit, cause: Cause, shapes: dict[str, float]) -> Candidate | None:
+def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
+    """Candidates of one cause from starts of the same shapes: one prediction for all of them."""
     observations = fit.observations
-    rig = with_effect(fit.rig, cause, observations, shapes, is_free=False)
+    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False)
     model = MeasurementModel.unruled(rig, observations).with_rules(fit.posterior.model.rules)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
-    start_values = {
-        name: torch.tensor(rig.parameters[name].value, dtype=torch.float64)
-        for name in rig.parameters
-        if name.startswith(f"{cause.label}.")
-    }
-    values = {**fit.values, **start_values}
     steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
     ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
+    values = dict(fit.values)
+    for name in (name for name in rig.parameters if name.startswith(f"{cause.label}.")):
+        key = name.removeprefix(f"{cause.label}.")
+        at_starts = [shapes.get(key, rig.parameters[name].value) for shapes in starts]
+        values[name] = torch.tensor(at_starts, dtype=torch.float64)[:, None]
     for i, quantity in enumerate(quantities):
         name = f"{cause.label}.{quantity.key}"
         values[name] = values[name] + ends[:, i]
     with torch.no_grad():
-        reading_T = model.predict(values).expand(len(ends), len(observations), 3)
+        reading_T = model.predict(values).expand(len(starts), len(ends), len(observations), 3)
         components_T = fit.posterior.measured_components(reading_T)
-        shift = (components_T[-1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
-    up, down = components_T[:-1].chunk(2)
-    whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).T
-    if not bool(torch.isfinite(whitened).all() and torch.isfinite(shift).all()):
-        return None
-    return Candidate(
-        cause,
-        shapes,
-        tuple(q.key for q in quantities),
-        tuple(q.unit for q in quantities),
-        shift,
-        whitened,
-        torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64),
-    )
+        shifts = (components_T[:, -1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
+    up, down = components_T[:, :-1].chunk(2, dim=1)
+    whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
+    keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)
+    prior_sd = torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64)
+    return [
+        Candidate(cause, shapes, keys, units, shift, columns, prior_sd)
+        for shapes, shift, columns in zip(starts, shifts, whitened, strict=True)
+        if bool(torch.isfinite(columns).all() and torch.isfinite(shift).all())
+    ]
 
 
 def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:

@@ -14,6 +14,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.linear import log_bayes_factor
 
+PAIRS_AT_ONCE = 2048
+
 
 def pairs(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, Candidate]]:
     """Log Bayes factor against nothing of every pair of causes, best first.
@@ -24,34 +26,30 @@ def pairs(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, C
             they would end beside another cause.
     """
     at_null = [candidate for candidate in pool if not bool(candidate.shift.any())]
+    causes = [candidate.cause for candidate in at_null]
+    number = torch.tensor([causes.index(cause) for cause in causes])
     first, second = (index for index in torch.triu_indices(len(at_null), len(at_null), offset=1))
-    differ = torch.tensor([at_null[i].cause != at_null[j].cause for i, j in zip(first, second, strict=True)])
+    differ = number[first] != number[second]
     if not bool(differ.any()):
         return []
     first, second = first[differ], second[differ]
-    width = max(len(candidate.keys) for candidate in at_null)
-    columns = torch.zeros(len(fit.residual), len(at_null), width, dtype=torch.float64)
-    prior_sd = torch.ones(len(at_null), width, dtype=torch.float64)
-    for i, candidate in enumerate(at_null):
-        columns[:, i, : len(candidate.keys)] = candidate.columns
-        prior_sd[i, : len(candidate.keys)] = candidate.prior_sd
-    flat = columns.flatten(1)
-    gram = (
-        fit.projector.gram(flat, flat).unflatten(0, (-1, width)).unflatten(2, (-1, width)).permute(0, 2, 1, 3)
-    )
-    score = (flat.T @ fit.residual).unflatten(0, (-1, width))
-    joint_gram = torch.cat(
-        (
-            torch.cat((gram[first, first], gram[first, second]), dim=-1),
-            torch.cat((gram[second, first], gram[second, second]), dim=-1),
-        ),
-        dim=-2,
-    )
-    evidence = log_bayes_factor(
-        joint_gram,
-        torch.cat((score[first], score[second]), dim=-1),
-        torch.cat((prior_sd[first], prior_sd[second]), dim=-1),
-        fit.free_noise,
-    )
+    columns = torch.cat([candidate.columns for candidate in at_null], dim=1)
+    prior_sd = torch.cat([candidate.prior_sd for candidate in at_null])
+    gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
+    width = torch.tensor([len(candidate.keys) for candidate in at_null])
+    begin = width.cumsum(0) - width
+    evidence = torch.empty(len(first), dtype=torch.float64)
+    # Pairs with as many columns are one batch, in parts that bound the memory.
+    for widths in torch.unique(torch.stack((width[first], width[second]), dim=1), dim=0):
+        alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
+        for part in alike.split(PAIRS_AT_ONCE):
+            of_first, of_second = (
+                begin[which[part], None] + torch.arange(int(n))
+                for which, n in zip((first, second), widths, strict=True)
+            )
+            both = torch.cat((of_first, of_second), dim=1)
+            evidence[part] = log_bayes_factor(
+                gram[both[:, :, None], both[:, None, :]], score[both], prior_sd[both], fit.free_noise
+            )
     order = torch.argsort(evidence, descending=True, stable=True).tolist()
     return [(float(evidence[k]), at_null[int(first[k])], at_null[int(second[k])]) for k in order]

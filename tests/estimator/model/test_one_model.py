@@ -93,6 +93,8 @@ CAUSES = [
 ]
 NOT_AT_THE_FIRST_MOMENT = {
     "background_drift",
+    "current_remanence",
+    "periodic_interference",
     "position_lag",
     "backlash",
     "sensor_bumped",

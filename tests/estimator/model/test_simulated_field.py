@@ -123,7 +123,18 @@ def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: 
 
 
 @pytest.mark.parametrize(
-    "cause", ["position_lag", "backlash", "sensor_bumped", "outliers", "position_jitter"]
+    "cause",
+    [
+        "current_step",
+        "current_remanence",
+        "sensor_lag",
+        "sensor_exchanged",
+        "position_lag",
+        "backlash",
+        "sensor_bumped",
+        "outliers",
+        "position_jitter",
+    ],
 )
 def test_a_cause_that_no_moment_shows_is_refused(small_rig: Rig, cause: str) -> None:
     with pytest.raises(InvalidInput, match=f"{cause}.* depends on "):

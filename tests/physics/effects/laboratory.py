@@ -51,6 +51,8 @@ SOURCES = {
     "turns_gradient": {"slope": 0.2},
     "short_layer": {"missing": 0.4, "at_front": 1.0},
     "coil_ovality": {"cos2": 0.02, "sin2": -0.01},
+    "winding_sheared": {"shear_x": 0.3, "shear_y": -0.1},
+    "magnetised_link": {"moment_x_A_m2": 0.2, "moment_z_A_m2": -0.3, "y_m": 0.02, "z_m": -0.09},
     "lead_wire": {"gap_m": 0.01, "azimuth_rad": 2.0, "length_m": 0.2},
     "iron_core": {"share": 0.2},
     "core_saturation": {"share": 0.2, "loss_per_A2": 0.01},
@@ -58,6 +60,7 @@ SOURCES = {
     "spherical_sum": {"weight": 0.5},
     "background_field": {"x_T": 1e-5, "z_T": 4e-5},
     "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
+    "periodic_interference": {"cos_x_T": 1e-5, "sin_z_T": 4e-5, "frequency_per_h": 1.7},
     "iron_plate": {"strength": 0.4, "axis": 0.0, "tilt_1_rad": 0.7, "tilt_2_rad": -0.4, "distance_m": 0.12},
     "pierced_plate": {
         "strength": 0.8,
@@ -72,6 +75,7 @@ SOURCES = {
     },
     "filament_magnetisation": {"susceptibility": 0.3, "axial_T": 0.02, "radial_T": 0.01, "fan_T": -0.03},
     "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
+    "second_iron_body": {"volume_m3": 1e-6, "x_m": -0.05, "y_m": -0.07, "z_m": 0.04},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years
 Field = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> flux density (n, 3)

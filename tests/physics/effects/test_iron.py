@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.iron import IronBody, PiercedPlate
 from estimator.rig_files.read import rig_from_text
@@ -18,6 +19,7 @@ from tests.physics.effects.laboratory import (
     added_T,
     assert_same_field,
     dipole_T,
+    effects_text,
     polyline_T,
     predicted_T,
     readings,
@@ -291,3 +293,19 @@ def test_iron_body_answers_the_coil_where_it_stands_now():
         moment = 4.0 * np.pi * BALL_M**3 / magpylib.mu_0 * at_body
         expected.append(dipole_T(moment, BODY_M, np.zeros((1, 3)))[0])
     assert_same_field(added_T(moved, {"iron_body[room]": BODY}, CARRIED), np.array(expected), 1e-8)
+
+
+def test_second_body_answers_the_coils_as_the_first_would_and_not_the_first():
+    second = {**BODY, "x_m": -0.05}
+    both_T = added_T(ONE, {"iron_body[room]": BODY, "second_iron_body[room]": second})
+    one_by_one_T = added_T(ONE, {"iron_body[room]": BODY}) + added_T(ONE, {"iron_body[room]": second})
+    assert_same_field(both_T, one_by_one_T)
+
+
+def test_second_body_is_looked_for_beside_a_first_alone():
+    without = rig_from_text(RIG)
+    beside = rig_from_text(RIG + effects_text({"iron_body[room]": BODY}))
+    asked = [
+        EFFECTS["second_iron_body"].concerns(Circumstances(rig, ONE), "room") for rig in (without, beside)
+    ]
+    assert asked == [False, True]

@@ -8,6 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
@@ -57,6 +58,45 @@ def test_current_offset_flows_in_a_coil_that_is_never_switched_on():
 def test_gain_and_offset_act_in_that_order():
     effects = {"current_offset[coil]": {"offset_A": 0.07}, "current_gain[coil]": {"excess": 0.03}}
     assert_same_field(predicted_T(readings(POINTS_M, (2.0, 0.0)), effects), coils_T(2.0 * 1.03 + 0.07, 0.0))
+
+
+def test_current_step_takes_its_share_from_its_instant_on_and_of_its_coil_only():
+    time_s = 1e9 + 600.0 * np.arange(N)
+    observations = readings(POINTS_M, (2.0, -3.0), time_s=time_s)
+    reading_T = predicted_T(observations, {"current_step[coil]": {"step": 0.02, "since_h": 0.6}})
+    lost = 0.02 * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])  # from 36 minutes on
+    assert_same_field(reading_T, coils_T(2.0 * (1.0 - lost), -3.0))
+    later = observations.rows(observations.time_s >= time_s[3])
+    part_T = predicted_T(later, {"current_step[coil]": {"step": 0.02, "since_h": 0.6}})
+    assert_same_field(part_T, reading_T[3:])
+
+
+TURNING = (  # each current, and the one from which it last turned back, read off by hand
+    [2.0, 2.0, -1.0, -3.0, 0.0, 1.0, 0.5],
+    [0.0, 0.0, 2.0, 2.0, -3.0, -3.0, 1.0],
+)
+
+
+def test_remanence_is_a_share_of_the_current_from_which_it_last_turned_back():
+    current_A, turned_A = np.array(TURNING)
+    readings_A = np.stack((current_A, np.full(N, -3.0)), axis=1)
+    reading_T = predicted_T(readings(POINTS_M, readings_A), {"current_remanence[coil]": {"share": 0.05}})
+    assert_same_field(reading_T, coils_T(current_A + 0.05 * turned_A, -3.0))
+
+
+def test_remanence_knows_the_currents_before_a_chosen_reading_and_not_what_read_back_currents_scatter():
+    current_A, turned_A = np.array(TURNING)
+    scattered_A = current_A + 1e-4 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+    whole = readings(POINTS_M, np.stack((scattered_A, np.zeros(N)), axis=1))
+    circumstances = Circumstances(rig_from_text(RIG), whole.rows(torch.tensor([6, 3])))
+    np.testing.assert_allclose(circumstances.last_turn_A(0), turned_A[[6, 3]], atol=2e-4)
+
+
+def test_remanence_needs_a_current_that_turns_back():
+    effect, rig = EFFECTS["current_remanence"], rig_from_text(RIG)
+    turning = readings(POINTS_M, np.stack((TURNING[0], np.linspace(0.5, 3.0, N)), axis=1))
+    assert effect.concerns(Circumstances(rig, turning), "coil")
+    assert not effect.concerns(Circumstances(rig, turning), "other")
 
 
 @pytest.mark.parametrize(("coil", "expected"), [("coil", (2.0 + 0.04 * -3.0, -3.0)), ("other", (2.0, -2.92))])

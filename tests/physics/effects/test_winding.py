@@ -97,6 +97,19 @@ def test_oval_coil_is_longer_along_x_where_its_cosine_part_is_positive():
     assert added[0] < 0.0 < added[1]  # beside the coil the field points down, and the wire comes nearer on x
 
 
+def test_sheared_winding_is_a_sum_of_loops_whose_centres_follow_a_leaning_line():
+    shear = np.array([0.3, -0.1, 0.0])
+    loops, total = winding(), np.zeros_like(POINTS_M)
+    for a, z in zip(loops.radius_m, loops.height_m, strict=True):
+        centre_m = shear * (z + 0.5 * LENGTH_M)
+        total += Loops(np.array([a]), np.array([z]), np.ones(1)).field_T(POINTS_M - centre_m)
+    reading_T = predicted_T(ONE, {"winding_sheared[coil]": {"shear_x": 0.3, "shear_y": -0.1}})
+    assert_same_field(reading_T, total)
+    assert (
+        np.linalg.norm(total - loops.field_T(POINTS_M), axis=1) > 1e-4 * np.linalg.norm(total, axis=1)
+    ).all()
+
+
 @pytest.mark.parametrize("azimuth", [0.0, 2.2])
 def test_lead_wire_is_a_rectangle_whose_current_leaves_on_the_front_side(azimuth):
     gap_m, length_m = 0.012, 0.25

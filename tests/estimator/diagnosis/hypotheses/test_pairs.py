@@ -12,6 +12,7 @@ from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.linear import log_bayes_factor
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
@@ -77,3 +78,18 @@ def test_two_causes_that_hide_each_other_are_found_together(base, pool):
 
 def test_one_cause_alone_makes_no_pair(base, pool):
     assert pairs(base, pool[:1]) == []
+
+
+@pytest.mark.parametrize(
+    "cause", [Cause("iron_plate", "room"), Cause("coil_heating", "coil1"), Cause("sensor_bumped", "hall")]
+)
+def test_starts_of_a_cause_have_the_columns_that_each_has_alone(base, cause, monkeypatch):
+    """Most causes predict all their starts at once; here, the starts are given one by one."""
+    together = candidates(base, [cause])
+    effect = EFFECTS[cause.name]
+    assert len(together) > 1
+    for candidate in together:
+        monkeypatch.setattr(type(effect), "starts", lambda *_, shapes=candidate.shapes: (shapes,))
+        (alone,) = candidates(base, [cause])
+        torch.testing.assert_close(alone.columns, candidate.columns, rtol=1e-9, atol=0.0)
+        torch.testing.assert_close(alone.shift, candidate.shift, rtol=1e-9, atol=1e-12)

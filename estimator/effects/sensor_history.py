@@ -1,0 +1,160 @@
+"""What a sensor says instead of the field because of what was before: it lags, its body is still cold, it was exchanged."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import WHEN, Quantity, Theta, at_least_zero, since
+from estimator.effects.circumstances import LONG_AGO_S, SECONDS_PER_HOUR, Circumstances, Extent
+from estimator.effects.sensor import AxisGain, CrossAxis, SensorOffset, TemperatureDrift, at_temperature
+from estimator.effects.stages import ReadingEffect
+from estimator.rig.parameters import LogNormal
+
+LAGS = (
+    0.15,
+    0.25,
+    0.4,
+    0.7,
+)  # of the time between readings: 0.1 % to a quarter is left of the reading before
+LEAST_TAU_S = 1e-6  # shorter than any dwell by so much that nothing is left
+DRIFT = TemperatureDrift()
+PARTS = (CrossAxis(), AxisGain(), SensorOffset())  # of a sensor, in the order in which they act
+
+
+class SensorLag(ReadingEffect):
+    """The sensor is read before it has settled: a share of what it showed at the reading before is left.
+
+    shown = field + (shown before - field) exp(-dwell / tau): a filter of the first order, and a field that jumps at the beginning of each
+    dwell. What was shown before is what was recorded, with its noise, of which a small share enters; a component that was not recorded
+    before counts as settled. In a session without any recorded field, such as one to be simulated, it follows from the fields themselves.
+    """
+
+    name: ClassVar[str] = "sensor_lag"
+    words: ClassVar[str] = "the sensor is read before it has settled"
+    source: ClassVar[str] = (
+        "filters of teslameters, 10 ms to 1 s; stops of 0.5 to 10 s are meant to be ten times as long"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Time constant."""
+        return (at_least_zero("tau_s", "s", 0.1 * extent.interval_h * SECONDS_PER_HOUR),)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Shares of the time between readings: at zero, no derivative shows anything."""
+        dwells_s = _dwells_s(circumstances, place)
+        typical_s = float(dwells_s.median()) if len(dwells_s) else 1.0
+        return tuple({"tau_s": share * typical_s} for share in LAGS)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """With readings one after another."""
+        return len(_dwells_s(circumstances, place)) > 0
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """What was shown before is history."""
+        return "the reading before"
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        row, ago_s = circumstances.previous(sensor)
+        left = torch.exp(-ago_s / theta["tau_s"].clamp(min=LEAST_TAU_S)[..., None])[..., None]
+        own = [s.name for s in circumstances.rig.sensors].index(sensor)
+        history = circumstances.observations.history
+        if history.is_measured[history.sensor == own].any():
+            before_T = history.field_sensor_T[row]
+            before_T = torch.where(torch.isnan(before_T), field_sensor_T, before_T)
+            return field_sensor_T + left * (before_T - field_sensor_T)
+        in_time = torch.argsort(circumstances.observations.row)
+        in_time = in_time[circumstances.sensor[in_time] == own]
+        field_sensor_T, left = torch.broadcast_tensors(field_sensor_T, left)
+        shown_T: list[Tensor] = []
+        for field_T, share in zip(
+            field_sensor_T[..., in_time, :].unbind(-2), left[..., in_time, :].unbind(-2), strict=True
+        ):
+            shown_T.append(field_T + share * (shown_T[-1] - field_T) if shown_T else field_T)
+        return field_sensor_T.index_copy(-2, in_time, torch.stack(shown_T, dim=-2))
+
+
+def _dwells_s(circumstances: Circumstances, sensor: str) -> Float[Tensor, " dwell"]:
+    """Times between readings of a sensor."""
+    _, ago_s = Circumstances(circumstances.rig, circumstances.observations.history).previous(sensor)
+    return ago_s[ago_s < LONG_AGO_S]
+
+
+class ThermalLag(ReadingEffect):
+    """Gain and zero of the sensor follow a temperature that lags behind its thermometer."""
+
+    name: ClassVar[str] = "thermal_lag"
+    words: ClassVar[str] = "the sensor's gain and zero follow its thermometer late"
+    source: ClassVar[str] = (
+        "coefficients as of temperature_drift; a probe in its holder follows the air in 5 minutes to an hour"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Those of a sensor that follows at once, and the time constant."""
+        return (*DRIFT.quantities(extent), Quantity("tau_h", "h", LogNormal(0.3, 1.0), 0.3, is_shape=True))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """A small probe, one in a holder, a heavy one."""
+        return tuple({"tau_h": tau_h} for tau_h in (0.1, 0.3, 1.0))
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """With a thermometer that moved."""
+        return DRIFT.concerns(circumstances, place)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """What lags has a history."""
+        return "the temperatures before"
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        kelvin = circumstances.lagged_K(sensor, theta["tau_h"])
+        return field_sensor_T if kelvin is None else at_temperature(field_sensor_T, theta, kelvin)
+
+
+class SensorExchanged(ReadingEffect):
+    """From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own."""
+
+    name: ClassVar[str] = "sensor_exchanged"
+    words: ClassVar[str] = "from one instant on another sensor reads, with gains and a zero of its own"
+    source: ClassVar[str] = "sensors of one make differ as axis_gain, cross_axis and sensor_offset say"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Gains, mixings and zero of the later sensor against the earlier one, and the time since the session began."""
+        return (*(quantity for part in PARTS for quantity in part.quantities(extent)), since(extent))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        changed_T = field_sensor_T
+        for part in PARTS:
+            changed_T = part.apply(changed_T, theta, circumstances, sensor)
+        return torch.where(circumstances.is_since(theta["since_h"])[..., None], changed_T, field_sensor_T)
