@@ -23,12 +23,12 @@ from estimator.effects.record import (
 )
 from estimator.effects.robot import (
     Backlash,
+    JointZeros,
     MountTilt,
     PositionLag,
     RobotScale,
     RobotShear,
     SensorBumped,
-    SensorMisplaced,
 )
 from estimator.effects.sensor import (
     AxisGain,
@@ -42,6 +42,7 @@ from estimator.effects.sensor import (
     TemperatureDrift,
 )
 from estimator.effects.stages import CurrentEffect
+from estimator.effects.stated import BaseMisplaced, CoilMisplaced, SensorMisplaced
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
 from estimator.effects.surroundings import BackgroundDrift, BackgroundField
@@ -90,9 +91,12 @@ EFFECTS: dict[str, Effect] = {
         RobotShear(),
         PositionLag(),
         Backlash(),
+        JointZeros(),
+        BaseMisplaced(),
         MountTilt(),
         SensorBumped(),
         SensorMisplaced(),
+        CoilMisplaced(),
         ElementDisplacement(),
         CrossAxis(),
         AxisGain(),

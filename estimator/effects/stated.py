@@ -1,0 +1,111 @@
+"""What the rig file states and is not so: where bodies and bases stand, how a winding is made, how large a noise is.
+
+A number that the rig file leaves free, and loosely, follows what the readings say: what a cause here would change is then projected away,
+and its evidence is gone by itself. Where the file fixes a number, or knows it tightly, nothing but such a cause can say that it is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import Kind, Quantity, Theta, triple
+from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import MotionEffect, MountEffect
+from estimator.frames import Transform, rotation_from_vector
+from estimator.rig.rig import Body, MotionKind, Rig
+
+SHIFT_KEYS, TURN_KEYS = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
+ASKEW_KEYS = frozenset(("rx_rad", "ry_rad"))  # as `mount_tilt` has them
+
+
+def _elsewhere(shift_m: float, turn_rad: float) -> tuple[Quantity, ...]:
+    """Shift and rotation vector of a body, with their standard deviations."""
+    return (*triple("xyz", "_m", "m", shift_m), *triple(("rx", "ry", "rz"), "_rad", "rad", turn_rad))
+
+
+def _small(theta: Theta) -> Transform:
+    """The transform of six such numbers, with a pose axis of length 1."""
+    shift_m, turn_rad = (
+        torch.stack([theta[key] for key in keys], dim=-1) for keys in (SHIFT_KEYS, TURN_KEYS)
+    )
+    return Transform(rotation_from_vector(turn_rad)[..., None, :, :], shift_m[..., None, :])
+
+
+class Misplaced(MountEffect):
+    """A body sits elsewhere than the rig file says, or turned, in its own frame."""
+
+    is_at_reference: ClassVar[bool] = False
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift and rotation vector in the body's own frame."""
+        return _elsewhere(1e-3, math.radians(1.0))
+
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
+        """A turn across the axis of a displaced body whose reference pose may turn as far: that is `mount_tilt`, to the last digit."""
+        rig = circumstances.rig
+        body = next(body for body in (*rig.coils, *rig.sensors) if body.name == place)
+        if not is_displaced(rig, body):
+            return frozenset()
+        pose0 = f"{place}.world_from_{self.kind}0"
+        priors = [rig.parameters[f"{pose0}.{key}"].prior for key in ("tilt_x_rad", "tilt_y_rad")]
+        is_loose = all(prior is not None and prior.sd >= math.radians(1.0) for prior in priors)
+        return ASKEW_KEYS if is_loose else frozenset()
+
+    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """nominal_from_real of the body."""
+        return _small(theta)
+
+
+def is_displaced(rig: Rig, body: Body) -> bool:
+    """Whether a mover carries the body and reports displacements."""
+    return body.carried_by is not None and rig.mover(body.carried_by).motion is MotionKind.DISPLACEMENT
+
+
+class SensorMisplaced(Misplaced):
+    """The sensor sits elsewhere on its holder, or turned in it."""
+
+    name: ClassVar[str] = "sensor_misplaced"
+    kind: ClassVar[Kind] = Kind.SENSOR
+    words: ClassVar[str] = "the sensor sits elsewhere on its holder, or turned in it"
+    source: ClassVar[str] = "probes are glued or clamped to about 1 mm and 1 degree"
+
+
+class CoilMisplaced(Misplaced):
+    """The coil sits elsewhere on what carries it, or in the room, or is turned there."""
+
+    name: ClassVar[str] = "coil_misplaced"
+    kind: ClassVar[Kind] = Kind.COIL
+    words: ClassVar[str] = "the coil sits elsewhere on what carries it, or turned there"
+    source: ClassVar[str] = "coils are bolted or clamped to about 1 mm and 1 degree"
+
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
+        """Nor a turn about the axis of a coil that is not displaced: its field stays the same."""
+        rig = circumstances.rig
+        coil = next(coil for coil in rig.coils if coil.name == place)
+        about_axis = frozenset() if is_displaced(rig, coil) else frozenset(("rz_rad",))
+        return super().unseen(circumstances, place) | about_axis
+
+
+class BaseMisplaced(MotionEffect):
+    """The base of an arm or a mapper stands elsewhere in the room, or turned."""
+
+    name: ClassVar[str] = "base_misplaced"
+    words: ClassVar[str] = "the base of the mover stands elsewhere in the room, or turned"
+    source: ClassVar[str] = "bases are placed by tape and level to about 2 mm and 0.5 degree"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift and rotation vector in the frame of the base as stated."""
+        return _elsewhere(2e-3, math.radians(0.5))
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Movers that report where they stand; displacements begin wherever the reference pose is."""
+        return tuple(mover.name for mover in rig.movers if mover.motion is not MotionKind.DISPLACEMENT)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Pose in the frame of the base as stated."""
+        return _small(theta) @ pose
