@@ -42,7 +42,8 @@ from estimator.effects.sensor import (
     TemperatureDrift,
 )
 from estimator.effects.stages import CurrentEffect
-from estimator.effects.stated import BaseMisplaced, CoilMisplaced, SensorMisplaced
+from estimator.effects.stated import BaseMisplaced, CoilMisplaced, SensorMisplaced, WindingMisstated
+from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
 from estimator.effects.surroundings import BackgroundDrift, BackgroundField
@@ -69,10 +70,13 @@ EFFECTS: dict[str, Effect] = {
         CurrentOffset(),
         CoilHeating(),
         NeighbourCoil(),
+        WindingMisstated(),
         AxialPitch(),
         RadialPitch(),
         TurnsGradient(),
         ShortLayer(),
+        ReversedLayer(),
+        HiddenWinding(),
         CoilOvality(),
         LeadWire(),
         IronCore(),

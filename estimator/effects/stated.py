@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, triple
+from estimator.effects.base import Kind, Quantity, Theta, normal, triple
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import MotionEffect, MountEffect
+from estimator.effects.stages import MotionEffect, MountEffect, WindingEffect
+from estimator.field.winding import Winding
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import Body, MotionKind, Rig
 
@@ -109,3 +110,37 @@ class BaseMisplaced(MotionEffect):
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Pose in the frame of the base as stated."""
         return _small(theta) @ pose
+
+
+class WindingMisstated(WindingEffect):
+    """The winding has another radius, wire or number of loops than the rig file says."""
+
+    name: ClassVar[str] = "winding_misstated"
+    words: ClassVar[str] = "the winding has another radius, wire or number of loops than stated"
+    source: ClassVar[str] = (
+        "radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of the external radius, of the wire's thickness and of both numbers of loops."""
+        widths = {"radius": 0.02, "wire": 0.02, "axial_loops": 0.03, "radial_loops": 0.03}
+        return tuple(normal(key, "1", sd) for key, sd in widths.items())
+
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
+        """The wire where the rig file leaves a pitch open: its own prior bounds what can be built, as for `axial_pitch`."""
+        pitches = (circumstances.rig.parameters[f"{place}.{key}_pitch_m"] for key in ("axial", "radial"))
+        return frozenset(("wire",)) if any(pitch.is_free for pitch in pitches) else frozenset()
+
+    def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+        radius, wire, axial, radial = (
+            1.0 + theta[key] for key in ("radius", "wire", "axial_loops", "radial_loops")
+        )
+        numbers = (
+            winding.radius_m * radius,
+            winding.axial_loops * axial,
+            winding.radial_loops * radial,
+            winding.axial_pitch_m * wire,
+            winding.radial_pitch_m * wire,
+        )
+        return Winding(*torch.broadcast_tensors(*numbers))

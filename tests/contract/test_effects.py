@@ -123,7 +123,9 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
         slope = jacfwd(lambda v, key=key: model.predict({**values, key: v}).expand(24, 3))(values[key])
         difference = (together[2] - together[0]) / (2.0 * step)
         scale = difference.abs().max()
-        torch.testing.assert_close(slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-10 * together.abs().max()))
+        torch.testing.assert_close(
+            slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-10 * together.abs().max())
+        )
 
 
 @pytest.mark.parametrize(("name", "place"), CASES)
@@ -163,7 +165,8 @@ def test_names_are_those_that_other_scripts_rely_on():
     core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
-    sensor_misplaced filament_magnetisation coil_misplaced base_misplaced joint_zeros"""
+    sensor_misplaced filament_magnetisation coil_misplaced base_misplaced joint_zeros winding_misstated hidden_winding
+    reversed_layer"""
     assert set(EFFECTS) == set(stable.split())
 
 

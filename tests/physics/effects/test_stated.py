@@ -95,3 +95,11 @@ def test_field_of_a_coil_on_an_arm_with_other_zeros_is_predicted_at_its_angles_a
 
     for motion in (joints_rad[0], joints_rad):
         assert_same_field(field_T(rig, motion), field_T(plain, motion + zeros_rad))
+
+
+def test_misstated_winding_is_a_winding_with_other_numbers():
+    """Of whole numbers of loops, so that they can be counted: 9 by 5 instead of 6 by 4."""
+    given = {"radius": 0.02, "wire": -0.05, "axial_loops": 0.5, "radial_loops": 0.25}
+    reading_T = predicted_T(readings(POINTS_M, (1.0, 0.0)), {"winding_misstated[coil]": given})
+    real = winding(0.0408, 9, 5, 0.95e-3, 0.95e-3)
+    assert_same_field(reading_T, real.field_T(POINTS_M))
