@@ -162,7 +162,7 @@ class Fit:
     ) -> float:
         """Log Bayes factor of one of the rig's causes against its null, beside all others, by the Savage-Dickey ratio.
 
-        It is infinite where no quantity is free, or where one is positive and so never at its null.
+        It is infinite where no quantity is free, or where one is positive, so never at its null of 0.
 
         Args:
             cause: One that the rig has.
@@ -175,10 +175,11 @@ class Fit:
             if not q.is_shape
         }
         names = [name for name in quantities if name in self.posterior.coordinates.names]
-        if not names or any(quantities[name].is_positive for name in names):
+        if not names or any(quantities[name].is_positive and not quantities[name].null for name in names):
             return math.inf
         rows = [self.posterior.coordinates.names.index(name) for name in names]
-        null = torch.tensor([quantities[name].null for name in names], dtype=torch.float64)
+        nulls = {name: torch.tensor(quantities[name].null, dtype=torch.float64) for name in names}
+        null = torch.stack([torch.log(v) if quantities[n].is_positive else v for n, v in nulls.items()])
         vector, covariance = self.vector, self.covariance
         if beside is not None:
             covariance = self.covariance_beside(beside)
@@ -190,7 +191,9 @@ class Fit:
         for name in names:
             prior = self.rig.parameters[name].prior
             assert prior is not None
-            log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
+            log_prior += float(prior.log_density(nulls[name])) + prior.log_normaliser
+            if quantities[name].is_positive:
+                log_prior += math.log(quantities[name].null)  # per logarithm, which is what was fitted
         return log_prior - float(posterior.log_prob(null))
 
     def still_has(self, cause: Cause) -> bool:

@@ -16,9 +16,11 @@ from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
     AxesSwapped,
+    CoilsExchanged,
     CurrentSign,
     DisplacementFrameError,
     LeftHanded,
+    SensorsExchanged,
     UnitError,
 )
 from estimator.effects.robot import (
@@ -42,7 +44,13 @@ from estimator.effects.sensor import (
     TemperatureDrift,
 )
 from estimator.effects.stages import CurrentEffect
-from estimator.effects.stated import BaseMisplaced, CoilMisplaced, SensorMisplaced, WindingMisstated
+from estimator.effects.stated import (
+    BaseMisplaced,
+    CoilMisplaced,
+    NoiseMisstated,
+    SensorMisplaced,
+    WindingMisstated,
+)
 from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import CoilHeating, CurrentGain, CurrentOffset, NeighbourCoil
@@ -65,6 +73,7 @@ from estimator.errors import InvalidInput
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
+        CoilsExchanged(),
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
@@ -111,7 +120,9 @@ EFFECTS: dict[str, Effect] = {
         OffsetDrift(),
         RangeClipping(),
         AxesSwapped(),
+        SensorsExchanged(),
         UnitError(),
+        NoiseMisstated(),
         Outliers(),
         PositionJitter(),
     )

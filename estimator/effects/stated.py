@@ -9,18 +9,29 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, normal, triple
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import MotionEffect, MountEffect, WindingEffect
+from estimator.effects.stages import (
+    MotionEffect,
+    MountEffect,
+    NoiseEffect,
+    NoiseEstimate,
+    Prediction,
+    WindingEffect,
+)
 from estimator.field.winding import Winding
 from estimator.frames import Transform, rotation_from_vector
+from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Body, MotionKind, Rig
 
 SHIFT_KEYS, TURN_KEYS = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
+LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself
+FEWEST_COMPONENTS = 10  # for their scatter to mean anything
 ASKEW_KEYS = frozenset(("rx_rad", "ry_rad"))  # as `mount_tilt` has them
 
 
@@ -144,3 +155,50 @@ class WindingMisstated(WindingEffect):
             winding.radial_pitch_m * wire,
         )
         return Winding(*torch.broadcast_tensors(*numbers))
+
+
+class NoiseMisstated(NoiseEffect):
+    """A sensor's readings scatter by a multiple of what the rig file says."""
+
+    name: ClassVar[str] = "noise_misstated"
+    kind: ClassVar[Kind] = Kind.SENSOR
+    words: ClassVar[str] = "the readings scatter more, or less, than the noise that is stated"
+    source: ClassVar[str] = "data sheets give the noise of another bandwidth: a factor of two either way"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Noise over what is stated."""
+        return (Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the noise is fixed, or known tightly."""
+        prior = circumstances.rig.parameters[f"{place}.noise_T"].prior
+        return prior is None or prior.sd < LOOSE_NOISE * prior.centre
+
+    def sigma_T(
+        self,
+        sigma_T: Float[Tensor, "*#batch component"],
+        exposure: Float[Tensor, " component"],
+        theta: Theta,
+    ) -> Float[Tensor, "*#batch component"]:
+        """The multiple of the noise."""
+        return sigma_T * theta["factor"][..., None]
+
+    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+        """Their rms."""
+        if len(whitened) <= FEWEST_COMPONENTS:
+            return None
+        mean_square = float(whitened.square().mean())
+        gain = 0.5 * len(whitened) * (mean_square - 1.0 - math.log(mean_square))
+        return NoiseEstimate({"factor": math.sqrt(mean_square)}, 1.0, gain)
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """Errors grow by the factor."""
+        return error_T * theta["factor"]

@@ -166,7 +166,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
     sensor_misplaced filament_magnetisation coil_misplaced base_misplaced joint_zeros winding_misstated hidden_winding
-    reversed_layer"""
+    reversed_layer noise_misstated sensors_exchanged coils_exchanged"""
     assert set(EFFECTS) == set(stable.split())
 
 
