@@ -9,7 +9,12 @@ from pathlib import Path
 from estimator.diagnosis import policy
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
+from estimator.diagnosis.hypotheses.record_mistakes import (
+    RecordMistake,
+    refit_outside,
+    rules_and_refusal,
+    without_record_mistakes,
+)
 from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
@@ -37,7 +42,6 @@ from estimator.diagnosis.verdict import (
 )
 from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
@@ -82,13 +86,17 @@ def diagnose(
     few = thinned(seen, policy.MOST_READINGS_SEARCHED, seed)
 
     tell("fitting the rig as described")
-    model = MeasurementModel.build(rig, few)
-    plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
+    rules, refusal = rules_and_refusal(rig, few)
+    plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
     tell("looking for mistakes of the record")
     base, mistakes = without_record_mistakes(plain)
+    if refusal is not None:
+        base = refit_outside(base, refusal)
     tell("searching for causes")
     search_result = search(base, tell, most_causes)
     if mistakes and _are_doubtful(mistakes, search_result):
+        if refusal is not None:
+            raise refusal
         tell("the mistakes of the record are doubtful: searching again with the record as it is")
         base, mistakes = plain, []
         search_result = search(base, tell, most_causes)
@@ -103,7 +111,9 @@ def diagnose(
     before, after = plain, extended
     if len(seen) > len(few):
         fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
-        before, after = (fit_rig(fit.rig, fitted, fit.values, model.rules) for fit in (plain, extended))
+        before, after = (
+            fit_rig(fit.rig, fitted, fit.values, base.posterior.model.rules) for fit in (plain, extended)
+        )
     improvement = (
         improvement_of(before, after, thinned(unseen, policy.MOST_READINGS_FITTED, seed))
         if len(unseen)
