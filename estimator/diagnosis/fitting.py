@@ -24,7 +24,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.parameters import LogNormal, Parameter
+from estimator.rig.parameters import LogNormal, Normal, Parameter
 from estimator.rig.rig import Cause, Rig
 
 ROUNDING = 1e-12  # readings that differ by less than this share of the largest are the same
@@ -223,7 +223,15 @@ class Fit:
             if rounding_T > 0.0
             else policy.MOST_NOISE_SHRINK
         )
-        return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0))
+        return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0), self._tension)
+
+    @property
+    def _tension(self) -> float:
+        """Sum of the squares of the parameters' distances from their priors, without noises and what may lie anywhere in a range."""
+        noises = {f"{sensor.name}.noise_T" for sensor in self.rig.sensors}
+        priors = {p.name: p.prior for p in self.rig.free if p.name not in noises}
+        bell_shaped = {n: prior for n, prior in priors.items() if isinstance(prior, Normal | LogNormal)}
+        return sum(prior.distance(float(self.values[n])) ** 2 for n, prior in bell_shaped.items())
 
 
 def resolution_T(measured_T: Float[Tensor, " component"]) -> float:

@@ -92,6 +92,10 @@ LOG_PRIOR_UNEXPLAINED = math.log(0.3)
 MOST_LEADERS = 4
 """Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008). Study: no change in 1 case."""
 
+MOST_FITTED = 12
+"""Causes that are fitted at most where screenings exceed what those leaders reach once fitted. Effort: one fit each; a rig of tightly
+stated numbers needed up to 6. Study: not tried yet."""
+
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint 2 behind
 the best fell to 17 behind once it was fitted (docs/decisions/0008). Study: no change in 1 case."""

@@ -96,7 +96,9 @@ def take_step(fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: 
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted = None
-        if i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0):
+        # A screening that exceeds what any fit reached is not believed before its own fit.
+        is_leader = i < policy.MOST_LEADERS or (value > best and i < policy.MOST_FITTED)
+        if is_leader and highest > max(best - policy.LEADERS_WITHIN, 0.0):
             value, fitted = in_full(fit, value, start)
             best = max(best, value)
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
