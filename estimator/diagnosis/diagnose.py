@@ -10,7 +10,12 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
+from estimator.diagnosis.hypotheses.record_mistakes import (
+    RecordMistake,
+    refit_outside,
+    rules_and_refusal,
+    without_record_mistakes,
+)
 from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
@@ -39,7 +44,6 @@ from estimator.diagnosis.verdict import (
 )
 from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
-from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
@@ -122,9 +126,9 @@ def _judged(
     rig, seed = question.rig, question.seed
     few = thinned(seen, most_readings, seed)
     tell("fitting the rig as described")
-    model = MeasurementModel.build(rig, few)
-    plain = fit_rig(rig, few, {}, model.rules, policy.MORE_STARTS)
-    search_result, mistakes = _searched(plain, limits, tell)
+    rules, refusal = rules_and_refusal(rig, few)
+    plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
+    search_result, mistakes = _searched(plain, refusal, limits, tell)
     named = named_causes(search_result)
     verdict = verdict_of(search_result, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -136,7 +140,8 @@ def _judged(
     before, after = plain, extended
     if len(seen) > len(few):
         fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
-        before, after = (fit_rig(fit.rig, fitted, fit.values, model.rules) for fit in (plain, extended))
+        rules = search_result.base.posterior.model.rules
+        before, after = (fit_rig(fit.rig, fitted, fit.values, rules) for fit in (plain, extended))
     improvement = None
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
@@ -177,14 +182,21 @@ def _judged(
 
 
 def _searched(
-    plain: Fit, limits: Limits, tell: Callable[[str], None]
+    plain: Fit, refusal: InvalidInput | None, limits: Limits, tell: Callable[[str], None]
 ) -> tuple[Search, Sequence[RecordMistake]]:
-    """The search for causes beside mistakes of the record; without such mistakes where they are doubtful."""
+    """The search for causes beside mistakes of the record; without such mistakes where they are doubtful.
+
+    A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
+    """
     tell("looking for mistakes of the record")
     base, mistakes = without_record_mistakes(plain)
+    if refusal is not None:
+        base = refit_outside(base, refusal)
     tell("searching for causes")
     result = search(base, tell, limits)
     if mistakes and _are_doubtful(mistakes, result):
+        if refusal is not None:
+            raise refusal
         tell("the mistakes of the record are doubtful: searching again with the record as it is")
         return search(plain, tell, limits), []
     return result, mistakes

@@ -25,7 +25,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.parameters import LogNormal, Parameter
+from estimator.rig.parameters import LogNormal, Normal, Parameter
 from estimator.rig.rig import Cause, Rig
 
 ROUNDING = 1e-12  # readings that differ by less than this share of the largest are the same
@@ -163,7 +163,7 @@ class Fit:
     ) -> float:
         """Log Bayes factor of one of the rig's causes against its null, beside all others, by the Savage-Dickey ratio.
 
-        It is infinite where no quantity is free, or where one is positive and so never at its null.
+        It is infinite where no quantity is free, or where one is positive, so never at its null of 0.
 
         Args:
             cause: One that the rig has.
@@ -176,10 +176,11 @@ class Fit:
             if not q.is_shape
         }
         names = [name for name in quantities if name in self.posterior.coordinates.names]
-        if not names or any(quantities[name].is_positive for name in names):
+        if not names or any(quantities[name].is_positive and not quantities[name].null for name in names):
             return math.inf
         rows = [self.posterior.coordinates.names.index(name) for name in names]
-        null = torch.tensor([quantities[name].null for name in names], dtype=torch.float64)
+        nulls = {name: torch.tensor(quantities[name].null, dtype=torch.float64) for name in names}
+        null = torch.stack([torch.log(v) if quantities[n].is_positive else v for n, v in nulls.items()])
         vector, covariance = self.vector, self.covariance
         if beside is not None:
             covariance = self.covariance_beside(beside)
@@ -191,7 +192,9 @@ class Fit:
         for name in names:
             prior = self.rig.parameters[name].prior
             assert prior is not None
-            log_prior += float(prior.log_density(null[names.index(name)])) + prior.log_normaliser
+            log_prior += float(prior.log_density(nulls[name])) + prior.log_normaliser
+            if quantities[name].is_positive:
+                log_prior += math.log(quantities[name].null)  # per logarithm, which is what was fitted
         return log_prior - float(posterior.log_prob(null))
 
     def still_has(self, cause: Cause) -> bool:
@@ -221,7 +224,15 @@ class Fit:
             if rounding_T > 0.0
             else policy.MOST_NOISE_SHRINK
         )
-        return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0))
+        return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0), self._tension)
+
+    @property
+    def _tension(self) -> float:
+        """Sum of the squares of the parameters' distances from their priors, without noises and what may lie anywhere in a range."""
+        noises = {f"{sensor.name}.noise_T" for sensor in self.rig.sensors}
+        priors = {p.name: p.prior for p in self.rig.free if p.name not in noises}
+        bell_shaped = {n: prior for n, prior in priors.items() if isinstance(prior, Normal | LogNormal)}
+        return sum(prior.distance(float(self.values[n])) ** 2 for n, prior in bell_shaped.items())
 
 
 def resolution_T(measured_T: Float[Tensor, " component"]) -> float:

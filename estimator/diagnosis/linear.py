@@ -72,11 +72,14 @@ class FreeNoise:
         n: Number of components.
         width: Standard deviation of its prior, in the logarithm. At the fit the gradients of prior and likelihood cancel.
         most_shrink: Logarithm of the ratio of the smallest noise that the digits of the readings allow to the fitted one.
+        tension: Sum of the squares of the fitted parameters' distances from their priors. Columns relieve it as they explain residuals, but
+            it does not grow as the noise shrinks.
     """
 
     n: float
     width: float
     most_shrink: float = policy.MOST_NOISE_SHRINK
+    tension: float = 0.0
 
 
 def log_bayes_factor(
@@ -107,16 +110,19 @@ def log_bayes_factor(
     if noise is None:
         evidence: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
         return evidence
-    # Together the directions explain at most n. Rounding inflates those that the fit follows, so they come last.
-    reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=noise.n)
+    # Together the directions explain at most residuals and tension. Rounding inflates those that the fit follows, so they come last.
+    most = noise.n + noise.tension
+    reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=most)
     square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))
+    relieved = 0.5 * noise.tension / most * (square / (1.0 + size)).sum(-1)
+    square = square * noise.n / most
     # Profile over the logarithm of the noise: at smaller noise the columns weigh more, and so does their Occam factor.
     shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
     grown = torch.exp(-2.0 * shrink)
     size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
     explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started * grown
     density = explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
-    fitted: Tensor = density.max(-1).values
+    fitted: Tensor = density.max(-1).values + relieved
     return fitted
 
 

@@ -94,7 +94,8 @@ MOST_LEADERS = 4
 
 MOST_FITTED = 16
 """Causes that are fitted in full where more could be better, by their screening, than the best that was fitted. Effort: a leader may
-collapse in its fit; in a map of a large solenoid the fifth by screening was the best. Study: not tried yet."""
+collapse in its fit. In a map of a large solenoid the fifth by screening was the best; tightly stated rigs needed up to six. Study: not
+tried yet."""
 
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint 2 behind

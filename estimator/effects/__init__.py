@@ -17,19 +17,21 @@ from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIron
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
     AxesSwapped,
+    CoilsExchanged,
     CurrentSign,
     DisplacementFrameError,
     LeftHanded,
+    SensorsExchanged,
     UnitError,
 )
 from estimator.effects.robot import (
     Backlash,
+    JointZeros,
     MountTilt,
     PositionLag,
     RobotScale,
     RobotShear,
     SensorBumped,
-    SensorMisplaced,
 )
 from estimator.effects.sensor import (
     AxisGain,
@@ -44,6 +46,14 @@ from estimator.effects.sensor import (
 )
 from estimator.effects.sensor_history import SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.stages import CurrentEffect
+from estimator.effects.stated import (
+    BaseMisplaced,
+    CoilMisplaced,
+    NoiseMisstated,
+    SensorMisplaced,
+    WindingMisstated,
+)
+from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import (
     CoilHeating,
@@ -73,6 +83,7 @@ from estimator.errors import InvalidInput
 EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
+        CoilsExchanged(),
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
@@ -80,10 +91,13 @@ EFFECTS: dict[str, Effect] = {
         CurrentRemanence(),
         CoilHeating(),
         NeighbourCoil(),
+        WindingMisstated(),
         AxialPitch(),
         RadialPitch(),
         TurnsGradient(),
         ShortLayer(),
+        ReversedLayer(),
+        HiddenWinding(),
         CoilOvality(),
         WindingSheared(),
         LeadWire(),
@@ -106,9 +120,12 @@ EFFECTS: dict[str, Effect] = {
         RobotShear(),
         PositionLag(),
         Backlash(),
+        JointZeros(),
+        BaseMisplaced(),
         MountTilt(),
         SensorBumped(),
         SensorMisplaced(),
+        CoilMisplaced(),
         ElementDisplacement(),
         CrossAxis(),
         AxisGain(),
@@ -122,7 +139,9 @@ EFFECTS: dict[str, Effect] = {
         RangeClipping(),
         AxesSwapped(),
         SensorLag(),
+        SensorsExchanged(),
         UnitError(),
+        NoiseMisstated(),
         Outliers(),
         PositionJitter(),
     )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -22,6 +22,7 @@ from estimator.rig.rig import MotionKind, Rig
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 SMALLEST_TURN_RAD = math.radians(15.0)
+MOST_BODIES = 1000.0
 CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
 
 
@@ -104,6 +105,74 @@ class UnitError(RecordEffect):
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """Factors are positive."""
         return next(((key, "must be > 0") for key, value in values.items() if not value > 0.0), None)
+
+
+class _Exchanged(RecordEffect):
+    """Two bodies of a kind were taken for each other; their numbers in the rig file count from 1."""
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """The two, from 1 in the order of the rig file; a body exchanged with itself is where it should be."""
+        return tuple(_switch(key, 1.0, MOST_BODIES, 1.0) for key in ("first", "second"))
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """Numbers of bodies are whole."""
+        wrong = (key for key, value in values.items() if not (value >= 1.0 and value.is_integer()))
+        return next(((key, "must be the number of a body, from 1") for key in wrong), None)
+
+
+def _pairs(n_bodies: int) -> tuple[dict[str, float], ...]:
+    return tuple({"first": float(i), "second": float(j)} for i, j in combinations(range(1, n_bodies + 1), 2))
+
+
+def _exchanged(index: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
+    """Indices from 0 with the two exchanged."""
+    first, second = (theta[key][..., None].round().long() - 1 for key in ("first", "second"))
+    return torch.where(index == first, second, torch.where(index == second, first, index))
+
+
+class SensorsExchanged(_Exchanged):
+    """Two sensors stand at each other's places, or their cables are exchanged."""
+
+    name: ClassVar[str] = "sensors_exchanged"
+    words: ClassVar[str] = "two sensors stand at each other's places, or their cables are exchanged"
+    source: ClassVar[str] = "any two sensors"
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """The record, where there are two sensors."""
+        return super().places(rig) if len(rig.sensors) > 1 else ()
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Every pair."""
+        return _pairs(len(circumstances.rig.sensors))
+
+    def place_of(self, sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
+        """Index of the sensor at whose place each reading was taken."""
+        return _exchanged(sensor, theta)
+
+
+class CoilsExchanged(_Exchanged):
+    """The currents of two coils are exchanged."""
+
+    name: ClassVar[str] = "coils_exchanged"
+    words: ClassVar[str] = "two coils are connected in each other's place"
+    source: ClassVar[str] = "any two coils"
+    exchanges_coils: ClassVar[bool] = True
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """The record, where there are two coils."""
+        return super().places(rig) if len(rig.coils) > 1 else ()
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Every pair."""
+        return _pairs(len(circumstances.rig.coils))
+
+    def commanded_A(
+        self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Commanded currents behind the recorded ones."""
+        source = _exchanged(torch.arange(recorded_A.shape[-1]), theta)[..., None, :]
+        recorded_A, source = torch.broadcast_tensors(recorded_A, source)
+        return recorded_A.gather(-1, source)
 
 
 class CurrentSign(CurrentEffect):

@@ -14,7 +14,11 @@ from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since, t
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
+from estimator.geometry.kinematics import base_from_joints
 from estimator.rig.rig import MotionKind, Rig
+
+N_JOINTS = 6
+JOINT_MOTIONS = (MotionKind.UR3, MotionKind.UR3E)
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
@@ -106,6 +110,37 @@ class Backlash(MotionEffect):
         return _shifted(pose, -0.5 * play_m * columns)
 
 
+class JointZeros(MotionEffect):
+    """The encoders of an arm's joints do not read zero where its kinematics have their zeros."""
+
+    name: ClassVar[str] = "joint_zeros"
+    words: ClassVar[str] = "the joints' encoders have other zeros than the arm's kinematics"
+    source: ClassVar[str] = "UR arms whose factory calibration is not used, about 2 mrad a joint"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """How far each joint stands beyond its reading."""
+        return tuple(normal(f"q{i}_rad", "rad", 2e-3) for i in range(N_JOINTS))
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Arms that report joint angles."""
+        return tuple(mover.name for mover in rig.movers if mover.motion in JOINT_MOTIONS)
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+        """Axis of every joint in the base frame, and a point on it."""
+        kind = str(circumstances.rig.mover(mover).motion)
+        joints = base_from_joints(kind, circumstances.observations.motion[mover])[:N_JOINTS]
+        lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
+        return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Real pose: the last joint turns first, so that each turns about where its nominal axis is."""
+        for i in reversed(range(N_JOINTS)):
+            axis, on_axis_m = columns[:, 6 * i : 6 * i + 3], columns[:, 6 * i + 3 : 6 * i + 6]
+            turn = rotation_from_vector(theta[f"q{i}_rad"][..., None, None] * axis)
+            pose = Transform(turn, on_axis_m - (turn @ on_axis_m[..., None])[..., 0]) @ pose
+        return pose
+
+
 class MountTilt(MountEffect):
     """The body sits turned on its flange, so that the mover's displacements run askew in its frame."""
 
@@ -133,36 +168,6 @@ class MountTilt(MountEffect):
         zero = torch.zeros_like(theta["x_rad"])
         rotation = rotation_from_vector(torch.stack((theta["x_rad"], theta["y_rad"], zero), dim=-1))
         return Transform(rotation[..., None, :, :], torch.zeros(1, 3, dtype=rotation.dtype))
-
-
-class SensorMisplaced(MountEffect):
-    """The sensor sits elsewhere on its holder, or turned in it."""
-
-    name: ClassVar[str] = "sensor_misplaced"
-    is_at_reference: ClassVar[bool] = False
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "the sensor sits elsewhere on its holder, or turned in it"
-    source: ClassVar[str] = "probes are glued or clamped to about 1 mm and 1 degree"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Shift and rotation vector in the sensor's own frame."""
-        shift, turn = (
-            triple("xyz", "_m", "m", 1e-3),
-            triple(("rx", "ry", "rz"), "_rad", "rad", math.radians(1.0)),
-        )
-        return (*shift, *turn)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Beside other sensors; the pose of the coil takes up what a single one has."""
-        return len(circumstances.rig.sensors) > 1
-
-    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """nominal_from_real of the sensor."""
-        shift_m, turn_rad = (
-            torch.stack([theta[key] for key in keys], dim=-1)
-            for keys in (("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad"))
-        )
-        return Transform(rotation_from_vector(turn_rad)[..., None, :, :], shift_m[..., None, :])
 
 
 class SensorBumped(MountEffect):

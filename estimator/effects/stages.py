@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.effects.base import Effect, Kind, Theta
@@ -288,16 +288,25 @@ class NoiseEffect(Effect):
 
 
 class RecordEffect(Effect):
-    """Changes what was written down: the currents, the readings, or both."""
+    """Changes what was written down: the currents, the readings, or which body they belong to.
+
+    Attributes:
+        exchanges_coils: A coil may carry current where the record says that it has none.
+    """
 
     kind = Kind.RECORD
     is_record_mistake: ClassVar[bool] = True
+    exchanges_coils: ClassVar[bool] = False
 
     def commanded_A(
         self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Commanded currents behind the recorded ones."""
         return recorded_A
+
+    def place_of(self, sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
+        """Index of the sensor at whose place each reading was taken, given that of the sensor in the record."""
+        return sensor
 
     def recorded_T(
         self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta

@@ -64,15 +64,27 @@ def base_from_flange(robot: DenavitHartenberg | str, joints_rad: Float[Tensor, "
         >>> base_from_flange("UR3e", stretched_out).translation_m.round(decimals=5).tolist()
         [-0.45675, -0.22315, 0.0665]
     """
+    return base_from_joints(robot, joints_rad)[-1]
+
+
+def base_from_joints(
+    robot: DenavitHartenberg | str, joints_rad: Float[Tensor, "*batch 6"]
+) -> tuple[Transform, ...]:
+    """Frames of the six joints in the base frame, each turning about its z axis, and last that of the flange.
+
+    Args:
+        robot, joints_rad: As for `base_from_flange`.
+    Raises: InvalidInput for an unknown name.
+    """
     if isinstance(robot, str):
         if robot not in ROBOTS:
             raise InvalidInput(f"robot must be one of {', '.join(ROBOTS)}; received {robot!r}")
         robot = ROBOTS[robot]
     x, _, z = torch.eye(3, dtype=joints_rad.dtype, device=joints_rad.device)
     columns = zip(joints_rad.unbind(-1), robot.theta_rad, robot.a_m, robot.d_m, robot.alpha_rad, strict=True)
-    pose = Transform.identity(joints_rad.dtype, joints_rad.device)
+    frames = [Transform.identity(joints_rad.dtype, joints_rad.device)]
     for joint_rad, theta_rad, a_m, d_m, alpha_rad in columns:
         along_z = Transform.from_pose(d_m * z, (joint_rad[..., None] + theta_rad) * z)
         along_x = Transform.from_pose(a_m * x, alpha_rad * x)
-        pose = pose @ along_z @ along_x
-    return pose
+        frames.append(frames[-1] @ along_z @ along_x)
+    return tuple(frames)

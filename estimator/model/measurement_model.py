@@ -78,8 +78,11 @@ class MeasurementModel:
         columns = dict(zip(columns, parts, strict=True))
         always = {use.place for use in uses_of(rig, CurrentEffect)}  # a coil that is off may leak
         always |= {use.place for use in uses_of(rig, SourceEffect) if use.effect.is_permanent}
+        has_current = observations.current_A != 0.0
+        if any(use.effect.exchanges_coils for use in uses_of(rig, RecordEffect)):
+            has_current = has_current.any(-1, keepdim=True).expand_as(has_current)
         powered = {
-            coil.name: pose_row[(observations.current_A[:, i] != 0.0) | (coil.name in always)].unique()
+            coil.name: pose_row[has_current[:, i] | (coil.name in always)].unique()
             for i, coil in enumerate(rig.coils)
         }
         sources = Sources(rig, circumstances, len(distinct), pose_row, flange, columns, powered, {})
@@ -170,14 +173,16 @@ class MeasurementModel:
     def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """Pose of the sensor in the room at distinct poses."""
         which = self.sensor[rows]
+        for record in uses_of(self.rig, RecordEffect):
+            which = record.effect.place_of(which, record.theta(values))
         poses = [self.sources.world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
         if len(poses) == 1:
             return poses[0]
         rotation, translation = poses[0].rotation, poses[0].translation_m
         for i, pose in enumerate(poses[1:], start=1):
             is_sensor = which == i
-            rotation = torch.where(is_sensor[:, None, None], pose.rotation, rotation)
-            translation = torch.where(is_sensor[:, None], pose.translation_m, translation)
+            rotation = torch.where(is_sensor[..., None, None], pose.rotation, rotation)
+            translation = torch.where(is_sensor[..., None], pose.translation_m, translation)
         return Transform(rotation, translation)
 
     def _at_sensor(self, values: Values) -> Float[Tensor, "*batch reading 3"]:

@@ -11,6 +11,8 @@ from torch import Tensor
 from torch.func import jvp
 
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import MotionEffect
+from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule, choose_rule, distance_to_winding
 from estimator.frames import Transform
@@ -112,21 +114,22 @@ def at_one_moment(
         n_points: Points that the field is wanted at.
         motion: Per mover the six numbers of its columns, or a row of them for each point; zeros for a mover that is not named.
     """
-    motion = motion or {}
     zero = torch.zeros(6, dtype=torch.float64)
-    flange = {m.name: base_from_motion(m, motion.get(m.name, zero).reshape(-1, 6)) for m in rig.movers}
-    circumstances = Circumstances(rig, _one_reading(rig))
+    rows = {m.name: (motion or {}).get(m.name, zero).reshape(-1, 6) for m in rig.movers}
+    flange = {m.name: base_from_motion(m, rows[m.name]) for m in rig.movers}
     every_point = torch.arange(n_points)
     powered = {coil.name: every_point for coil in rig.coils}
-    return Sources(
-        rig, circumstances, n_points, None, flange, columns_of(rig, circumstances), powered, rules={}
-    )
+    n_moments = max(map(len, rows.values()), default=1) if uses_of(rig, MotionEffect) else 1
+    moments = [Circumstances(rig, _one_reading(rig, rows, i)) for i in range(n_moments)]
+    by_moment = [columns_of(rig, moment) for moment in moments]
+    columns = {label: torch.cat([each[label] for each in by_moment]) for label in by_moment[0]}
+    return Sources(rig, moments[0], n_points, None, flange, columns, powered, rules={})
 
 
-def _one_reading(rig: Rig) -> Observations:
-    """A session of one moment without currents."""
+def _one_reading(rig: Rig, rows: Mapping[str, Float[Tensor, "row 6"]], i: int) -> Observations:
+    """A session of one moment without currents, with every mover at its row of that number, or at its only one."""
     zeros = torch.zeros(1, dtype=torch.float64)
-    motion = {mover.name: zeros.expand(6)[None] for mover in rig.movers}
+    motion = {name: motion[min(i, len(motion) - 1)][None] for name, motion in rows.items()}
     index, flag = torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.bool)
     return Observations(
         zeros, index, zeros.expand(len(rig.coils))[None], motion, zeros.expand(3)[None], flag, index, {}

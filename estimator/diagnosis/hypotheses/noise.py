@@ -30,7 +30,8 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
     for effect in EFFECTS.values():
         if not isinstance(effect, NoiseEffect):
             continue
-        uses = [Use(effect, place) for place in effect.places(fit.rig)]
+        circumstances = fit.posterior.model.circumstances
+        uses = [Use(effect, p) for p in effect.places(fit.rig) if effect.concerns(circumstances, p)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
         if use is None or hint <= policy.LEAST_SCATTER_GAIN:
@@ -88,8 +89,9 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
         noise = f"{use.place}.noise_T"
         start[noise] = fit.values[noise] * estimate.noise_factor
     full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
-    # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.
     if not full.still_has(use.cause):
         return 0.0, full
-    occam = 0.5 * len(estimate.quantities) * math.log(max(len(whitened), 1))
+    # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.
+    n_fixed = sum(not rig.parameters[f"{use.label}.{key}"].is_free for key in estimate.quantities)
+    occam = 0.5 * n_fixed * math.log(max(len(whitened), 1))
     return full.log_evidence - fit.log_evidence - occam, full

@@ -119,3 +119,23 @@ def test_rounding_of_a_column_that_the_fit_follows_takes_nothing_from_real_ones(
 
 def test_mean_of_exponentials_survives_large_numbers():
     assert log_mean_exp(torch.tensor([1000.0, -1000.0]).double()) == pytest.approx(1000.0 - math.log(2.0))
+
+
+def test_column_that_relieves_a_tense_parameter_does_not_shrink_the_noise_as_if_it_explained_residuals():
+    """A parameter held 20 sd off its prior, and a column with the same effect: 200 in log evidence, whatever the noise does."""
+    n, offset, tight_sd, wide_sd = 400, 20.0, 0.05, 1.0
+    generator = torch.Generator().manual_seed(6)
+    jacobian = 100.0 * torch.randn(n, 1, dtype=torch.float64, generator=generator)
+    noise = torch.randn(n, dtype=torch.float64, generator=generator)
+    noise = noise - jacobian[:, 0] * (jacobian[:, 0] @ noise) / jacobian.square().sum()
+    noise = noise * math.sqrt(n) / noise.norm()
+    precision = torch.tensor([[tight_sd**-2]], dtype=torch.float64)
+    # The fit stands where the pull of the prior and that of the readings cancel.
+    residual = noise + jacobian[:, 0] * offset / tight_sd / jacobian.square().sum()
+    gram = Projector.of(jacobian, precision).gram(jacobian, jacobian)
+    score, sd = jacobian.T @ residual, torch.tensor([wide_sd], dtype=torch.float64)
+    relieved = float(log_bayes_factor(gram, score, sd))
+    assert relieved == pytest.approx(0.5 * offset**2, rel=0.05)
+    tense = float(log_bayes_factor(gram, score, sd, FreeNoise(float(n), 0.5, tension=offset**2)))
+    assert relieved < tense < 1.5 * relieved
+    assert float(log_bayes_factor(gram, score, sd, FreeNoise(float(n), 0.5))) > 3.0 * relieved

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
@@ -117,3 +119,37 @@ def test_every_rotation_of_a_cube_is_among_those_that_are_tried():
     for quarter in Rotation.create_group("O"):
         if quarter.magnitude() > 1e-9:
             assert (tried.inv() * quarter).magnitude().min() < 1e-6
+
+
+TWO_PROBES = RIG.replace(
+    "probe: {carried_by: mapper, noise_uT: 5}",
+    "probe: {carried_by: mapper, noise_uT: 5}\n  fixed: {gain: 1.5, noise_uT: 5, world_from_sensor: {x_mm: 20, y_mm: -30, z_mm: 40, rz_deg: 90}}",
+)
+
+
+def test_exchanged_sensors_stand_at_each_others_places_and_keep_their_gains():
+    of_both = readings(POINTS_M, (2.0, 0.0))
+    of_both = replace(of_both, sensor=torch.arange(len(POINTS_M)) % 2)
+    reading_T = predicted_T(of_both, {"sensors_exchanged[record]": {"first": 1.0, "second": 2.0}}, TWO_PROBES)
+    fixed_T = 2.0 * winding().field_T(np.array([[0.02, -0.03, 0.04]]))[0]
+    in_fixed_T = np.array([fixed_T[1], -fixed_T[0], fixed_T[2]])  # the frame of a sensor turned by 90 degrees
+    is_first = (np.arange(len(POINTS_M)) % 2 == 0)[:, None]
+    assert_same_field(reading_T, np.where(is_first, in_fixed_T, 1.5 * FIELD_T))
+
+
+def test_exchanged_coils_carry_each_others_currents():
+    currents_A = np.stack((np.linspace(1.0, 2.0, len(POINTS_M)), np.zeros(len(POINTS_M))), axis=1)
+    currents_A[0] = 0.0, 3.0
+    recorded, real = readings(POINTS_M, currents_A), readings(POINTS_M, currents_A[:, ::-1])
+    reading_T = predicted_T(recorded, {"coils_exchanged[record]": {"first": 1.0, "second": 2.0}})
+    assert_same_field(reading_T, predicted_T(real))
+
+
+@pytest.mark.parametrize(("name", "n"), [("sensors_exchanged", 1), ("coils_exchanged", 1)])
+def test_every_pair_is_tried_and_none_where_there_is_one_body(name, n):
+    rig = rig_from_text(TWO_PROBES)
+    starts = EFFECTS[name].starts(Circumstances(rig, READINGS), "record")
+    assert [(start["first"], start["second"]) for start in starts] == [(1.0, 2.0)]
+    alone = replace(rig, coils=rig.coils[:n], sensors=rig.sensors[:n])
+    assert EFFECTS[name].places(rig) == ("record",)
+    assert EFFECTS[name].places(alone) == ()
