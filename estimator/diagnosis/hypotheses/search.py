@@ -25,7 +25,8 @@ from estimator.diagnosis.hypotheses.step import (
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
-from estimator.diagnosis.structure.families import Family, families
+from estimator.diagnosis.structure.families import families
+from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause

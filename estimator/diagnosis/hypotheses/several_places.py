@@ -25,7 +25,7 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector, log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import discrepancy
-from estimator.diagnosis.structure.families import Family
+from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause

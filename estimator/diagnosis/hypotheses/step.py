@@ -22,7 +22,7 @@ from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
-from estimator.diagnosis.structure.families import Family
+from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause

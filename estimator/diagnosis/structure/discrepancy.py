@@ -15,7 +15,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
-from estimator.diagnosis.structure.families import Family
+from estimator.diagnosis.structure.families.collection import Family
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
 

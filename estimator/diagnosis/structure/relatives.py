@@ -16,7 +16,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector, log_mean_exp
 from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
-from estimator.diagnosis.structure.families import Family
+from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
