@@ -1,4 +1,4 @@
-"""Flaws that no library of causes lists: a diagnosis should say that something is left which it cannot explain."""
+"""Flaws outside the library of the first study: there a diagnosis should say that something is left which it cannot explain."""
 
 from __future__ import annotations
 
