@@ -150,7 +150,10 @@ def with_poses(rig: StatedRig, schedule: Schedule, rng: np.random.Generator) -> 
     in_base = base_rotation.T @ turn
     joint_rad = None
     if rig.motion not in CARTESIAN:
-        joint_rad = joints_reaching(rig.motion, in_base, place_m, ready_rad)
+        try:
+            joint_rad = joints_reaching(rig.motion, in_base, place_m, ready_rad)
+        except ValueError:  # one arm in thirty is set up so that it does not come everywhere
+            return with_poses(rig, schedule, rng)
         in_base, place_m = flange_pose(rig.motion, joint_rad)
     return (
         replace(rig, base_rotation=base_rotation, base_position_m=base_position_m),

@@ -14,11 +14,11 @@ from tests.hidden.causes.over_time import last_extreme
 from tests.hidden.flaw import Cause, Flaw
 from tests.hidden.library import CAUSES, FIRST, OUTSIDE, names
 from tests.hidden.open_session import adjustable_of, draw_open_scene, draw_open_session, within
-from tests.hidden.protocols import DWELL_S, MOTIONS, PROTOCOLS
+from tests.hidden.protocols import DWELL_S, MOTIONS, PROTOCOLS, draw_schedule
 from tests.hidden.rivals import left_beside, rival_of
 from tests.hidden.scene import Scene
 from tests.hidden.session import CLEARANCE_M, clearance_m, draw_ideal
-from tests.hidden.stated_rig import WIDE_WINDING_SD, StatedRig
+from tests.hidden.stated_rig import WIDE_WINDING_SD, StatedRig, draw_rig
 from tests.hidden.study import KINDS, OPEN_KINDS, draw_case
 from tests.hidden.ur_arm import flange_pose, joints_reaching
 from tests.hidden.visible_size import Adjustable, effect_T
@@ -376,6 +376,13 @@ def test_an_arm_has_lengths_of_its_maker_and_reaches_poses() -> None:
     )
     with pytest.raises(ValueError, match="UR3 does not reach a pose"):
         joints_reaching("UR3", turn, place_m + 1.0, ready_rad)
+
+
+def test_an_arm_that_does_not_come_everywhere_is_set_up_anew() -> None:
+    rng = np.random.default_rng([993, 0, 103])
+    rig, schedule = draw_rig(draw_schedule(PROTOCOLS[int(rng.integers(2))], rng), rng)
+    assert schedule.joint_rad is not None
+    np.testing.assert_allclose(flange_pose(rig.motion, schedule.joint_rad)[1], schedule.displacement_m)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

@@ -20,7 +20,7 @@ ALONG_X_M = {
     "UR3e": (0.0, -0.24355, -0.2132, 0.0, 0.0, 0.0),
 }
 ABOUT_X_RAD = (np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, -np.pi / 2.0, 0.0)
-NEWTON_STEPS = 12
+NEWTON_STEPS, LONGEST_STEP_RAD = 25, 0.2  # without a limit some poses are overshot and never met
 
 
 def flange_pose(robot: str, joint_rad: Array) -> tuple[Array, Array]:
@@ -46,7 +46,9 @@ def joints_reaching(robot: str, rotation: Array, place_m: Array, near_rad: Array
         axes = np.stack([one.apply([0.0, 0.0, 1.0]) for one in turn[:-1]], axis=2)
         arms_m = np.stack([at_m[-1] - one for one in at_m[:-1]], axis=2)
         jacobian = np.concatenate([np.cross(axes, arms_m, axis=1), axes], axis=1)
-        joint_rad = joint_rad + np.linalg.solve(jacobian, missing[:, :, None])[:, :, 0]
+        step_rad = np.linalg.solve(jacobian, missing[:, :, None])[:, :, 0]
+        longest_rad = np.abs(step_rad).max(axis=1, keepdims=True)
+        joint_rad = joint_rad + step_rad * np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(longest_rad, 1e-12))
     if not np.abs(missing).max() < 1e-9:
         raise ValueError(f"{robot} does not reach a pose: {np.abs(missing).max():.2g} m or rad are left")
     return joint_rad

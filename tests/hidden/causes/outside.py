@@ -1,4 +1,4 @@
-"""Flaws that no library of causes lists: a diagnosis should say that something is left which it cannot explain."""
+"""Flaws outside the library of the first study: there a diagnosis should say that something is left which it cannot explain."""
 
 from __future__ import annotations
 
@@ -92,13 +92,11 @@ def magnetised_link(scene: Scene, size: float, rng: np.random.Generator) -> tupl
     offset_m = np.array([*beside_m, behind_m])
 
     def field(now: Scene, points_m: Array) -> Array:
-        place_m, moment = now.coil_rotation @ offset_m, np.broadcast_to(moment_A_m2, points_m.shape)
+        offset, moment = now.coil_rotation @ offset_m, np.broadcast_to(moment_A_m2, points_m.shape)
         if now.turn is not None:  # a part of the arm turns with it
-            place_m, moment = (
-                now.from_coil_axes(np.broadcast_to(offset_m, points_m.shape)),
-                now.from_coil_axes(moment),
-            )
-        return dipole_field(points_m - now.coil_origin_m() - place_m, moment)
+            offset = now.from_coil_axes(np.broadcast_to(offset_m, points_m.shape))
+            moment = now.from_coil_axes(moment)
+        return dipole_field(points_m - (now.coil_origin_m() + offset), moment)
 
     known = (*vector("moment", moment_A_m2, "A m2"), *vector("offset_from_coil", offset_m, "m"))
     return with_source(scene, field), Truth("arm1", known)
