@@ -62,6 +62,8 @@ WHOLE = (
             "diagnosis/test_evidence",
             "diagnosis/test_posterior",
             "diagnosis/test_report",
+            "diagnosis/test_geometry_of_mistakes",
+            "diagnosis/test_stated",
             "diagnosis/test_verdict",
             "diagnosis/test_widening",
             "inference/test_ensemble",
