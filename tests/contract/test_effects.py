@@ -172,6 +172,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     assert set(EFFECTS) == set(stable.split())
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "name",
     [

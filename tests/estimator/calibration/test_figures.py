@@ -11,6 +11,8 @@ import pytest
 from estimator.calibration.figures import pictures
 from estimator.calibration.result import Calibration
 
+pytestmark = pytest.mark.whole
+
 
 def titled(calibration: Calibration) -> dict:
     return {picture.title: picture.figure for picture in pictures(calibration)}

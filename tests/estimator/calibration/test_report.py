@@ -14,6 +14,8 @@ import torch
 from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
 
+pytestmark = pytest.mark.whole
+
 
 @pytest.fixture(scope="module")
 def text(small_calibration: Calibration) -> str:

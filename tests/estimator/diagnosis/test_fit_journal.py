@@ -16,6 +16,8 @@ from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 OFFSET = Cause("sensor_offset", "hall")
 
 

@@ -25,6 +25,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
 
+pytestmark = pytest.mark.whole
+
 OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4
 RADIUS = "coil1.radius_m"

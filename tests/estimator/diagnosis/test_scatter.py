@@ -12,6 +12,8 @@ from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 SPHERICAL = Cause("spherical_sum", "coil1")
 
 

@@ -21,6 +21,8 @@ from estimator.readings.plan import Plan
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 
+pytestmark = pytest.mark.whole
+
 COIL = """
     radius_mm: {prior: {normal: {mean: 51, sd: 1}}}
     wire_radius_mm: 0.49

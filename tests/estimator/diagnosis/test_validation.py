@@ -22,6 +22,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 NOISE_T = 5e-6
 GAIN = Cause("axis_gain", "hall")
 OFFSET = Cause("sensor_offset", "hall")

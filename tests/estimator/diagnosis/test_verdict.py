@@ -30,6 +30,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 OFFSET, GAIN, TILT = Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("mount_tilt", "coil1")
 CLEAR = 1000.0  # in log evidence: beyond every threshold
 

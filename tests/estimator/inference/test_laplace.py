@@ -13,6 +13,8 @@ from estimator.inference.laplace import covariance, log_evidence, open_direction
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.rig.coordinates import Coordinates
 
+pytestmark = pytest.mark.whole
+
 
 def at_start(coordinates: Coordinates, information: torch.Tensor) -> Optimum:
     """A fit with a given information of the data."""

@@ -14,6 +14,8 @@ from estimator.rig.parameters import Prior
 from scripts.paper.solvers import Problem as SolverProblem
 from scripts.paper.tables import TRUTH
 
+pytestmark = pytest.mark.whole
+
 
 def gradient(posterior: LogPosterior, vector: Tensor) -> Tensor:
     """By central differences, in units of the prior."""

@@ -13,6 +13,8 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
+pytestmark = pytest.mark.whole
+
 
 def followed(rig: Rig, observations: Observations, n_each: int) -> RunningFit:
     running = RunningFit(rig)

@@ -18,6 +18,8 @@ from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 
+pytestmark = pytest.mark.whole
+
 HEAD = "schema_version: 1\nname: rig\n"
 WINDING = """
     radius_mm: {prior: {normal: {mean: 51, sd: 1}}}

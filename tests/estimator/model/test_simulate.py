@@ -14,6 +14,8 @@ from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
+pytestmark = pytest.mark.whole
+
 MU0 = 1.25663706212e-6
 
 

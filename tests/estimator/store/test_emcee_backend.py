@@ -23,6 +23,8 @@ import estimator
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.store.emcee_backend import ZarrBackend
 
+pytestmark = pytest.mark.whole
+
 N_WALKERS, N_COORDINATES, CHECKPOINT_STEPS = 8, 2, 4
 FINGERPRINT = "session A, rig A, seed 3"
 

@@ -26,6 +26,8 @@ from tests.physics.effects.laboratory import (
     winding,
 )
 
+pytestmark = pytest.mark.whole
+
 # A coil that is carried with the sensor, so that the whole laboratory may lie anywhere.
 FAR = """
 schema_version: 1

@@ -15,6 +15,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 GAIN, OFFSET = Cause("axis_gain", "hall"), Cause("sensor_offset", "hall")
 
 

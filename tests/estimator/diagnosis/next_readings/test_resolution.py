@@ -30,6 +30,8 @@ from tests.estimator.diagnosis.paper_grid import (
     visit,
 )
 
+pytestmark = pytest.mark.whole
+
 # Cause: unit of the numbers, smallest and largest of its quantities in docs/physics.md.
 SIZES = {
     "background_field": (1e-6, 12.0, 21.0),

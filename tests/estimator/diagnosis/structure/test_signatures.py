@@ -5,6 +5,8 @@ import pytest
 from estimator.diagnosis.structure.signatures import leading, signatures, words
 from tests.estimator.diagnosis.sessions import plain_fit
 
+pytestmark = pytest.mark.whole
+
 Hidden = tuple[tuple[str, float], ...]
 
 

@@ -13,6 +13,8 @@ from estimator.reporting.plots import corner
 from estimator.reporting.plots.corner import _credible_set_colours
 from estimator.reporting.plots.style import INSIDE_68, INSIDE_95, OUTSIDE, TRUTH
 
+pytestmark = pytest.mark.whole
+
 
 @pytest.fixture
 def draws() -> dict[str, np.ndarray]:
