@@ -1,0 +1,94 @@
+"""A diagnosis that is killed or stopped goes on with the same command; one that is stopped reports the best it has."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimator.diagnosis.fit_journal import FITS
+from tests.estimator.cli.conftest import Run
+
+pytestmark = pytest.mark.whole
+ROOT = Path(__file__).parents[3]
+PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
+PATIENCE_S = 300.0
+
+
+@pytest.fixture(scope="module")
+def session(workspace: Path, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("flawed") / "session.zarr"
+    plan = ["simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--seed", 1]
+    hidden = ["--set", "coil1.axial_loops=13", "--hide", "sensor_offset.x_T=3e-5"]
+    assert run(*plan, *hidden, "--out", path).exit_code == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(session: Path) -> dict[str, Any]:
+    out = session.parent / "undisturbed"
+    _, errors = start(session, out).communicate(timeout=PATIENCE_S)
+    assert "continuing" not in errors
+    return diagnosed(out)
+
+
+def start(session: Path, out: Path) -> subprocess.Popen[str]:
+    call = [*PROGRAM, "diagnose", str(session), "--out", str(out), "--seed", "2", "--no-posterior"]
+    return subprocess.Popen(call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def diagnosed(out: Path) -> dict[str, Any]:
+    return json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+
+
+def await_fits(running: subprocess.Popen[str], out: Path, n: int) -> None:
+    """Wait until so many fits are kept."""
+    fits = out.with_name(f".{out.name}.unfinished") / FITS
+    while not fits.exists() or len(fits.read_bytes().splitlines()) < n:
+        assert running.poll() is None
+        time.sleep(0.005)
+
+
+def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbed: dict[str, Any]) -> None:
+    out = session.parent / "killed"
+    running = start(session, out)
+    await_fits(running, out, 3)
+    running.kill()
+    running.communicate()
+    assert not out.exists()
+    again = start(session, out)
+    _, errors = again.communicate(timeout=PATIENCE_S)
+    assert again.returncode == 0
+    assert "coilcal: continuing: " in errors
+    assert diagnosed(out) == undisturbed
+    assert sorted(path.name for path in out.iterdir()) == [
+        "diagnosis.json",
+        "report.html",
+        "rig_extended.yaml",
+    ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
+    session: Path, undisturbed: dict[str, Any], number: signal.Signals
+) -> None:
+    out = session.parent / number.name
+    running = start(session, out)
+    await_fits(running, out, 1)
+    running.send_signal(number)
+    words, errors = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0
+    assert "the report of the best so far follows" in errors
+    assert "the search ended early: it was stopped; the same command goes on" in words
+    assert diagnosed(out)["ended_early"] == "it was stopped"
+    assert "The search ended early" in (out / "report.html").read_text(encoding="utf-8")
+    again = start(session, out)
+    again.communicate(timeout=PATIENCE_S)
+    assert again.returncode == 0
+    assert diagnosed(out) == undisturbed
