@@ -211,6 +211,10 @@ WINDING_DEGREE = 2
 PRIOR_OUTSIDE = 0.3
 """Share of what goes wrong that is in no list. By judgement; the study of the open world has it so. Study: not tried yet."""
 
+MOST_NOT_IN_LIBRARY = 0.5
+"""Probability that a cause is something else, which no list holds, up to which it is named. By definition: beyond, the latter is more
+probable. Study: not tried yet."""
+
 RELATIVE_SHARES = (0.1, 0.3, 1.0)
 """Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. Factors of three, down to where
 the two are hardly different. Study: not tried yet."""

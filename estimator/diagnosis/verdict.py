@@ -80,9 +80,14 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
-    if _idealise_the_same(named):
+    if _idealise_the_same(named) or any(only_resembles(cause) for cause in named):
         return Verdict.UNEXPLAINED
     return Verdict.INDISTINGUISHABLE if any(cause.alternatives for cause in named) else Verdict.NAMED
+
+
+def only_resembles(named: NamedCause) -> bool:
+    """Whether a cause is rather something that no list holds."""
+    return named.p_not_in_library > policy.MOST_NOT_IN_LIBRARY
 
 
 def _idealise_the_same(named: list[NamedCause]) -> bool:
@@ -126,7 +131,8 @@ def _expected(truth: Hypothesis, hypothesis: Hypothesis) -> float | None:
 def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
     """The causes that keep their evidence beside the strongest flexible curves of the first and of the last fit.
 
-    A cause that is larger than its source allows, or explains less than is left, stands in for something else. Of the others a few are
+    A cause stands in for something else if it is larger than its source allows, explains less than is left, or is rather in no list. Of the
+    others a few are
     each judged by a fit without it, many to first order about the last fit.
     """
     final = search.final
@@ -134,7 +140,9 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     named = [
         cause
         for cause in named
-        if is_plausible(final, cause.cause) and final.log_evidence_for(cause.cause) > left
+        if not only_resembles(cause)
+        and is_plausible(final, cause.cause)
+        and final.log_evidence_for(cause.cause) > left
     ]
     of_base = search.base_discrepancy.weighed(final.weight_over(search.base))
     columns = torch.cat((of_base.columns, search.steps[-1].discrepancy.columns), dim=1)
