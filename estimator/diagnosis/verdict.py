@@ -132,8 +132,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     """The causes that keep their evidence beside the strongest flexible curves of the first and of the last fit.
 
     A cause stands in for something else if it is larger than its source allows, explains less than is left, or is rather in no list. Of the
-    others a few are
-    each judged by a fit without it, many to first order about the last fit.
+    others a few are each judged by a fit without it, many to first order about the last fit.
     """
     final = search.final
     left = search.steps[-1].discrepancy.log_bayes_factor
