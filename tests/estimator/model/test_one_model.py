@@ -90,6 +90,7 @@ CAUSES = [
     for place in effect.places(rig_from_text(TEXT.format(sensors=SENSORS)))[:1]
     if "probe" not in place
     and name != "coil_heating"  # a prediction is of cold coils, a session has warmed them
+    and name != "sensors_exchanged"  # a prediction is of points, not of sensors
 ]
 NOT_AT_THE_FIRST_MOMENT = {
     "background_drift",

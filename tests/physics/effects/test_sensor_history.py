@@ -48,7 +48,7 @@ def test_lag_is_a_filter_that_begins_each_dwell_with_what_was_recorded_last():
 
 def test_lag_of_a_simulated_session_goes_on_from_reading_to_reading_in_the_order_of_time():
     order = np.array([3, 0, 6, 1, 5, 2, 4])
-    blank = READINGS.with_field(torch.full((N, 3), torch.nan, dtype=torch.float64)).rows(order).alone
+    blank = READINGS.with_field(torch.full((N, 3), torch.nan, dtype=torch.float64)).rows(torch.as_tensor(order)).alone
     shown_T = [FIELD_T[0]]
     for i in range(1, N):
         shown_T.append(settled_T(shown_T[-1], FIELD_T[i], TIME_S[i] - TIME_S[i - 1]))
@@ -76,7 +76,7 @@ def test_lag_knows_the_reading_before_a_chosen_one():
 def test_lag_needs_readings_one_after_another():
     effect, rig = EFFECTS["sensor_lag"], rig_from_text(RIG)
     assert effect.concerns(Circumstances(rig, READINGS), "probe")
-    assert not effect.concerns(Circumstances(rig, READINGS.rows(slice(0, 1)).alone), "probe")
+    assert not effect.concerns(Circumstances(rig, READINGS.rows(torch.tensor([0])).alone), "probe")
 
 
 @pytest.mark.parametrize("tau_share", [0.05, 0.3, 2.0])
