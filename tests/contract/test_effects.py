@@ -103,6 +103,7 @@ def test_null_is_identity(rig, observations, name, place):
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
 def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, name, place):
     model, values = model_with(rig, observations, Cause(name, place))

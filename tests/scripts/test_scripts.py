@@ -38,6 +38,7 @@ def run(name: str, *arguments: str) -> None:
         runpy.run_module(f"scripts.{name}", run_name="__main__")
 
 
+@pytest.mark.whole
 def test_recalibrate_judges_what_lies_in_the_inbox(
     small_session: Session,
     rig_text: str,

@@ -18,6 +18,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 
+pytestmark = pytest.mark.whole
 ON = {"coil1": 3.0}
 NONE = torch.zeros(0, dtype=torch.float64)
 NO_READINGS = Observations(

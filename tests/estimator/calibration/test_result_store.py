@@ -16,6 +16,8 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput
 
+pytestmark = pytest.mark.whole
+
 ON = {"coil1": 3.0}
 
 

@@ -17,6 +17,8 @@ from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
 
+pytestmark = pytest.mark.whole
+
 CAUSES = (
     Cause("axis_gain", "hall"),
     Cause("background_field", "room"),

@@ -17,6 +17,8 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 
+pytestmark = pytest.mark.whole
+
 RIG = """
 schema_version: 1
 name: a free winding, a fixed one, and iron

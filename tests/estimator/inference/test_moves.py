@@ -21,6 +21,8 @@ from estimator.inference.moves import (
     independence_move,
 )
 
+pytestmark = pytest.mark.whole
+
 COUNTS = np.array([[5.0, 4.0], [6.0, 4.0], [8.0, 3.0]])
 WEIGHT = np.array([0.2, 0.5, 0.3])
 MEAN = np.array([[0.0, 1.0], [0.5, 0.8], [-1.0, 2.0]])

@@ -23,6 +23,8 @@ from estimator.inference.nelder_mead import (
     step,
 )
 
+pytestmark = pytest.mark.whole
+
 
 # These functions use operators only, so that SciPy evaluates them on NumPy arrays with the same arithmetic.
 def rosenbrock(x):

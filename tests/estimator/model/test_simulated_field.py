@@ -19,6 +19,8 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 
+pytestmark = pytest.mark.whole
+
 REFERENCE_K = 295.15
 HOME = ((0.3, 0.1, 0.2), (0.4, 2.0, -0.3))
 BASE_FRAME = """\

@@ -14,6 +14,8 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 
+pytestmark = pytest.mark.whole
+
 CONFIGS = Path(__file__).parents[3] / "configs"
 RIG_FILES = sorted(path.name for path in CONFIGS.glob("*.yaml"))
 MU0 = 4e-7 * math.pi

@@ -48,7 +48,11 @@ def test_lag_is_a_filter_that_begins_each_dwell_with_what_was_recorded_last():
 
 def test_lag_of_a_simulated_session_goes_on_from_reading_to_reading_in_the_order_of_time():
     order = np.array([3, 0, 6, 1, 5, 2, 4])
-    blank = READINGS.with_field(torch.full((N, 3), torch.nan, dtype=torch.float64)).rows(torch.as_tensor(order)).alone
+    blank = (
+        READINGS.with_field(torch.full((N, 3), torch.nan, dtype=torch.float64))
+        .rows(torch.as_tensor(order))
+        .alone
+    )
     shown_T = [FIELD_T[0]]
     for i in range(1, N):
         shown_T.append(settled_T(shown_T[-1], FIELD_T[i], TIME_S[i] - TIME_S[i - 1]))

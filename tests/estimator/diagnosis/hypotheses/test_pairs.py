@@ -17,6 +17,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 
+pytestmark = pytest.mark.whole
+
 ASKED = [Cause("axis_gain", "hall"), Cause("sensor_offset", "hall"), Cause("cross_axis", "hall")]
 
 

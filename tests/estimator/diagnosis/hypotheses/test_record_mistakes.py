@@ -15,6 +15,8 @@ from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
+pytestmark = pytest.mark.whole
+
 
 def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
     fit = fit_of(small_rig, small_session.observations.calibration)
