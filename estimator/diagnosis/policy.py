@@ -215,9 +215,9 @@ MOST_NOT_IN_LIBRARY = 0.5
 """Probability that a cause is something else, which no list holds, up to which it is named. By definition: beyond, the latter is more
 probable. Study: not tried yet."""
 
-RELATIVE_SHARES = (0.1, 0.3, 1.0)
-"""Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. Factors of three, down to where
-the two are hardly different. Study: not tried yet."""
+RELATIVE_SHARES = (0.3, 1.0)
+"""Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. By judgement: what differs by less
+is hardly another cause, and what differs by more no relative. Study: not tried yet."""
 
 # Verdict
 

@@ -64,6 +64,7 @@ HIDDEN = {
     "proportional_noise.share": 0.006,
     "peak_to_peak_current.factor": 2.0,
 }
+QUICK = ("field_gradient.vertical_T_per_m", "arm_sag.curvature_per_m", "proportional_noise.share")
 MAKES_FIELD = ("dead_band", "swollen_wire", "iron_beside", "field_gradient")
 
 
@@ -89,7 +90,9 @@ def registered() -> Iterator[None]:
 
 @pytest.mark.whole
 @pytest.mark.usefixtures("registered")
-@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize(
+    "hidden", [pytest.param(key, marks=() if key in QUICK else pytest.mark.slow) for key in HIDDEN]
+)
 def test_an_outside_cause_is_hidden_and_named(files: Path, hidden: str) -> None:
     rig = load_rig(files / "rig.yaml")
     readings = simulate(

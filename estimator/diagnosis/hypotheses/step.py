@@ -109,7 +109,8 @@ def take_step(
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     least = least_log_evidence(len(ranked))
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
-    of_noise = noise_causes(fit, highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0)
+    beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
+    of_noise = noise_causes(fit, math.inf if limits.is_over else beside)
     hypotheses += [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in of_noise]
     hypotheses = with_probabilities(
         [_cross_validated(fit, hypothesis, block) for hypothesis in hypotheses], len(ranked)

@@ -144,7 +144,7 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
     monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)  # each is not asked again
     told: list[str] = []
-    result = search(base, told.append)
+    result = search(base, told.append, Limits())
     assert set(result.final.rig.effects) == WITH_IT
     assert [step.taken for step in result.steps[:-1]] == list(result.final.rig.effects)
     assert [set(addition.causes) for addition in result.additions] == [WITH_IT]
