@@ -16,6 +16,7 @@ from tests.hidden.pierced_sheet import pierced_T
 READINGS, CURRENT_A = 160, 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [41])
 def test_plate_is_named_and_its_place_and_opening_are_found(tmp_path, seed):
     rng = np.random.default_rng(seed)

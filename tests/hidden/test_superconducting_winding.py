@@ -30,6 +30,7 @@ coils:
 READINGS, CURRENTS_A = 100, (30.0, 30.0, 15.0, -15.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [57])
 def test_flux_that_the_idle_coil_holds_and_screens_is_named_and_measured(tmp_path, seed):
     rng = np.random.default_rng(seed)

@@ -49,6 +49,7 @@ def contents(result: BatchResult) -> dict[str, bytes]:
     return {str(path.relative_to(result.folder)): path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_nothing(
     sessions: list[Path], tmp_path: Path
 ) -> None:

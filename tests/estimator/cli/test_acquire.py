@@ -208,6 +208,7 @@ def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only
     assert "must go on with the plan and seed that it began with" in result.stderr
 
 
+@pytest.mark.slow
 def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     run: Run, folder: Path, tmp_path: Path
 ) -> None:

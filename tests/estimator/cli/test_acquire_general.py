@@ -86,6 +86,7 @@ def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(run: 
     assert float(difference_T.abs().max()) < 5 * 5e-6  # an average of ten has a third of this noise
 
 
+@pytest.mark.slow
 def test_a_plan_that_design_wrote_is_carried_out(run: Run, workspace: Path, tmp_path: Path) -> None:
     plan_path, out, rig_path = tmp_path / "more.yaml", tmp_path / "more.zarr", tmp_path / "rig.yaml"
     rig_path.write_bytes((workspace / "rig.yaml").read_bytes())

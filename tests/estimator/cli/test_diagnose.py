@@ -96,7 +96,11 @@ def test_hidden_offset_is_found_with_its_twin(record: dict[str, Any]):
     assert {"name", "place", "probability", "alternatives", "parameters"} <= set(cause)
     names = {cause["name"], *(other["name"] for other in cause["alternatives"])}
     assert {"background_field", "sensor_offset"} <= names
-    everything = cause["probability"] + sum(other["probability"] for other in cause["alternatives"])
+    everything = (
+        cause["probability"]
+        + cause["p_not_in_library"]
+        + sum(other["probability"] for other in cause["alternatives"])
+    )
     assert everything == pytest.approx(1.0, abs=1e-6)
     size = cause["parameters"]["y_T"]
     assert set(size) == {"median", "sd", "ci90", "unit"}

@@ -74,7 +74,7 @@ def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbe
     ]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
     session: Path, undisturbed: dict[str, Any], number: signal.Signals
 ) -> None:

@@ -111,6 +111,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
 
 
+@pytest.mark.slow
 def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     run: Run, tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
 ) -> None:

@@ -98,6 +98,7 @@ def assert_named(diagnosis: Diagnosis, cause: Cause, twins: set[str]) -> None:
             },
             set(),
             id="zeros",
+            marks=pytest.mark.slow,
         ),
         pytest.param(FIXED_NOISE, {"noise_misstated[hall].factor": 1.6}, set(), id="noise"),
     ],

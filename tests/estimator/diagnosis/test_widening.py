@@ -27,6 +27,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
     return fit_of(small_rig, small_session.observations)
 
 
+@pytest.mark.slow
 def test_blocks_know_of_curves_that_the_noise_does_not(fit):
     """Over many draws of curve and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
     curves = [f for f in families(fit) if f.name == "position relative to coil1, with its current"]

@@ -68,6 +68,7 @@ def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_sess
         assert "after 25 readings failed: AttributeError: " in background.trouble  # by another process
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_session: Session) -> None:
     with Background(seed=1) as background:
         (process,) = multiprocessing.active_children()

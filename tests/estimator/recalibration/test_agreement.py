@@ -96,4 +96,6 @@ def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
     outcome = asked(small_calibration, small_rig, readings)
     assert not outcome.holds
     assert not outcome.is_refit_enough
-    assert outcome.striking_cause in ("background_field[room]", "sensor_offset[hall]")
+    # A sensor that was exchanged at the very beginning has another zero: the same column but for a few readings.
+    constant = ("background_field[room]", "sensor_offset[hall]", "sensor_exchanged[hall]")
+    assert outcome.striking_cause in constant
