@@ -35,7 +35,8 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """The fit with one effect at two or more new places; None where a cause at one place does better.
 
     The effect is that with the highest evidence in the linear model, over the best set of its places. After the fit, the evidence for each
-    place beside the others must suffice as if it had been tested alone; the other places are left to later steps.
+    place beside the others must suffice as if it had been tested alone; the other places are left to later steps. What sets in at an
+    instant is an event, and happens at one place.
 
     Args:
         fit: With the causes taken so far.
@@ -51,8 +52,10 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     starts_by_name = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
         for name, n in n_places.items()
-        if n >= policy.FEWEST_PLACES
+        if n >= policy.FEWEST_PLACES and not _is_event(name, fit)
     ]
+    if not starts_by_name:
+        return None
     evidence, best_starts = max((joint_evidence(fit, starts) for starts in starts_by_name), key=itemgetter(0))
     if evidence <= least:
         return None
@@ -60,6 +63,12 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     n_new = len(wider.rig.effects) - len(fit.rig.effects)
     is_better = wider.log_evidence - fit.log_evidence > least
     return wider if n_new >= policy.FEWEST_PLACES and is_better else None
+
+
+def _is_event(name: str, fit: Fit) -> bool:
+    """Whether an effect sets in at an instant, or has another shape that no fit moves."""
+    extent = fit.posterior.model.circumstances.extent
+    return any(quantity.is_fixed for quantity in EFFECTS[name].quantities(extent))
 
 
 def joint_evidence(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[Candidate]]:
