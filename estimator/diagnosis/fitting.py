@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.func import jacfwd, jacrev
 
+from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fit_journal import current_journal, key_of
 from estimator.diagnosis.linear import FreeNoise, Projector
@@ -99,7 +99,7 @@ class Fit:
                 self.posterior.measured_T - self.posterior.predicted(self.vector)
             ) * self.whitening_per_T
         free = ~self._is_at_bound
-        gradient = self.jacobian.T @ residual + jacrev(self.posterior.coordinates.log_prior)(self.vector)
+        gradient = self.jacobian.T @ residual + jacobian_of(self.posterior.coordinates.log_prior, self.vector)
         step = solve(self.optimum.precision[0][free][:, free], gradient[free])
         after_step: Tensor = residual - self.jacobian[:, free] @ step
         return after_step
@@ -155,7 +155,7 @@ class Fit:
     def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
         """Gradient of every number of the rig in the coordinates."""
         values = self.posterior.coordinates.values
-        gradients: Tensor = jacfwd(lambda vector: torch.stack(list(values(vector).values())))(self.vector)
+        gradients = jacobian_of(lambda vector: torch.stack(list(values(vector).values())), self.vector)
         return dict(zip(self.values, gradients, strict=True))
 
     def log_evidence_for(

@@ -87,7 +87,7 @@ def log_bayes_factor(
     score: Float[Tensor, "*batch column"],
     prior_sd: Float[Tensor, "*batch column"],
     noise: FreeNoise | None = None,
-    started: float = 0.0,
+    started: Float[Tensor, "*batch"] | float = 0.0,
 ) -> Float[Tensor, "*batch"]:
     """Log Bayes factor of columns with normal priors about zero, against none.
 
@@ -117,10 +117,11 @@ def log_bayes_factor(
     relieved = 0.5 * noise.tension / most * (square / (1.0 + size)).sum(-1)
     square = square * noise.n / most
     # Profile over the logarithm of the noise: at smaller noise the columns weigh more, and so does their Occam factor.
+    rise = torch.as_tensor(started, dtype=torch.float64)[..., None]
     shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
     grown = torch.exp(-2.0 * shrink)
     size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
-    explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started * grown
+    explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + rise * grown
     density = explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
     fitted: Tensor = density.max(-1).values + relieved
     return fitted

@@ -160,9 +160,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
             final.posterior.model.rules,
         )
         with_curves = _with_columns(without, columns)
-        evidence = max(
-            (linear_evidence(with_curves, c) for c in candidates(without, [cause.cause])), default=-math.inf
-        )
+        evidence = max(linear_evidence(with_curves, candidates(without, [cause.cause])), default=-math.inf)
         if evidence > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES:
             still_named.append(cause)
     return still_named

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy
@@ -88,7 +88,7 @@ class Widening:
         def transformed(vector: Tensor) -> Tensor:
             return coordinates.vector({name: own_coordinates.values(vector)[name] for name in names})
 
-        jacobian: Tensor = jacfwd(transformed)(self.fit.vector)
+        jacobian = jacobian_of(transformed, self.fit.vector)
         covariance = jacobian @ self.covariance @ jacobian.T
         n = coordinates.n_continuous
         cross = covariance[:n, n:]

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
+
+from estimator.derivatives import value_and_jacobian
 
 
 def first_order_field(
@@ -28,22 +29,22 @@ def first_order_field(
 
     Examples:
         >>> points = torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64)
+        >>> from estimator.derivatives import jacobian_of
         >>> radius_m = torch.tensor(0.05, dtype=torch.float64)
         >>> def dipole(points_m, numbers):
         ...     return numbers[0] ** 2 * points_m / points_m.norm(dim=-1, keepdim=True) ** 3
-        >>> jacobian = jacfwd(lambda radius_m: first_order_field(dipole, points, [radius_m]))(radius_m)
-        >>> bool(torch.allclose(jacobian, jacfwd(lambda radius_m: dipole(points, [radius_m]))(radius_m)))
+        >>> jacobian = jacobian_of(lambda r: first_order_field(dipole, points, [r[0]]), radius_m[None])[..., 0]
+        >>> bool(torch.allclose(jacobian, jacobian_of(lambda r: dipole(points, [r[0]]), radius_m[None])[..., 0]))
         True
     """
     fixed_points_m, fixed_numbers = points_coil_m.detach(), [number.detach() for number in numbers]
 
-    def field_at_step(step: Tensor) -> tuple[Tensor, Tensor]:
+    def field_at_step(step: Tensor) -> Tensor:
         moved_numbers = [number + delta for number, delta in zip(fixed_numbers, step[3:], strict=True)]
-        moved_field = field(fixed_points_m + step[:3], moved_numbers)
-        return moved_field, moved_field
+        return field(fixed_points_m + step[:3], moved_numbers)
 
     no_step = torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype)
-    jacobian, value = jacfwd(field_at_step, has_aux=True)(no_step)
+    value, jacobian = value_and_jacobian(field_at_step, no_step)
     # Each difference below is zero and carries the derivative.
     total: Tensor = value + (jacobian[..., :3] @ (points_coil_m - fixed_points_m)[..., None])[..., 0]
     for i, (number, fixed_number) in enumerate(zip(numbers, fixed_numbers, strict=True)):

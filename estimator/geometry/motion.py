@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.frames import Transform, rotation_from_vector, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
 from estimator.readings.observations import Observations
@@ -91,7 +91,7 @@ def _joints_reaching(
 
     joints_rad = near
     for _ in range(NEWTON_STEPS):
-        jacobian = jacfwd(pose_error)(joints_rad)
+        jacobian = jacobian_of(pose_error, joints_rad)
         joints_rad = joints_rad - torch.linalg.lstsq(jacobian, pose_error(joints_rad)).solution
     return joints_rad
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import value_and_jacobian
 from estimator.inference.likelihood import LogPosterior
 from estimator.rig.coordinates import Coordinates
 
@@ -144,11 +144,10 @@ def _gradient_and_precision(
     posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gradient of the log posterior, the data's part of its negative Hessian, and the whole of it."""
-    sigma_T = posterior.component_sigma_T(vector)
-    whitened = (posterior.measured_T - posterior.predicted(vector)) / sigma_T
+    predicted_T, sigma_T, jacobian_T, log_sigma_jacobian = posterior.to_first_order(vector)
+    whitened = (posterior.measured_T - predicted_T) / sigma_T
     weight = posterior.weight(whitened, vector)
-    jacobian = posterior.jacobian(vector) / sigma_T[..., None]
-    log_sigma_jacobian = posterior.log_sigma_jacobian(vector)
+    jacobian = jacobian_T / sigma_T[..., None]
     chi2 = weight * whitened**2
     gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
     gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]
@@ -195,7 +194,7 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
         return torch.stack([values[name] for name in coordinates.names])
 
     lower, upper = coordinates.bounds()
-    values, jacobian = free_values(vector[:n]), jacfwd(free_values)(vector[:n])
+    values, jacobian = value_and_jacobian(free_values, vector[:n])
     is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), values.clone()
     bounded_step = step
     # Bounds are curved in these coordinates: solve to first order, then correct with the exact values.

@@ -6,26 +6,28 @@ import math
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
-from torch.func import jacfwd
 
-from estimator.effects.base import Effect
-from estimator.effects.stages import (
-    ElementEffect,
-    MotionEffect,
-    MountEffect,
-    NoiseEffect,
-    RecordEffect,
-    WindingEffect,
-)
+from estimator.derivatives import value_and_jacobian
+from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import Use, uses_of
 from estimator.field.node_sum import SumMode
 from estimator.model.measurement_model import MeasurementModel, NominalPrediction
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
+
+
+class FirstOrder(NamedTuple):
+    """Predicted components with their noise, in tesla, and the derivatives of both in the continuous coordinates."""
+
+    predicted_T: Float[Tensor, "*batch component"]
+    sigma_T: Float[Tensor, "*batch component"]
+    jacobian_T: Float[Tensor, "*batch component continuous"]
+    log_sigma_jacobian: Float[Tensor, "*batch component continuous"]
 
 
 class LogPosterior:
@@ -78,75 +80,28 @@ class LogPosterior:
     def jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:
-        """Jacobian of the predictions in every continuous coordinate.
+        """Jacobian of the predictions in every continuous coordinate."""
+        return self.to_first_order(vector).jacobian_T
 
-        All rows of a batch take the same step, so that one forward pass serves all. Coordinates that do not move the field, such as a gain
-        or a noise, are differentiated apart from those that do; otherwise their derivatives would be carried through the field.
+    def to_first_order(self, vector: Float[Tensor, "*batch coordinate"]) -> FirstOrder:
+        """Predictions, noise, and how both change with every continuous coordinate.
+
+        All rows of a batch take the same step, so that one pass serves all.
         """
-        total = self._zero_jacobian(vector)
-        for is_dear in (True, False):
-            columns = self._columns(is_dear)
-            if len(columns):
-                total[..., columns] = self._jacobian_along(vector, columns, is_dear)
-        return total
-
-    def log_sigma_jacobian(
-        self, vector: Float[Tensor, "*batch coordinate"]
-    ) -> Float[Tensor, "*batch component continuous"]:
-        """Jacobian of the logarithm of every component's noise in every continuous coordinate."""
-        total, columns = self._zero_jacobian(vector), self._columns(is_dear=False)
+        n, batch = self.coordinates.n_continuous, vector.shape[:-1]
 
         def moved(step: Tensor) -> Tensor:
-            return torch.log(
-                self.component_sigma_T(vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1)))
-            )
+            there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
+            values = self.coordinates.values(there)
+            predicted_T = self._for_jacobian._predicted_at(values, batch)
+            return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
-        if len(columns):
-            total[..., columns] = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
-        return total
-
-    def _jacobian_along(self, vector: Tensor, columns: Tensor, is_dear: bool) -> Tensor:
-        """Jacobian of the predictions in some coordinates, with all numbers of the other kind held fixed."""
-
-        def moved(step: Tensor) -> Tensor:
-            there = vector.index_add(-1, columns, step.expand(*vector.shape[:-1], -1))
-            values = {
-                name: value if self._is_dear(name) == is_dear else value.detach()
-                for name, value in self.coordinates.values(there).items()
-            }
-            return self._for_jacobian._predicted_at(values, vector.shape[:-1])
-
-        jacobian: Tensor = jacfwd(moved)(torch.zeros(len(columns), dtype=vector.dtype))
-        return jacobian
-
-    def _zero_jacobian(self, vector: Tensor) -> Tensor:
-        return torch.zeros(
-            *vector.shape[:-1], len(self._flat), self.coordinates.n_continuous, dtype=vector.dtype
-        )
-
-    def _columns(self, is_dear: bool) -> Int[Tensor, " column"]:
-        """Which coordinates move the field, or which do not; whole numbers are left out."""
-        names = self.coordinates.names[: self.coordinates.n_continuous]
-        return torch.tensor(
-            [i for i, name in enumerate(names) if self._is_dear(name) == is_dear], dtype=torch.int64
-        )
+        (predicted_T, log_sigma), jacobian = value_and_jacobian(moved, torch.zeros(n, dtype=vector.dtype))
+        return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
         return self.measured_components(self.model.predict(values)).expand(*batch, len(self._flat))
-
-    def _is_dear(self, name: str) -> bool:
-        """Whether a number changes where a winding's field is taken, or the winding; one that is tied counts as the one it follows."""
-        while (tie := self.model.rig.parameters[name].tie) is not None:
-            name = tie.to
-        return not (name.endswith((".noise_T", ".gain", ".current_gain")) or name.startswith(self._cheap))
-
-    @cached_property
-    def _cheap(self) -> tuple[str, ...]:
-        """Prefixes of the numbers of effects that act on the field, the current or the reading."""
-        geometry = (MotionEffect, MountEffect, ElementEffect, WindingEffect)
-        uses = uses_of(self.model.rig, Effect)
-        return tuple(f"{use.label}." for use in uses if not isinstance(use.effect, geometry))
 
     @cached_property
     def _for_jacobian(self) -> LogPosterior:
@@ -157,16 +112,20 @@ class LogPosterior:
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""
-        values = self.coordinates.values(vector)
+        return self._sigma_T(self.coordinates.values(vector), vector.shape[:-1])
+
+    def _sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
         noises = (values[f"{sensor.name}.noise_T"] for sensor in self.model.rig.sensors)
-        return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
+        return torch.stack([noise.expand(batch) for noise in noises], dim=-1)
 
     def component_sigma_T(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component"]:
         """Standard deviation of every measured component: noise of its sensor, as it is recorded, and what effects of noise make of it."""
-        sigma_T = self.sigma_T(vector)[..., self.sensor]
-        values = self.coordinates.values(vector)
+        return self._component_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
+
+    def _component_sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
+        sigma_T = self._sigma_T(values, batch)[..., self.sensor]
         for record in uses_of(self.model.rig, RecordEffect):
             sigma_T = record.effect.recorded_error_T(sigma_T, record.theta(values))
         for noise in self._noise:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.errors import InvalidInput
 from estimator.inference.running import RunningFit
 from estimator.live.watch import Alarm, Watch
@@ -126,7 +126,7 @@ class Stream:
             return torch.stack([values[name] for name in coordinates.names])
 
         value = reported(self._fit.vector)
-        jacobian = jacfwd(reported)(self._fit.vector)
+        jacobian = jacobian_of(reported, self._fit.vector)
         sd = (jacobian @ self._fit.covariance * jacobian).sum(-1).sqrt()
         return {
             parameter.name: Interval(parameter.unit, v, s, v - HALF_WIDTH_90_SD * s, v + HALF_WIDTH_90_SD * s)

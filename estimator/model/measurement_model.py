@@ -14,8 +14,8 @@ from functools import cached_property
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
@@ -275,7 +275,7 @@ def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Flo
         there = replace(sources, flange={**sources.flange, mover: displaced})
         return replace(model, sources=there).predict(values).expand(len(model.circumstances), 3)
 
-    gradient: Tensor = jacfwd(moved)(torch.zeros(3, dtype=torch.float64))
+    gradient: Tensor = jacobian_of(moved, torch.zeros(3, dtype=torch.float64))
     return gradient
 
 

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from scipy.stats import qmc, sobol_indices
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -224,7 +224,7 @@ def information(rig: Rig, observations: Observations, names: Sequence[str]) -> I
         field_T = model.predict(coordinates.values(vector))
         return (field_T / noise_T[observations.sensor, None]).flatten()
 
-    jacobian = jacfwd(whitened)(torch.zeros(len(names), dtype=torch.float64)).numpy()
+    jacobian = jacobian_of(whitened, torch.zeros(len(names), dtype=torch.float64)).numpy()
     _, size, rows = np.linalg.svd(jacobian, full_matrices=False)
     fisher = jacobian.T @ jacobian
     together = np.linalg.inv(fisher + np.eye(len(names)))

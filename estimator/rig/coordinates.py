@@ -8,15 +8,15 @@ numbers, unchanged in the last columns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.frames import rotation_from_vector
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
@@ -58,6 +58,7 @@ class Coordinates:
         self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
         self._mix = self._natural_mix()
         self._unmix = np.linalg.inv(self._mix)
+        self._fixed_values: dict[tuple[torch.dtype, torch.device], dict[str, Tensor]] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,17 +99,15 @@ class Coordinates:
     def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
         """Every parameter of the rig; fixed ones have no batch."""
         unmix = torch.as_tensor(self._unmix, dtype=vector.dtype, device=vector.device)
-        elementary = vector @ unmix.T if self.n else vector
-        values: dict[str, Tensor] = {}
+        elementary = (vector @ unmix.T).unbind(-1) if self.n else ()
+        values = dict(self._fixed(vector.dtype, vector.device))
 
         def resolve(name: str) -> Tensor:
             if name not in values:
                 values[name] = self._value(name, elementary, resolve)
             return values[name]
 
-        for name in self.rig.parameters:
-            resolve(name)
-        return values
+        return {name: resolve(name) for name in self.rig.parameters}
 
     def vector(self, values: Mapping[str, Tensor | float]) -> Float[Tensor, "*batch coordinate"]:
         """Coordinates of given values of the parameters; those not given have their nominal values."""
@@ -150,7 +149,9 @@ class Coordinates:
         free_values = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
         if not self.n:
             return free_values
-        jacobian = jacfwd(lambda values: self.vector(dict(zip(self.names, values, strict=True))))(free_values)
+        jacobian = jacobian_of(
+            lambda values: self.vector(dict(zip(self.names, values, strict=True))), free_values
+        )
         sd = torch.tensor([p.prior.sd for p in self.parameters if p.prior], dtype=torch.float64)
         return torch.sqrt(jacobian**2 @ sd**2)
 
@@ -180,14 +181,22 @@ class Coordinates:
             )
         return self.vector(draws)
 
-    def _value(self, name: str, elementary: Tensor, resolve: _Resolve) -> Tensor:
+    def _fixed(self, dtype: torch.dtype, device: torch.device) -> dict[str, Tensor]:
+        """Values of the parameters that are neither free nor tied, made once for each kind of tensor."""
+        if (dtype, device) not in self._fixed_values:
+            self._fixed_values[dtype, device] = {
+                name: torch.tensor(parameter.value, dtype=dtype, device=device)
+                for name, parameter in self.rig.parameters.items()
+                if parameter.tie is None and name not in self._column
+            }
+        return self._fixed_values[dtype, device]
+
+    def _value(self, name: str, elementary: Sequence[Tensor], resolve: _Resolve) -> Tensor:
         parameter = self.rig.parameters[name]
         if parameter.tie is not None:
             return parameter.tie.factor * resolve(parameter.tie.to)
-        column = self._column.get(name)
-        if column is None:
-            return torch.tensor(parameter.value, dtype=elementary.dtype, device=elementary.device)
-        value = elementary[..., column]
+        column = self._column[name]
+        value = elementary[column]
         if self._is_radius(parameter):
             half_m, variance_m2 = _layers(name.partition(".")[0], resolve)
             return half_m + torch.sqrt(value**2 - variance_m2)

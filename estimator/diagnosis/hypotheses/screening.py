@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
@@ -17,12 +18,14 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
+MOST_TOGETHER = 64  # candidates of one batch, which bounds the memory
+
 
 def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, float, Candidate]]:
     """For every cause in the linear model: log Bayes factor averaged over its starts, that of its best start, and that start."""
     by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
-    for candidate in pool:
-        by_cause.setdefault(candidate.cause, []).append((linear_evidence(fit, candidate), candidate))
+    for candidate, value in zip(pool, linear_evidence(fit, pool), strict=True):
+        by_cause.setdefault(candidate.cause, []).append((value, candidate))
     result = {}
     for cause, starts in by_cause.items():
         values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
@@ -30,42 +33,54 @@ def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, f
     return result
 
 
-def linear_evidence(fit: Fit, candidate: Candidate) -> float:
-    """Log Bayes factor of a candidate against nothing; half of the prior is for all its quantities together, half for some of them."""
-    values = _by_subset(fit, candidate, candidate.subsets)
-    if len(values) == 1:
-        return values[0]
-    of_some = log_mean_exp(torch.tensor(values[:-1], dtype=torch.float64))
-    return float(torch.logaddexp(torch.tensor(of_some), torch.tensor(values[-1]))) - math.log(2.0)
+def linear_evidence(fit: Fit, pool: Sequence[Candidate]) -> list[float]:
+    """Log Bayes factor of each candidate against nothing.
+
+    Half of its prior is for all its quantities together, half for some of them. Candidates with the same quantities are taken together,
+    some at a time.
+    """
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for i, candidate in enumerate(pool):
+        alike.setdefault(candidate.keys, []).append(i)
+    result = [0.0] * len(pool)
+    for members in alike.values():
+        for first in range(0, len(members), MOST_TOGETHER):
+            some = members[first : first + MOST_TOGETHER]
+            values = _by_subset(fit, [pool[i] for i in some], pool[some[0]].subsets)
+            if values.shape[1] > 1:
+                n_parts = values.shape[1] - 1
+                of_some = torch.logsumexp(values[:, :-1], 1) - math.log(n_parts)
+                values = (torch.logaddexp(of_some, values[:, -1]) - math.log(2.0))[:, None]
+            for i, value in zip(some, values[:, 0].tolist(), strict=True):
+                result[i] = value
+    return result
 
 
-def _by_subset(fit: Fit, candidate: Candidate, subsets: Sequence[tuple[int, ...]]) -> list[float]:
-    """Log Bayes factor against nothing of each subset of a candidate's columns, by size, smallest first."""
-    gram = fit.projector.gram(candidate.columns, candidate.columns)
-    score, start_log_density = _score(fit, candidate)
+def _by_subset(
+    fit: Fit, candidates: Sequence[Candidate], subsets: Sequence[tuple[int, ...]]
+) -> Float[Tensor, "candidate subset"]:
+    """Log Bayes factor against nothing of each subset of the columns of several candidates, by size, smallest first."""
+    columns = torch.stack([candidate.columns for candidate in candidates])
+    prior_sd = torch.stack([candidate.prior_sd for candidate in candidates])
+    gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
+    shift = torch.stack([candidate.shift for candidate in candidates], dim=1)
+    unfollowed = fit.projector.rest(shift)
+    score = score - (columns.mT @ unfollowed.T[..., None])[..., 0]
+    started = fit.residual @ shift - 0.5 * (shift * unfollowed).sum(0)
     noise = fit.free_noise
-    values: list[float] = []
+    values = []
     for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
-        columns = torch.tensor(list(of_one_size))
-        values += log_bayes_factor(
-            gram[columns[:, :, None], columns[:, None, :]],
-            score[columns],
-            candidate.prior_sd[columns],
-            noise,
-            start_log_density,
-        ).tolist()
-    return values
-
-
-def _score(fit: Fit, candidate: Candidate) -> tuple[Tensor, float]:
-    """Score of a candidate's columns at its start, and the rise in log density at the start itself."""
-    score = candidate.columns.T @ fit.residual
-    if not bool(candidate.shift.any()):
-        return score, 0.0
-    shift = candidate.shift[:, None]
-    score = score - fit.projector.gram(candidate.columns, shift)[:, 0]
-    start_log_density = float(fit.residual @ candidate.shift - 0.5 * fit.projector.gram(shift, shift)[0, 0])
-    return score, start_log_density
+        chosen = torch.tensor(list(of_one_size))
+        values.append(
+            log_bayes_factor(
+                gram[:, chosen[:, :, None], chosen[:, None, :]],
+                score[:, chosen],
+                prior_sd[:, chosen],
+                noise,
+                started[:, None],
+            )
+        )
+    return torch.cat(values, dim=1)
 
 
 def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
@@ -87,5 +102,5 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     if any(q.is_shape and not q.is_fixed for q in quantities):
         # The Laplace evidence misses the width of shapes, and the linear model their bounds.
         return min(max(value, screened), value + policy.SHAPES_WIDTH), full
-    (linear_value,) = _by_subset(fit, start, start.subsets[-1:])
+    linear_value = float(_by_subset(fit, [start], start.subsets[-1:]))
     return screened + value - linear_value, full

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.next_readings.expected_evidence import Rows, continued
@@ -76,9 +76,7 @@ def best_to_shrink(
     """
     rows = Rows.of(fit, stops, fit.rig)
     columns = (rows.jacobian_T / rows.sigma_T[:, None]).unflatten(0, (len(stops), 3))
-    gradient: Tensor = jacfwd(
-        lambda vector: fit.posterior.coordinates.values(vector)[parameter] + 0.0 * vector.sum()
-    )(fit.vector)
+    gradient = jacobian_of(lambda vector: fit.posterior.coordinates.values(vector)[parameter], fit.vector)
     precision = fit.optimum.precision[0]
     chosen: list[int] = []
     sds: list[Tensor] = []

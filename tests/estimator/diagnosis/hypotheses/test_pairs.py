@@ -73,7 +73,7 @@ def test_two_causes_that_hide_each_other_are_found_together(base, pool):
     difference = (u / size - v)[:, 0]
     noisy = with_residual(base, base.residual + 80.0 * difference)
     together = pairs(noisy, [first, second])[0][0]
-    alone = max(linear_evidence(noisy, candidate) for candidate in (first, second))
+    alone = max(linear_evidence(noisy, (first, second)))
     assert together > 20.0
     assert together > alone + 15.0
 
