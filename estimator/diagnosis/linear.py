@@ -16,6 +16,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 
 N_SHRINKS = 101  # grid of the logarithm of the noise
+COARSE = 5  # of it, one in so many is tried first
 TINY = 1e-12  # smallest square of a column, in units of the noise and its prior, that is divided by
 
 
@@ -116,14 +117,25 @@ def log_bayes_factor(
     square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))
     relieved = 0.5 * noise.tension / most * (square / (1.0 + size)).sum(-1)
     square = square * noise.n / most
-    # Profile over the logarithm of the noise: at smaller noise the columns weigh more, and so does their Occam factor.
     rise = torch.as_tensor(started, dtype=torch.float64)[..., None]
-    shrink = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
-    grown = torch.exp(-2.0 * shrink)
-    size, square = size[..., None, :] * grown[:, None], square[..., None, :] * (grown**2)[:, None]
-    explained = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + rise * grown
-    density = explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
-    fitted: Tensor = density.max(-1).values + relieved
+
+    def log_density(shrink: Tensor) -> Tensor:
+        # At smaller noise the columns weigh more, and so does their Occam factor.
+        grown = torch.exp(-2.0 * shrink)
+        grown_size, grown_square = (
+            size[..., None, :] * grown[..., None],
+            square[..., None, :] * (grown**2)[..., None],
+        )
+        explained = 0.5 * (grown_square / (1.0 + grown_size) - torch.log1p(grown_size)).sum(-1) + rise * grown
+        return (
+            explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
+        )
+
+    # Profile over the logarithm of the noise, on a coarse grid and on a fine one about its best point.
+    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
+    best = COARSE * log_density(shrinks[::COARSE]).argmax(-1)
+    near = (best[..., None] + torch.arange(1 - COARSE, COARSE)).clamp(0, N_SHRINKS - 1)
+    fitted: Tensor = log_density(shrinks[near]).max(-1).values + relieved
     return fitted
 
 

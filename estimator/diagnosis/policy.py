@@ -62,8 +62,8 @@ MOST_MISTAKES_FITTED = 6
 """Mistakes that are fitted after that comparison. Effort (docs/decisions/0008). Study: not tried yet."""
 
 MOST_LOST_ON_FEW = 3.0
-"""Log evidence on the few readings that a mistake may lose against none and still be fitted to all. By judgement: odds of 20 to 1 against
-it. Study: not tried yet."""
+"""Log evidence on the few readings that a mistake may lose against none, by one linear step and still be fitted, or by that fit and still
+be fitted to all. By judgement: odds of 20 to 1 against it. Study: not tried yet."""
 
 LEAST_LOG_EVIDENCE_OF_MISTAKE = math.log(1e3) - math.log(1e-3)
 """Log evidence from which on a mistake is undone. Prior odds of 1 to 1000, for few sessions have one, and odds of 1000 to 1 after the

@@ -21,6 +21,7 @@ LAGS = (
     0.7,
 )  # of the time between readings: 0.1 % to a quarter is left of the reading before
 LEAST_TAU_S = 1e-6  # shorter than any dwell by so much that nothing is left
+LEAST_SHARE = 0.2  # of a sensor's readings that each of two exchanged sensors has
 DRIFT = TemperatureDrift()
 PARTS = (CrossAxis(), AxisGain(), SensorOffset())  # of a sensor, in the order in which they act
 
@@ -139,8 +140,11 @@ class SensorExchanged(ReadingEffect):
         return (*(quantity for part in PARTS for quantity in part.quantities(extent)), since(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Instants with readings before and after."""
-        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+        """Instants with enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers."""
+        own = [s.name for s in circumstances.rig.sensors].index(place)
+        hours = circumstances.hours[circumstances.sensor == own]
+        shares = [(t, float((hours >= t).to(torch.float64).mean())) for t in circumstances.instants_h]
+        return tuple({"since_h": t} for t, share in shares if LEAST_SHARE <= share <= 1.0 - LEAST_SHARE)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """An instant needs a session to lie in."""

@@ -92,6 +92,13 @@ def lone_names(row: Row) -> tuple[list[str], list[str], list[str]]:
     return right, relatives, [n for n in names if n not in right and n not in relatives]
 
 
+def is_named_wrongly(row: Row) -> bool:
+    """Whether the verdict is `named` and a name is not that of a hidden cause, as a sceptic counts; whatever probability is left aside."""
+    truths = [cause["label"] for cause in row["truth"]]
+    names = [cause["name"].partition("[")[0] for cause in row["causes"]]
+    return row["verdict"] == "named" and any(name not in truths for name in names)
+
+
 def prediction(row: Row) -> dict[str, float] | None:
     """What a row states of the one hidden cause, from the first cause of its verdict; None where it found nothing to speak of."""
     if row["verdict"] == "nothing_found":
@@ -157,6 +164,8 @@ def show_kind(kind: str, rows: list[Row]) -> None:
     lone = [lone_names(row) for row in rows]
     for words, place in (("lone name right", 0), ("lone relative", 1), ("lone wrong name", 2)):
         print(f"  {words:20} {share_and_interval(sum(bool(one[place]) for one in lone), n)}")
+    strict = sum(is_named_wrongly(row) for row in rows)
+    print(f"  named, not the truth {share_and_interval(strict, n)}")
     unseen = [row["gain"] for row in rows if row["gain"]]
     if unseen:
         middle = len(unseen) // 2

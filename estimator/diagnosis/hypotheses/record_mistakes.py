@@ -1,7 +1,8 @@
 """Discrete mistakes of the record, undone before the search: axes, signs, units, frames of displacements.
 
 Each makes the readings absurd unless undone. All starts of all mistakes are compared on a few readings, with one linear step from the
-nominal rig; the best few are fitted. Where noise and parameters are as expected, no mistake is looked for.
+nominal rig; the best few that do no worse than the record as it is are fitted. Where noise and parameters are as expected, no mistake
+is looked for.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def _is_as_expected(fit: Fit) -> bool:
 
 
 def _fits_with_mistake(base: Fit) -> list[Fit]:
-    """Full fits of the mistakes that fit a few readings best, and no worse than the rig as it is."""
+    """Full fits of the mistakes that fit a few readings best, and no worse than the record as it is."""
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
     rows = (
@@ -132,6 +133,12 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     )
     few = observations.rows(rows.unique())
     present = {cause.name for cause in base.rig.effects}
+    rules = base.posterior.model.rules
+    as_recorded = LogPosterior(
+        Coordinates(base.rig), MeasurementModel.unruled(base.rig, few).with_rules(dict(rules)), few
+    )
+    (least_stepped,) = _after_linear_step(as_recorded, as_recorded.coordinates.start()[None])
+    least_stepped -= policy.MOST_LOST_ON_FEW
     ranked = []
     # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
     for name, effect in reversed(EFFECTS.items()):
@@ -140,9 +147,14 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
         for place in effect.places(base.rig):
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
             values = _start_log_likelihoods(base, cause, starts, few)
-            ranked += [(value, cause, start) for value, start in zip(values, starts, strict=True)]
+            ranked += [
+                (value, cause, start)
+                for value, start in zip(values, starts, strict=True)
+                if value > least_stepped
+            ]
+    if not ranked:
+        return []
     ranked.sort(key=lambda scored: -scored[0])
-    rules = base.posterior.model.rules
     least = (
         fit_rig(base.rig, few, base.values, rules, tolerance=policy.ROUGH_TOLERANCE).log_evidence
         - policy.MOST_LOST_ON_FEW
