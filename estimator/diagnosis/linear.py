@@ -124,12 +124,12 @@ def log_bayes_factor(
         grown = torch.exp(-2.0 * shrink)
         grown_size, grown_square = (
             size[..., None, :] * grown[..., None],
-            square[..., None, :] * (grown**2)[..., None],
+            square[..., None, :] * grown[..., None] ** 2,
         )
         explained = 0.5 * (grown_square / (1.0 + grown_size) - torch.log1p(grown_size)).sum(-1) + rise * grown
-        return (
-            explained - noise.n * shrink - 0.5 * noise.n * (grown - 1.0) - 0.5 * (shrink / noise.width) ** 2
-        )
+        noisier = noise.n * shrink + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrink / noise.width) ** 2
+        density: Tensor = explained - noisier
+        return density
 
     # Profile over the logarithm of the noise, on a coarse grid and on a fine one about its best point.
     shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
