@@ -38,8 +38,19 @@ def extent_of_keys(keys: Iterable[str]) -> Extent:
     return Extent(segments=numbers) if numbers else Extent()
 
 
+def split_key(key: str) -> tuple[int, str] | None:
+    """Number of the segment and what it has there; None for other keys.
+
+    Examples:
+        >>> split_key("segment7_x_T")
+        (7, 'x_T')
+    """
+    match = KEY.fullmatch(key)
+    return (int(match["number"]), match["rest"]) if match else None
+
+
 def _numbers(keys: Iterable[str]) -> tuple[int, ...]:
-    return tuple(sorted({int(match["number"]) for match in map(KEY.fullmatch, keys) if match}))
+    return tuple(sorted({part[0] for part in map(split_key, keys) if part}))
 
 
 def _each(extent: Extent, suffixes: Sequence[str], unit: str, sd: float) -> tuple[Quantity, ...]:
