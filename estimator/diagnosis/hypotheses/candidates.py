@@ -63,11 +63,12 @@ class Candidate:
     @property
     def _parts(self) -> list[tuple[int, ...]]:
         """Columns of each sensor element, or of each segment, and all but these; columns of one quantity in all segments."""
-        of_segments = [split_key(key) for key in self.keys]
-        if all(of_segments):
-            groupings = [[part[0] for part in of_segments if part], [part[1] for part in of_segments if part]]
-        else:
-            groupings = [[key[0] for key in self.keys]] if len(self.keys) > MOST_ALONE else []
+        of_segments = [part for part in map(split_key, self.keys) if part]
+        groupings: list[list[int | str]] = []
+        if of_segments:
+            groupings = [[number for number, _ in of_segments], [rest for _, rest in of_segments]]
+        elif len(self.keys) > MOST_ALONE:
+            groupings = [[key[0] for key in self.keys]]
         return [
             tuple(i for i, group in enumerate(groups) if (group == one) is is_in)
             for groups in groupings
