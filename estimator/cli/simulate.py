@@ -35,6 +35,14 @@ if TYPE_CHECKING:
 @truth_option("prior")
 @set_option
 @hide_option
+@click.option(
+    "--segments",
+    "n_segments",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Parts of the session before each of which things are set up anew, for causes such as segment_zero.",
+)
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
@@ -46,6 +54,7 @@ def simulate_command(
     truth: str,
     assignments: tuple[str, ...],
     hidden: tuple[str, ...],
+    n_segments: int,
     seed: int,
     out: Path,
     csv_path: Path | None,
@@ -67,7 +76,7 @@ def simulate_command(
     values = truth_of(rig, truth, seed) | named_number(assignments, "--set")
     plan = load_plan(plan_path, rig)
     causes = full_names(rig, named_number(hidden, "--hide"))
-    readings = simulate(rig, plan, values, seed, causes)
+    readings = simulate(rig, plan, values, seed, causes, n_segments)
     values |= causes
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
     if csv_path is not None:

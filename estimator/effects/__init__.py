@@ -33,6 +33,7 @@ from estimator.effects.robot import (
     RobotShear,
     SensorBumped,
 )
+from estimator.effects.segments import SegmentGain, SegmentMisplaced, SegmentZero
 from estimator.effects.sensor import (
     AxisGain,
     CrossAxis,
@@ -122,6 +123,7 @@ EFFECTS: dict[str, Effect] = {
         Backlash(),
         JointZeros(),
         BaseMisplaced(),
+        SegmentMisplaced(),
         MountTilt(),
         SensorBumped(),
         SensorMisplaced(),
@@ -136,6 +138,8 @@ EFFECTS: dict[str, Effect] = {
         SensorOffset(),
         OffsetDrift(),
         SensorExchanged(),
+        SegmentGain(),
+        SegmentZero(),
         RangeClipping(),
         AxesSwapped(),
         SensorLag(),

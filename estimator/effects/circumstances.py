@@ -12,6 +12,7 @@ from torch import Tensor
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, nominal_positions_m
 from estimator.readings.observations import Observations
+from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import Rig
 
 SECONDS_PER_HOUR = 3600.0
@@ -24,7 +25,10 @@ N_INSTANTS = 24  # at which something may have happened
 
 @dataclass(frozen=True)
 class Extent:
-    """Duration, strength, width and middle of a session, and the time between readings; the priors of some causes scale with them."""
+    """Duration, strength, width and middle of a session, the time between readings, and its segments.
+
+    The priors of some causes scale with them, and what was set up anew has quantities for each segment.
+    """
 
     duration_h: float = 1.0
     largest_current_A: float = 1.0
@@ -32,6 +36,7 @@ class Extent:
     reach_m: float = 1.0
     middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     interval_h: float = 0.01
+    segments: tuple[int, ...] = (0, 1)
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,24 @@ class Circumstances:
 
     @property
     def extent(self) -> Extent:
-        """Duration, strength, width and middle of the session, and the time between readings."""
+        """Duration, strength, width and middle of the session, the time between readings, and its segments."""
         x, y, z = self.positions_m.mean(0).tolist()
         middle_m = (x, y, z)
         strength = self.largest_current_A, self.largest_field_T
-        return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h)
+        return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h, self.segments_of())
+
+    @property
+    def segment(self) -> Int[Tensor, " reading"]:
+        """Number of the segment of each reading; `NO_SEGMENT` outside any."""
+        return self.observations.segment
+
+    def segments_of(self, sensor: str | None = None) -> tuple[int, ...]:
+        """Numbers of the session's segments, or of those in which one sensor was read."""
+        history = self.observations.history
+        numbers = history.segment
+        if sensor is not None:
+            numbers = numbers[history.sensor == [s.name for s in self.rig.sensors].index(sensor)]
+        return tuple(numbers[numbers != NO_SEGMENT].unique().tolist())
 
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -31,7 +32,12 @@ def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float
         cause, key = _read(text, rig)
         sizes.setdefault(cause, {})[key] = value
     for cause, given in sizes.items():
-        shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]
+        circumstances, effect = Circumstances(rig, observations), effect_of(cause.name)
+        keys = {quantity.key for quantity in effect.quantities(circumstances.extent)}
+        absent = next((key for key in given if key not in keys), None)
+        if absent is not None:
+            raise InvalidInput(f"{cause.label} must act in a segment that the session has; received {absent}")
+        shapes = effect.starts(circumstances, cause.place)[0]
         rig = with_effect(rig, cause, observations, {**shapes, **given}, is_free=False)
     return rig
 
@@ -66,9 +72,11 @@ def _read(text: str, rig: Rig) -> tuple[Cause, str]:
     cause = cause_of(text, rig)
     if cause in rig.effects:
         raise InvalidInput(f"{cause.label} must not be in the rig already to be hidden; received {text!r}")
-    keys = [quantity.key for quantity in effect_of(cause.name).quantities(Extent())]
     match = WRITTEN.match(text)
-    key = (match["key"] if match else None) or keys[0]
+    given = match["key"] if match else None
+    extent = extent_of_keys((given,) if given else ())
+    keys = [quantity.key for quantity in effect_of(cause.name).quantities(extent)]
+    key = given or keys[0]
     if key not in keys:
         raise InvalidInput(f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}")
     return cause, key

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from estimator.model.hide import with_hidden
 from estimator.model.measurement_model import MeasurementModel, NominalPrediction, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
+from estimator.readings.segments import segments_in_turn
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
@@ -47,7 +49,12 @@ def draw_truth(rig: Rig, seed: int) -> dict[str, float]:
 
 
 def simulate(
-    rig: Rig, plan: Plan, truth: Mapping[str, float], seed: int, hidden: Mapping[str, float] | None = None
+    rig: Rig,
+    plan: Plan,
+    truth: Mapping[str, float],
+    seed: int,
+    hidden: Mapping[str, float] | None = None,
+    n_segments: int = 1,
 ) -> Observations:
     """Readings that a plan gives at a truth, with the noise of the truth.
 
@@ -57,6 +64,7 @@ def simulate(
         truth: Values that replace the rig's nominal ones; `<sensor>.noise_T` is the noise added, 0 allowed.
         seed: Of order and noise.
         hidden: Causes that the rig knows nothing of, such as `{"axis_gain[hall].x": 0.01}` (see `with_hidden`).
+        n_segments: Parts of the session, one after the other, before each of which things were set up anew.
     Raises:
         InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
     """
@@ -67,6 +75,10 @@ def simulate(
         raise InvalidInput(f"truth: {name} {rule}; received {value} (rig {rig.name!r})")
     rng = np.random.default_rng(seed)
     observations = observations_of(plan, rig, rng)
+    if n_segments > 1:
+        observations = replace(
+            observations, recorded_segment=segments_in_turn(observations.time_s, n_segments)
+        )
     real = with_hidden(real, observations, hidden or {})
     model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
     return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))

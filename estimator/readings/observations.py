@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from estimator.readings.segments import segments_by_pauses
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -27,6 +29,7 @@ class Observations:
         whole: The session from which these readings were selected, in order of time; None if they are all of it.
         chosen: Rows of these readings in `whole`.
         current_measured_A: Current that the supplies measured at each reading; NaN for a missing value, None if it was not read.
+        recorded_segment: Number of the segment of each reading, where the session says it (`segment`).
     """
 
     time_s: Float[Tensor, " reading"]
@@ -40,6 +43,7 @@ class Observations:
     whole: Observations | None = field(default=None, repr=False)
     chosen: Int[Tensor, " reading"] | None = field(default=None, repr=False)
     current_measured_A: Float[Tensor, "reading coil"] | None = field(default=None, repr=False)
+    recorded_segment: Int[Tensor, " reading"] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.time_s.shape[0]
@@ -62,6 +66,13 @@ class Observations:
             return self.chosen
         return torch.argsort(torch.argsort(self.time_s, stable=True))
 
+    @cached_property
+    def segment(self) -> Int[Tensor, " reading"]:
+        """Number of the file, day or plane before which everything was set up anew: as recorded, else by long pauses of the session."""
+        if self.recorded_segment is not None:
+            return self.recorded_segment
+        return segments_by_pauses(self.history.time_s)[self.row]
+
     def _select(self, index: Tensor, whole: Observations | None, chosen: Tensor | None) -> Observations:
         return Observations(
             self.time_s[index],
@@ -75,6 +86,7 @@ class Observations:
             whole,
             chosen,
             None if self.current_measured_A is None else self.current_measured_A[index],
+            None if self.recorded_segment is None else self.recorded_segment[index],
         )
 
     @property
@@ -83,7 +95,10 @@ class Observations:
         return self._select(torch.arange(len(self)), None, None)
 
     def followed_by(self, later: Observations) -> Observations:
-        """Append later readings; temperatures and measured currents that only one of the two has are left out."""
+        """Append later readings; temperatures and measured currents that only one of the two has are left out.
+
+        Segments stay as either of the two records them.
+        """
 
         def joined(earlier_values: Tensor, later_values: Tensor) -> Tensor:
             return torch.cat((earlier_values, later_values))
@@ -105,6 +120,11 @@ class Observations:
                 None
                 if self.current_measured_A is None or later.current_measured_A is None
                 else joined(self.current_measured_A, later.current_measured_A)
+            ),
+            recorded_segment=(
+                None
+                if self.recorded_segment is None and later.recorded_segment is None
+                else joined(self.segment, later.segment)
             ),
         )
 

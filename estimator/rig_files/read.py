@@ -9,7 +9,7 @@ from pathlib import Path
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
-from estimator.effects.circumstances import Extent
+from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
@@ -104,7 +104,7 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         above.refuse(
             label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(match["place"])
         )
-    quantities = effect.quantities(Extent())
+    quantities = effect.quantities(extent_of_keys(section))
     for quantity in quantities:
         if quantity.key not in section:
             _refuse_misspelt(section, quantity, {q.key for q in quantities})

@@ -271,6 +271,8 @@ def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.n
     arrays |= {f"temperature_{name}_C": (("reading",), t.numpy()) for name, t in o.temperature_C.items()}
     if o.current_measured_A is not None:
         arrays["current_measured_A"] = ("reading", "coil"), o.current_measured_A.numpy()
+    if o.recorded_segment is not None:
+        arrays["segment"] = ("reading",), o.recorded_segment.numpy()
     return arrays
 
 
@@ -291,6 +293,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
             if name.startswith("temperature_")
         },
         current_measured_A=tensors.get("current_measured_A"),
+        recorded_segment=tensors.get("segment"),
     )
 
 

@@ -68,6 +68,7 @@ def observations(rig) -> Observations:
         torch.zeros(n, dtype=torch.bool),
         torch.zeros(n, dtype=torch.int64),
         warm,
+        recorded_segment=torch.arange(n) // 9,
     )
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}
     return empty.with_field(MeasurementModel.build(rig, empty).predict(values))
@@ -169,7 +170,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
     sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag thermal_lag
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated
-    hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged"""
+    hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged segment_zero segment_gain segment_misplaced"""
     assert set(EFFECTS) == set(stable.split())
 
 
@@ -183,6 +184,8 @@ def test_names_are_those_that_other_scripts_rely_on():
         "iron_plate",
         "joint_zeros",
         "mount_tilt",
+        "segment_misplaced",
+        "segment_zero",
         "sensor_bumped",
         "position_jitter",
         "outliers",

@@ -13,10 +13,12 @@ from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
+from estimator.effects.segments import split_key
 from estimator.effects.stages import MountEffect, NoiseEffect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 
+MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
 STEP = 1e-3  # of the prior's width: central differences of smooth effects
 
 
@@ -47,17 +49,32 @@ class Candidate:
 
     @property
     def subsets(self) -> tuple[tuple[int, ...], ...]:
-        """Columns that may be present alone: each, each pair, those of one sensor element, and (last) all."""
+        """Columns that may be present alone: each, each pair, those of one sensor element or segment, all but these, and (last) all."""
         n = len(self.keys)
         if n == 1:
             return ((0,),)
         subsets: list[tuple[int, ...]] = [(i,) for i in range(n)]
         if n > 2:
             subsets += list(combinations(range(n), 2))
-        if n > 6:
-            subsets += [tuple(i for i, key in enumerate(self.keys) if key[0] == first) for first in "xyz"]
-            subsets += [tuple(i for i, key in enumerate(self.keys) if key[0] != first) for first in "xyz"]
-        return (*subsets, tuple(range(n)))
+        subsets += self._parts
+        of_some = dict.fromkeys(subset for subset in subsets if 0 < len(subset) < n)
+        return (*of_some, tuple(range(n)))
+
+    @property
+    def _parts(self) -> list[tuple[int, ...]]:
+        """Columns of each sensor element, or of each segment, and all but these; columns of one quantity in all segments."""
+        of_segments = [part for part in map(split_key, self.keys) if part]
+        groupings: list[list[int | str]] = []
+        if of_segments:
+            groupings = [[number for number, _ in of_segments], [rest for _, rest in of_segments]]
+        elif len(self.keys) > MOST_ALONE:
+            groupings = [[key[0] for key in self.keys]]
+        return [
+            tuple(i for i, group in enumerate(groups) if (group == one) is is_in)
+            for groups in groupings
+            for one in dict.fromkeys(groups)
+            for is_in in (True, False)
+        ]
 
 
 def causes_of(rig: Rig, fit: Fit) -> list[Cause]:

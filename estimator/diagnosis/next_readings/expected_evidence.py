@@ -199,6 +199,7 @@ def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observa
         joined(history.is_validation, torch.zeros(n, dtype=torch.bool)),
         joined(history.repeat, torch.zeros(n, dtype=history.repeat.dtype)),
         {name: joined(values, values.nanmean().expand(n)) for name, values in history.temperature_C.items()},
+        recorded_segment=joined(history.segment, history.segment[-1:].expand(n)),
     )
     return whole.rows(torch.arange(len(history), len(history) + n))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -31,7 +32,7 @@ def read_plane_maps(
     """Read maps of one pair of coils, with their repeats and currents, into one session.
 
     The single component is taken to be the axial one, sensor z; the source does not state which one the probe measured. The files hold
-    no times, so `time_s` counts the readings.
+    no times, so `time_s` counts the readings. Each file is a segment.
 
     Args:
         paths: Files named u1_<ampere>_u2_<ampere>_r<repeat>.csv, with _ for the decimal point.
@@ -63,8 +64,11 @@ def read_plane_maps(
         field_T,
         torch.tensor([repeat for _, repeat in settings]).repeat_interleave(n_points),
     )
+    segment = torch.arange(len(maps)).repeat_interleave(n_points)
     return Session(
-        rig, observations, f"plane maps {', '.join(path.name for path in paths)}; t_s counts the readings"
+        rig,
+        replace(observations, recorded_segment=segment),
+        f"plane maps {', '.join(path.name for path in paths)}; t_s counts the readings",
     )
 
 

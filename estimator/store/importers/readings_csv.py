@@ -1,7 +1,8 @@
 """Reads and writes the readings CSV, the exchange format for users' scripts: one row per reading, units in the header.
 
 Columns: `t_s, sensor, <coil>_current_A, <mover>_x_m .. _rz_rad` (or `<robot>_q0_rad .. _q5_rad`), `Bx_T, By_T, Bz_T`, and optionally
-`set` (calibration or validation), `repeat` and `<sensor or coil>_temperature_C`. Any unit of `estimator.units` may replace the SI unit.
+`set` (calibration or validation), `repeat`, `segment` and `<sensor or coil>_temperature_C`. Any unit of `estimator.units` may replace the
+SI unit.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput, reason
 from estimator.readings.observations import Observations
+from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.store.importers.csv_table import Column, Table, read_table
 from estimator.store.session import Session
@@ -24,7 +26,7 @@ from estimator.units import split_unit
 
 FIELD = ("Bx", "By", "Bz")
 SETS = ("calibration", "validation")
-LARGEST_REPEAT = 999_999_999
+LARGEST_NUMBER = 999_999_999  # of repeats and segments
 
 
 def read_readings_csv(path: Path, rig: Rig) -> Session:
@@ -45,6 +47,7 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
     sensor = table.words("sensor", [s.name for s in rig.sensors]) if "sensor" in table else zeros
     _refuse_doubles(table, time_s, sensor)
     bodies = [body.name for body in (*rig.coils, *rig.sensors)]
+    segment, labels = _segment(table) if "segment" in table else (None, {})
     observations = Observations(
         time_s,
         sensor,
@@ -52,10 +55,12 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
         {mover.name: _motion(table, mover, n) for mover in rig.movers},
         _field(table),
         table.words("set", SETS).bool() if "set" in table else zeros.bool(),
-        _repeat(table) if "repeat" in table else zeros,
+        _whole(table, "repeat") if "repeat" in table else zeros,
         {b: table.numbers(f"{b}_temperature") for b in bodies if f"{b}_temperature" in table},
+        recorded_segment=segment,
     )
-    return Session(rig, observations, f"readings CSV {path.name}")
+    named = "".join(f"; segment {number} is {label}" for label, number in labels.items())
+    return Session(rig, observations, f"readings CSV {path.name}{named}")
 
 
 def write_readings_csv(session: Session, path: Path) -> None:
@@ -79,6 +84,8 @@ def write_readings_csv(session: Session, path: Path) -> None:
         columns["set"] = [SETS[i] for i in o.is_validation.tolist()]
     if o.repeat.any():
         columns["repeat"] = o.repeat.tolist()
+    if o.recorded_segment is not None:
+        columns["segment"] = ["" if i == NO_SEGMENT else i for i in o.recorded_segment.tolist()]
     columns |= {f"{name}_temperature_C": values.tolist() for name, values in o.temperature_C.items()}
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
@@ -99,7 +106,7 @@ def _columns(rig: Rig) -> dict[str, Column]:
                 Column(quantity, dimension, group=f"{mover.name} rotation" if is_rotation else None)
             )
     columns += [Column(name, "field") for name in FIELD]
-    columns += [Column("set", is_required=False), Column("repeat", is_required=False)]
+    columns += [Column(name, is_required=False) for name in ("set", "repeat", "segment")]
     for body in (*rig.coils, *rig.sensors):
         columns.append(Column(f"{body.name}_temperature", "temperature", is_required=False))
     return {column.quantity: column for column in columns}
@@ -141,11 +148,22 @@ def _field(table: Table) -> Float[Tensor, "reading 3"]:
     return field_T
 
 
-def _repeat(table: Table) -> Int[Tensor, " reading"]:
-    values = table.numbers("repeat")
-    bad_rows = ((values != values.floor()) | (values < 0) | (values > LARGEST_REPEAT)).nonzero().flatten()
-    if len(bad_rows):
-        row = int(bad_rows[0])
-        rule = f"repeat must be a whole number from 0 to {LARGEST_REPEAT}"
+def _segment(table: Table) -> tuple[Int[Tensor, " reading"], dict[str, int]]:
+    """Number of each row's segment, `NO_SEGMENT` for an empty cell; labels that are no numbers get theirs in order of appearance."""
+    cells = [cell.strip() for cell in table.columns[table.header["segment"].column]]
+    labels = dict.fromkeys(filter(None, cells))
+    if all(label.isdecimal() for label in labels):
+        return _whole(table, "segment", may_be_empty=True), {}
+    number_of = {label: i for i, label in enumerate(labels)}
+    return torch.tensor([number_of.get(cell, NO_SEGMENT) for cell in cells]), number_of
+
+
+def _whole(table: Table, name: str, may_be_empty: bool = False) -> Int[Tensor, " reading"]:
+    """A column of whole numbers; -1 for a cell that may be empty."""
+    values = table.numbers(name, may_be_empty)
+    bad_rows = ((values != values.floor()) | (values < 0) | (values > LARGEST_NUMBER)) & ~values.isnan()
+    if bad_rows.any():
+        row = int(bad_rows.nonzero()[0])
+        rule = f"{name} must be a whole number from 0 to {LARGEST_NUMBER}"
         raise InvalidInput(f"{rule}; received {values[row]:.15g} ({table.path}, line {table.lines[row]})")
-    return values.to(torch.int64)
+    return values.nan_to_num(nan=NO_SEGMENT).to(torch.int64)

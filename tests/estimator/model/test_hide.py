@@ -12,12 +12,14 @@ from tests.estimator.diagnosis.sessions import RIG, TRUTH, session_with
 SILENT = {**TRUTH, "hall.noise_T": 0.0}
 
 
-def readings(hidden: dict[str, float], truth: dict[str, float] | None = None) -> torch.Tensor:
+def readings(
+    hidden: dict[str, float], truth: dict[str, float] | None = None, n_segments: int = 1
+) -> torch.Tensor:
     from tests.estimator.diagnosis.sessions import PLAN, Path, _folder, load_plan
 
     path = Path(_folder()) / "hide.yaml"
     path.write_text(PLAN.replace("CURRENTS", "[{coil1: 3}, {coil1: -3}]"))
-    return simulate(RIG, load_plan(path, RIG), truth or SILENT, 3, hidden).field_sensor_T
+    return simulate(RIG, load_plan(path, RIG), truth or SILENT, 3, hidden, n_segments).field_sensor_T
 
 
 def test_a_hidden_gain_multiplies_the_component_it_names() -> None:
@@ -39,6 +41,19 @@ def test_the_noise_is_the_same_whatever_is_hidden() -> None:
     noise = readings({}, TRUTH) - readings({})
     with_offset = readings({"sensor_offset.z_T": 1e-4}, TRUTH) - readings({"sensor_offset.z_T": 1e-4})
     assert with_offset.flatten().tolist() == pytest.approx(noise.flatten().tolist(), abs=1e-12)
+
+
+def test_a_segment_of_the_session_has_its_own_zero() -> None:
+    added_T = readings({"segment_zero.segment2_y_T": 1e-4}, n_segments=3) - readings({})
+    expected_T = torch.zeros_like(added_T)
+    expected_T[64:, 1] = 1e-4  # of 96 readings
+    torch.testing.assert_close(added_T, expected_T, rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("key", "n_segments"), [("segment3_x_T", 3), ("segment0_x_T", 1)])
+def test_a_segment_that_the_session_has_not_is_refused(key: str, n_segments: int) -> None:
+    with pytest.raises(InvalidInput, match=f"segment that the session has; received {key}"):
+        readings({f"segment_zero[hall].{key}": 1e-4}, n_segments=n_segments)
 
 
 def test_outliers_scatter_as_often_and_as_far_as_they_are_said_to() -> None:
@@ -75,6 +90,7 @@ def test_fields_in_another_unit_take_their_noise_along() -> None:
         ("axis_gian", "the closest is axis_gain"),
         ("axis_gain[probe]", "must say where, one of hall"),
         ("axis_gain.q", "must be given by one of x, y, z"),
+        ("segment_gain.gain", "must be given by one of segment0_gain, segment1_gain"),
     ],
 )
 def test_causes_that_do_not_exist_are_refused(text: str, words: str) -> None:

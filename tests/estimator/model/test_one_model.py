@@ -89,8 +89,8 @@ CAUSES = [
     if isinstance(effect, OF_THE_FIELD)
     for place in effect.places(rig_from_text(TEXT.format(sensors=SENSORS)))[:1]
     if "probe" not in place
-    # A prediction is of cold coils, which a session has warmed, and of points, not of sensors.
-    and name not in ("coil_heating", "sensors_exchanged")
+    # A prediction is of cold coils, which a session has warmed, of points, not of sensors, and lies in no segment of a session.
+    and name not in ("coil_heating", "sensors_exchanged", "segment_misplaced")
 ]
 NOT_AT_THE_FIRST_MOMENT = {
     "background_drift",

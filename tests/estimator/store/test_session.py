@@ -103,6 +103,14 @@ def test_measured_currents_are_in_a_session_if_they_were_measured(session: Sessi
     assert parts[0].followed_by(session.observations).current_measured_A is None
 
 
+def test_segments_are_in_a_session_if_they_were_recorded(session: Session, tmp_path: Path) -> None:
+    recorded = replace(session.observations, recorded_segment=torch.arange(N) // 13)
+    divided = replace(session, observations=recorded)
+    assert divided.hash != session.hash
+    divided.save(tmp_path / "divided.zarr")
+    assert_equal(load_session(tmp_path / "divided.zarr"), divided)
+
+
 def test_values_that_were_set_or_fixed_after_reading_the_rig_are_stored(tmp_path: Path) -> None:
     free = rig_from_text(
         RIG.replace("noise_uT: 20}, ", "noise_uT: {prior: {uniform: {lower: 1, upper: 50}}}}, ")

@@ -1,10 +1,11 @@
-"""Full fits of single causes."""
+"""Full fits of single causes, and what of a cause is asked alone."""
 
 from __future__ import annotations
 
 import pytest
+import torch
 
-from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.effects.sensor import SensorOffset
 from estimator.rig.rig import Cause, Rig
@@ -27,3 +28,25 @@ def test_fit_that_has_left_its_cause_is_no_evidence_for_it(
     assert full.log_evidence - plain.log_evidence > 20.0
     assert (log_bayes_factor > 20.0) is is_itself
     assert is_itself or log_bayes_factor == 0.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "alone"),
+    [
+        (
+            tuple(f"segment{n}_{axis}_T" for n in (0, 4) for axis in "xyz"),
+            {(0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (0, 2, 3, 5), (1, 2, 4, 5)},
+        ),
+        (tuple(f"segment{n}_gain" for n in range(3)), set()),
+        (tuple("xyz"), set()),
+    ],
+)
+def test_one_segment_and_all_but_one_quantity_are_asked_besides_singles_and_pairs(
+    keys: tuple[str, ...], alone: set[tuple[int, ...]]
+) -> None:
+    n = len(keys)
+    none = torch.zeros(n, dtype=torch.float64)
+    subsets = Candidate(Cause("any", "hall"), {}, keys, keys, none, torch.diag(none), none).subsets
+    assert len(set(subsets)) == len(subsets)
+    assert subsets[-1] == tuple(range(n))
+    assert {subset for subset in subsets[:-1] if len(subset) > 2} == alone

@@ -45,6 +45,7 @@ def test_currents_and_repeats_come_from_the_names(tmp_path: Path, rig: Rig) -> N
     o = read_plane_maps(paths, rig).observations
     assert o.current_A[[0, 153, 154, 307]].tolist() == [[1.9, 0.0], [1.9, 0.0], [0.5, -1.9], [0.5, -1.9]]
     assert o.repeat[[0, 153, 154, 307]].tolist() == [2, 2, 3, 3]
+    assert o.segment[[0, 153, 154, 307]].tolist() == [0, 0, 1, 1]
     assert len(o.time_s.unique()) == 308
     given = read_plane_maps(paths, rig, {"coil2": 2.0, "coil1": 1.0}).observations
     assert given.current_A.unique(dim=0).tolist() == [[1.0, 2.0]]

@@ -64,6 +64,7 @@ def test_a_written_session_is_read_back_bit_by_bit(tmp_path: Path) -> None:
         numbers(n) > 0.2,
         torch.randint(4, (n,), generator=random),
         {"coil2": numbers(n), "hall_a": numbers(n)},
+        recorded_segment=torch.randint(-1, 4, (n,), generator=random),
     )
     session = Session(rig, observations, "test")
     write_readings_csv(session, tmp_path / "readings.csv")
@@ -92,6 +93,24 @@ def test_without_optional_columns_nothing_is_rotated_or_repeated_or_kept_out(
     assert o.motion["arm1"].tolist() == [[0.01, 0.02, 0.03, 0.0, 0.0, 0.0]]
     assert (o.sensor.tolist(), o.repeat.tolist(), o.is_validation.tolist()) == ([0], [0], [False])
     assert not o.temperature_C
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected", "told"),
+    [
+        (("7", "7", "2"), [7, 7, 2], ""),
+        (("", "3", ""), [-1, 3, -1], ""),
+        (("plane b", "", "plane a"), [0, -1, 1], "; segment 0 is plane b; segment 1 is plane a"),
+        (("2", "-1", "2"), [0, 1, 0], "; segment 0 is 2; segment 1 is -1"),
+    ],
+)
+def test_segments_have_numbers_or_labels(
+    tmp_path: Path, rig: Rig, cells: tuple[str, ...], expected: list[int], told: str
+) -> None:
+    rows = [f"{i}{ROW[1:]},{cell}" for i, cell in enumerate(cells)]
+    session = read_readings_csv(written(tmp_path, HEADER + ",segment", *rows), rig)
+    assert session.observations.segment.tolist() == expected
+    assert session.source == f"readings CSV readings.csv{told}"
 
 
 def test_an_empty_field_cell_is_a_component_that_was_not_measured(tmp_path: Path, rig: Rig) -> None:
@@ -140,6 +159,7 @@ def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_pat
         ((HEADER + ",repeat", ROW + ",1", NEXT + ",1.5"), "repeat must be a whole number"),
         ((HEADER + ",repeat", ROW + ",1", NEXT + ",-1"), "repeat must be a whole number"),
         ((HEADER + ",repeat", ROW + ",1", NEXT + ",1e300"), "repeat must be a whole number"),
+        ((HEADER + ",segment", ROW + ",1", NEXT + ",1000000000"), "segment must be a whole number"),
         ((HEADER.replace(",", ";"), ROW.replace(",", ";")), "separated by commas; received semicolons"),
         ((HEADER.replace(",", "\t"), ROW.replace(",", "\t")), "separated by commas; received tabs"),
     ],
