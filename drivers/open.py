@@ -21,6 +21,7 @@ of bytes (`drivers.robots.recorded`). As YAML, the section reads
         slew_A_per_s: 10
         continuous_A: 3           # more is allowed until the coil is as warm as this makes it
         thermal_time_constant_min: 5
+        longest_start_s: 60       # optional, also of an arm: time for the start of its process on a busy computer
         highest_temperature_C: 80    # optional; needs a thermometer on this coil, such as `warmth` below
       arm1:
         arm: ur3e                 # or ur3
@@ -52,6 +53,7 @@ from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, Temp
 from drivers.readings import ICE_POINT_K
 from drivers.safety import CoilLoad, CurrentLimits
 from drivers.settings import Settings
+from drivers.supervised import LONGEST_START_S
 from drivers.supplies import korad_ka3005p
 from drivers.supplies.commands import SupplyCommands
 from drivers.supplies.ramped import RampedSource, longest_off_s
@@ -259,6 +261,7 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     tolerance_A = settings.quantity("tolerance", "current")
     compliance_V = settings.quantity("compliance", "voltage")
     slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
+    start_s = settings.quantity("longest_start", "time", LONGEST_START_S)
     is_replayed = "replay" in settings
     is_korad = kind == "korad_ka3005p"
     serial = korad_ka3005p.SERIAL if is_korad else _SCPI_SERIAL
@@ -268,7 +271,9 @@ def _open_source(name: str, settings: Settings, devices: DeviceSet) -> CurrentSo
     source: CurrentSource = (
         make(threading.Event())
         if is_replayed
-        else SupervisedSource(make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s)
+        else SupervisedSource(
+            make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s, longest_start_s=start_s
+        )
     )
 
     def read_temperature_K() -> float:
@@ -327,12 +332,13 @@ def _open_arm(name: str, settings: Settings, interlock: Interlock) -> RobotArm:
     if settings.has_quantity("joint_low", "angle") or settings.has_quantity("joint_high", "angle"):
         low_rad, high_rad = (settings.quantities(key, "angle", 6) for key in ("joint_low", "joint_high"))
         joint_limits_rad = tuple(zip(low_rad, high_rad, strict=True))
+    start_s = settings.quantity("longest_start", "time", LONGEST_START_S)
     connection = _connection_key(settings, ("host", "replay"))
     address = settings.text(connection)
     transcript = Path(settings.text("record")) if "record" in settings else None
     if connection == "replay":
         return GuardedArm(ReplayedArm(Path(address)), limits, interlock, name=name)
-    arm: RobotArm = UniversalRobot(address, model, joint_limits_rad=joint_limits_rad)
+    arm: RobotArm = UniversalRobot(address, model, joint_limits_rad=joint_limits_rad, longest_start_s=start_s)
     if transcript is not None:
         try:
             arm = RecordingArm(arm, transcript, name=name)

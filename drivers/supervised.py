@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import logging
-import multiprocessing
 import os
 import queue
 import signal
@@ -20,15 +19,17 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, runtime_checkable
 
+from drivers.children import SPAWN, start_without_main
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, DriverError
 
 _LOG = logging.getLogger(__name__)
 
-_SPAWN = multiprocessing.get_context("spawn")
 _KEEP_ALIVE_S = 0.05
 _GRACE_S = 0.5
 """Time that an answer may take beyond the deadline of its call; the child keeps the deadline itself."""
+LONGEST_START_S = 60.0
+"""Unless the settings say otherwise. A child that fails is heard of at once, so this is for one that a busy computer gives no time."""
 
 
 @runtime_checkable
@@ -60,6 +61,8 @@ class _Answer:
 
 
 _INTERRUPT, _GIVEN_UP = "interrupt", "given up"
+_STARTED, _MADE = 0, 1
+"""Numbers of the answers that come before those to calls: the child runs, and its device is made."""
 _LOST = 3
 """Exit code of a child whose connection to its device broke."""
 
@@ -72,29 +75,32 @@ def end_at_once() -> None:
 class Supervised:
     """The parent's end: calls methods of a device in a child process."""
 
-    def __init__(self, make: Callable[[threading.Event], Any], name: str, *, start_timeout_s: float) -> None:
+    def __init__(self, make: Callable[[threading.Event], Any], name: str, *, longest_start_s: float) -> None:
         """Start the child and wait until its device is made.
 
         Args:
             make: Importable function that makes the device in the child. Its argument is set when the current call should end.
             name: Name of the device in messages.
-            start_timeout_s: Time for starting the child and making the device.
+            longest_start_s: Time for starting the child and making the device.
 
         Raises:
             DriverError: The child ended, or took too long.
         """
         self.name = name
-        self._connection, child_connection = _SPAWN.Pipe()
+        self._connection, child_connection = SPAWN.Pipe()
         # Not a daemon: daemons are killed when their parent ends, but this child must still bring its device to rest.
-        self._process = _SPAWN.Process(target=_serve, args=(make, child_connection), name=name, daemon=False)
-        self._process.start()
+        self._process = SPAWN.Process(target=_serve, args=(make, child_connection), name=name, daemon=False)
+        start_without_main(self._process)
         child_connection.close()
         self._lock, self._send_lock = threading.RLock(), threading.Lock()
-        self._number = 0
+        self._number = _MADE
         # On exit this process waits for its children, and the child waits for the end of the pipe: close the pipe first.
         atexit.register(self._connection.close)
         try:
-            self._receive(0, Deadline.after(start_timeout_s))
+            deadline = Deadline.after(longest_start_s)
+            slow = "it has not (a busy computer? the device's longest_start_s may be larger)"
+            self._receive(_STARTED, deadline, f"the process of {name} must have started", slow)
+            self._receive(_MADE, deadline, f"{name} must have opened", "it has not")
         except BaseException:
             self._abandon()
             raise
@@ -132,7 +138,7 @@ class Supervised:
         try:
             self._number += 1
             self._send(_Call(self._number, method, arguments, deadline, is_urgent))
-            return self._receive(self._number, deadline)
+            return self._receive(self._number, deadline, f"{self.name} must answer", "nothing received")
         finally:
             self._lock.release()
 
@@ -164,11 +170,11 @@ class Supervised:
         except OSError as error:
             raise self._ended() from error
 
-    def _receive(self, number: int, deadline: Deadline) -> Any:
+    def _receive(self, number: int, deadline: Deadline, rule: str, received: str) -> Any:
         while True:
             try:
                 if not self._connection.poll(deadline.remaining_s + _GRACE_S):
-                    raise deadline.exceeded(f"{self.name} must answer", "nothing received")
+                    raise deadline.exceeded(rule, received)
                 answer: _Answer = self._connection.recv()
             except (EOFError, OSError) as error:
                 if isinstance(error, DriverError):
@@ -216,13 +222,14 @@ def _serve(make: Callable[[threading.Event], Any], connection: Connection) -> No
                 (interrupt if message == _INTERRUPT else is_given_up).set()
 
     signal.signal(signal.SIGTERM, end)
+    _answer(connection, _Answer(_STARTED, None, None))
     threading.Thread(target=listen, daemon=True).start()
     try:
         device = make(interrupt)
     except Exception as error:
-        _answer(connection, _Answer(0, None, _portable(error)))
+        _answer(connection, _Answer(_MADE, None, _portable(error)))
         return
-    _answer(connection, _Answer(0, None, None))
+    _answer(connection, _Answer(_MADE, None, None))
     _work(device, calls, interrupt, is_given_up, connection)
 
 

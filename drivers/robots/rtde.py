@@ -10,6 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 from typing import TypeAlias
 
 from drivers.errors import DeviceFault
@@ -47,6 +48,9 @@ class PackageType(IntEnum):
     PAUSE = ord("P")
 
 
+_LETTERS = frozenset(PackageType)
+
+
 @dataclass(frozen=True, slots=True)
 class Package:
     """One package without its header."""
@@ -78,7 +82,7 @@ def split(stream: bytes) -> tuple[list[Package], bytes]:
     packages, start = [], 0
     while len(stream) - start >= _HEADER.size:
         size, letter = _HEADER.unpack_from(stream, start)
-        if size < _HEADER.size or letter not in set(PackageType):
+        if size < _HEADER.size or letter not in _LETTERS:
             raise DeviceFault(f"RTDE must send packages; received {stream[start : start + 20]!r}")
         if len(stream) - start < size:
             break
@@ -144,12 +148,12 @@ def decode_data(payload: bytes, recipe: Recipe) -> dict[str, Value]:
         >>> decode_data(encode_data(recipe, [0.5, 2]).payload, recipe)
         {'timestamp': 0.5, 'runtime_state': 2}
     """
-    layout = ">B" + "".join(_FORMATS[kind] for kind in recipe.types)
-    if len(payload) != struct.calcsize(layout) or payload[0] != recipe.number:
+    layout = _layout(recipe.types)
+    if len(payload) != layout.size or payload[0] != recipe.number:
         raise DeviceFault(
-            f"RTDE must send recipe {recipe.number} of {struct.calcsize(layout)} bytes; received {payload[:20]!r}"
+            f"RTDE must send recipe {recipe.number} of {layout.size} bytes; received {payload[:20]!r}"
         )
-    flat = list(struct.unpack(layout, payload))[1:]
+    flat = list(layout.unpack(payload))[1:]
     values: dict[str, Value] = {}
     for name, kind in zip(recipe.names, recipe.types, strict=True):
         length = _length(kind)
@@ -163,8 +167,13 @@ def encode_data(recipe: Recipe, values: Sequence[Value]) -> Package:
     flat: list[bool | int | float] = []
     for value in values:
         flat.extend(value if isinstance(value, tuple) else (value,))
-    layout = ">B" + "".join(_FORMATS[kind] for kind in recipe.types)
-    return Package(PackageType.DATA, struct.pack(layout, recipe.number, *flat))
+    return Package(PackageType.DATA, _layout(recipe.types).pack(recipe.number, *flat))
+
+
+@cache
+def _layout(types: tuple[str, ...]) -> struct.Struct:
+    """Of the payload of a data package."""
+    return struct.Struct(">B" + "".join(_FORMATS[kind] for kind in types))
 
 
 def _length(kind: str) -> int:

@@ -22,7 +22,7 @@ from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
 from drivers.robots.safety_bits import why_stopped
 from drivers.robots.ur_motion import NAMES, UrMotion, is_still, pose_of
-from drivers.supervised import Supervised
+from drivers.supervised import LONGEST_START_S, Supervised
 from drivers.transport.channel import Channel
 from drivers.transport.tcp import TcpPort
 
@@ -33,7 +33,7 @@ FREQUENCY_HZ = {"UR3": 125.0, "UR3e": 500.0}
 JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
 """Range of the joints of a UR3 (the last one turns without end); a rig with cables states narrower limits."""
 
-_START_S, _CLOSE_S = 20.0, 10.0
+_CLOSE_S = 10.0
 _STILL_S = 2.0
 _CONNECT_S = 3.0
 _OLDEST_S = 2.0  # for an arm at rest; during a motion the child is stricter
@@ -48,6 +48,7 @@ class UniversalRobot(ClosesItself):
         model: Literal["UR3", "UR3e"],
         *,
         joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD,
+        longest_start_s: float = LONGEST_START_S,
     ) -> None:
         """Connect to the RTDE port; nothing moves, no program is started.
 
@@ -55,13 +56,14 @@ class UniversalRobot(ClosesItself):
             host: Address of the controller.
             model: Sets the rate of the control cycle.
             joint_limits_rad: Lowest and highest angle of each of the six joints.
+            longest_start_s: Time for the child that the first motion starts; it does not count as time of the motion.
 
         Raises:
             DriverError: The controller is not there.
         """
         if len(joint_limits_rad) != 6:
             raise Refused(f"arm.joint_limits_rad must be six pairs; received {len(joint_limits_rad)}")
-        self._host, self._frequency_Hz = host, FREQUENCY_HZ[model]
+        self._host, self._frequency_Hz, self._longest_start_s = host, FREQUENCY_HZ[model], longest_start_s
         self._name = f"{model} at {host}"
         self._make = partial(UrMotion, host, self._frequency_Hz, tuple(joint_limits_rad))
         self._reader = self._connect()
@@ -96,15 +98,15 @@ class UniversalRobot(ClosesItself):
 
     def move_to(self, base_from_flange: FlangePose, *, speed_m_per_s: float, timeout_s: float) -> None:
         """See `RobotArm.move_to`; a fault says whether the arm is known to stand still. No command is ever sent twice."""
-        deadline = Deadline.after(timeout_s)
         try:
             if self._motion is None or self._motion.has_ended:
-                self._motion = Supervised(self._make, f"motion of {self._name}", start_timeout_s=_START_S)
+                name = f"motion of {self._name}"
+                self._motion = Supervised(self._make, name, longest_start_s=self._longest_start_s)
             self._motion.call(
                 "move_to",
                 base_from_flange=base_from_flange,
                 speed_m_per_s=speed_m_per_s,
-                timeout_s=deadline.remaining_s,
+                timeout_s=timeout_s,
             )
         except Refused:
             raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from drivers.simulated.world import SPAWN
+from drivers.children import SPAWN
 
 
 class Fault(IntEnum):

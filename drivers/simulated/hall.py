@@ -29,7 +29,8 @@ class SimulatedF71:
         self._settings = {"SENS:MODE": "DC", "UNIT:FIEL": "TESLA", "SENS:RANG:AUTO": "1", "SENS:RANG": "0"}
         self._next_s = time.monotonic()
         self._clock_offset_s = time.time() - self._next_s
-        self._points: list[tuple[float, Vector]] = []
+        self._points: list[tuple[float, Snapshot]] = []
+        self._latest = world.snapshot()
         self._interpreter = ScpiInterpreter(
             {
                 "*IDN?": lambda _: "LSCI,F71,LSA0001/LSA0002,1.6.2019101001",
@@ -37,7 +38,7 @@ class SimulatedF71:
                 "FETC:TEMP?": lambda _: f"{_chip_C(world.snapshot()):.3f}",
                 "FETC:BUFF:CLE": lambda _: self._points.clear(),
                 "FETC:BUFF:DC?": lambda _: self._fetch_buffer(),
-                "STAT:OPER:COND?": lambda _: str(2 * self._is_overload),
+                "STAT:OPER:COND?": lambda _: str(2 * self._is_overload()),
                 "SENS:AVER:COUN": self._set_averaging,
                 "SENS:AVER:COUN?": lambda _: str(self._n_averaged),
                 "PROB:SNUM?": lambda _: "LSA0003",
@@ -46,18 +47,20 @@ class SimulatedF71:
             },
             "\r\n",
         )
-        self._is_overload = False
 
     def take(self, data: bytes) -> bytes:
         """See `Instrument.take`."""
         return self._interpreter.take(data)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`; sends nothing but fills the buffer."""
-        while (now_s := time.monotonic()) >= self._next_s:
-            field_T = self._field(self._world.snapshot())
-            self._is_overload = any(abs(value_T) > self._full_scale_T for value_T in field_T)
-            self._points.append((self._next_s + self._clock_offset_s, field_T))
+        """See `Instrument.stream`; sends nothing but fills the buffer.
+
+        A point is the state of the world, whose field is computed when it is read: a computed field may take longer than a sample, and
+        most points are cleared unread.
+        """
+        if (now_s := time.monotonic()) >= self._next_s:
+            self._latest = self._world.snapshot()
+            self._points.append((self._next_s + self._clock_offset_s, self._latest))
             del self._points[:-_BUFFER_POINTS]
             # After a stall the clock continues from now: the points in between were never measured.
             self._next_s += (
@@ -78,6 +81,9 @@ class SimulatedF71:
         self._n_averaged = n_averaged
         self._points.clear()
 
+    def _is_overload(self) -> bool:
+        return any(abs(value_T) > self._full_scale_T for value_T in self._field(self._latest))
+
     def _scale(self) -> float:
         return {"TESLA": 1.0, "GAUSS": 1e4}.get(self._settings["UNIT:FIEL"], 1.0)
 
@@ -87,7 +93,7 @@ class SimulatedF71:
         return ",".join(f"{value:.9E}" for value in values)
 
     def _fetch_buffer(self) -> str:
-        entries = "".join(self._entry(time_s, field_T) for time_s, field_T in self._points)
+        entries = "".join(self._entry(time_s, self._field(moment)) for time_s, moment in self._points)
         self._points.clear()
         return f'"{entries}"'
 
@@ -107,7 +113,7 @@ class Simulated460:
         self._is_auto = {"X": True, "Y": True, "Z": True}
         self._is_gauss = True
         self._arrived = b""
-        self._measured_T: Vector = (0.0, 0.0, 0.0)
+        self._measured = world.snapshot()
         self._next_s = 0.0
 
     def take(self, data: bytes) -> bytes:
@@ -119,9 +125,9 @@ class Simulated460:
         return b"".join(f"{answer}\r\n".encode("ascii") for answer in answers if answer is not None)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`; sends nothing but renews the display."""
+        """See `Instrument.stream`; sends nothing but renews the display, whose field is computed when it is read."""
         if (now_s := time.monotonic()) >= self._next_s:
-            self._measured_T = self._field(self._world.snapshot())
+            self._measured = self._world.snapshot()
             self._next_s = now_s + self._update_s
         return b""
 
@@ -130,9 +136,8 @@ class Simulated460:
             case "*IDN?":
                 return "LSCI,MODEL460,0,032406"
             case "ALLF?":
-                return ",".join(
-                    [*(self._shown(*pair) for pair in zip("XYZ", self._measured_T, strict=True)), "+0.000"]
-                )
+                shown = (self._shown(*pair) for pair in zip("XYZ", self._field(self._measured), strict=True))
+                return ",".join([*shown, "+0.000"])
             case "FIELDM?":
                 return self._prefix(self._channel)
             case "RANGE?":

@@ -9,22 +9,21 @@ import threading
 import time
 import tty
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Self
 
+from drivers.children import SPAWN, start_without_main
 from drivers.device import ClosesItself
 from drivers.errors import DriverError
 from drivers.simulated.faults import Fault, FaultSwitch, spoil
 from drivers.simulated.instrument import Instrument
-from drivers.simulated.world import SPAWN
 
 _TICK_S = 0.002
-_START_S = 30.0
+_START_S = 120.0
+"""A simulator that fails is heard of at once; one whose field needs torch starts for half a minute on a busy computer."""
 _SLOW_S = 0.01
-_NICENESS = 5
-"""Instruments behind a line yield to arms, which must send a package every 2 ms: the field of a sensor takes much longer to compute."""
 _HANDSHAKE_S = 10.0
 """USB makes an instrument wait for its host, which may pause for seconds; a host that reads nothing for longer is gone."""
 
@@ -33,30 +32,36 @@ class Simulator(ClosesItself):
     """A running simulator; it ends when its `with` block or this process ends.
 
     Attributes:
-        address: Path of the pseudo-terminal, `host:port`, or the host of an arm.
         faults: Sets the simulator's fault; may be changed at any time.
     """
 
     def __init__(self, run: Callable[[FaultSwitch, Connection], None]) -> None:
-        """Start the simulator and wait until it listens.
+        """Start the simulator.
 
         Args:
             run: Main function of the child process; sends its address once it listens.
         """
         self.faults = FaultSwitch()
-        receiver, sender = SPAWN.Pipe(duplex=False)
+        self._receiver, sender = SPAWN.Pipe(duplex=False)
         self._process = SPAWN.Process(target=run, args=(self.faults, sender), daemon=True)
-        self._process.start()
+        start_without_main(self._process)
         sender.close()
+
+    @cached_property
+    def address(self) -> str:
+        """Path of the pseudo-terminal, `host:port`, or the host of an arm; waits until the simulator listens there.
+
+        Raises:
+            DriverError: It has ended, or does not listen.
+        """
         try:
-            if not receiver.poll(_START_S):
-                raise DriverError(f"a simulator must start within {_START_S:g} s; it did not")
-            self.address: str = receiver.recv()
+            if not self._receiver.poll(_START_S):
+                raise DriverError(
+                    f"a simulator must start within {_START_S:g} s; it has not (a busy computer?)"
+                )
+            return str(self._receiver.recv())
         except EOFError as error:
             raise DriverError("a simulator must start; it ended, see its error output") from error
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def on_serial_line(cls, make: Callable[[], Instrument]) -> Self:
@@ -173,7 +178,6 @@ def _serve_line(
     make: Callable[[], Instrument], host: str | None, faults: FaultSwitch, ready: Connection
 ) -> None:
     exit_with_parent()
-    os.nice(_NICENESS)
     instrument = make()
     line: _PtyLine | _TcpLine = _PtyLine() if host is None else _TcpLine(host)
     ready.send(line.address)

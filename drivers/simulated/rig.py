@@ -71,17 +71,17 @@ class SimulatedRig(ClosesItself):
             )
         try:
             for name, settings in section.items():
-                without_ports = {key: value for key, value in settings.items() if key not in _PORTS}
+                self.section[name] = {key: value for key, value in settings.items() if key not in _PORTS}
                 if "arm" in settings:
                     network, _, number = first_host.rpartition(".")
                     host = f"{network}.{int(number) + arms.index(name)}"
                     run = partial(serve_ur, self.world, arms.index(name), _VERSIONS[settings["arm"]], host)
                     self.simulators[name] = Simulator(run)
-                    self.section[name] = {**without_ports, "host": host}
-                    continue
-                make = self._instrument(name, settings, fields, sources)
-                self.simulators[name] = Simulator.on_serial_line(make)
-                self.section[name] = {**without_ports, "serial": self.simulators[name].address}
+                else:
+                    make = self._instrument(name, settings, fields, sources)
+                    self.simulators[name] = Simulator.on_serial_line(make)
+            for name, simulator in self.simulators.items():  # they start side by side
+                self.section[name]["host" if name in arms else "serial"] = simulator.address
         except BaseException:
             self.close()
             raise

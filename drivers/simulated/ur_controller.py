@@ -11,6 +11,7 @@ import math
 import re
 import time
 from collections.abc import Sequence
+from functools import cache
 
 from drivers.motion import distance_m
 from drivers.protocols import FlangePose
@@ -40,6 +41,7 @@ _KINDS = (
 """Types of the variables that ur_rtde and this package request; the first matching pattern counts."""
 
 
+@cache
 def kind_of(name: str) -> str:
     """Type of a variable, as in the tables of the RTDE guide.
 
@@ -169,7 +171,7 @@ class UrController:
 
     @property
     def _pose(self) -> FlangePose:
-        return self._world.snapshot().base_from_flange[self._arm]
+        return self._world.pose(self._arm)
 
     def _begin(self, command: int) -> None:
         numbers = tuple(self._double(register) for register in range(6))
@@ -234,6 +236,7 @@ class UrController:
         return float(value) if not isinstance(value, tuple) else 0.0
 
 
+@cache
 def _zero(name: str) -> Value:
     kind = kind_of(name)
     if kind.startswith("VECTOR"):

@@ -6,6 +6,7 @@ Clients cannot choose other ports, so each arm gets its own address, 127.x.y.z.
 from __future__ import annotations
 
 import contextlib
+import math
 import select
 import socket
 import struct
@@ -31,6 +32,7 @@ _SAFETY_STOPS = {
 }
 
 _LONGEST_BACKLOG_S = 0.5
+_CYCLE_S = 0.002
 
 
 class _Client(Protocol):
@@ -85,7 +87,7 @@ class _RtdeClient:
             self.inputs.append(recipe)
             return [Package(kind, bytes([recipe.number]) + ",".join(recipe.types).encode("ascii"))]
         self.is_started = kind is PackageType.START or (self.is_started and kind is not PackageType.PAUSE)
-        self.next_s = time.monotonic()
+        self.next_s = math.ceil(time.monotonic() / self.period_s) * self.period_s  # one beat for all clients
         return [Package(kind, b"\x01")]
 
 
@@ -124,8 +126,13 @@ class _UrServer:
         }
         self._clients: dict[socket.socket, _Client] = {}
 
-    def cycle(self, fault: Fault, wait_s: float) -> None:
-        """Serve what arrives within `wait_s`, then send the packages that are due."""
+    def cycle(self, fault: Fault) -> None:
+        """Serve what arrives until a package is due, or for a control cycle, then send the packages that are due."""
+        now_s = time.monotonic()
+        due_s = [
+            one.next_s for one in self._clients.values() if isinstance(one, _RtdeClient) and one.is_started
+        ]
+        wait_s = max(0.0, min([now_s + _CYCLE_S, *due_s]) - now_s)
         for ready in select.select([*self._servers, *self._clients], [], [], wait_s)[0]:
             if ready in self._servers:
                 self._accept(ready)
@@ -194,7 +201,7 @@ def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitc
     while True:
         fault = faults.fault
         if fault is Fault.STALL:
-            time.sleep(0.002)
+            time.sleep(_CYCLE_S)
             controller.tick()  # the arm goes on; only the network stalls
             continue
         if fault is Fault.DROP:
@@ -203,4 +210,4 @@ def serve_ur(world: World, arm: int, version: str, host: str, faults: FaultSwitc
         elif fault in _SAFETY_STOPS:
             _SAFETY_STOPS[fault](controller)
             faults.fault = Fault.NONE
-        server.cycle(fault, 0.0005)
+        server.cycle(fault)

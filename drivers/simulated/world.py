@@ -7,18 +7,14 @@ No process updates it: it stores start and target of each current and motion, an
 from __future__ import annotations
 
 import math
-import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.context import SpawnContext
 from typing import TypeAlias
 
+from drivers.children import SPAWN
 from drivers.motion import interpolate
 from drivers.protocols import FlangePose, Vector
-
-SPAWN: SpawnContext = multiprocessing.get_context("spawn")
-"""Simulators start as fresh processes: a forked one would share the threads and locks of its parent."""
 
 ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -138,6 +134,11 @@ class World:
             pose = self._pose(arm, time.monotonic())
             self._write_motion(arm, pose, pose, 0.0)
 
+    def pose(self, arm: int) -> FlangePose:
+        """Pose of a flange now."""
+        with self._cells:
+            return self._pose(arm, time.monotonic())
+
     def is_moving(self, arm: int) -> bool:
         """Whether a flange is moving."""
         with self._cells:
@@ -158,8 +159,10 @@ class World:
     def _pose(self, arm: int, now_s: float) -> FlangePose:
         cells = self._cells[self._motion(arm)]
         begin_s, duration_s = cells[12:]
-        share = min(1.0, (now_s - begin_s) / duration_s) if duration_s > 0 else 1.0
-        return interpolate(_pose(cells[:6]), _pose(cells[6:12]), share)
+        target = _pose(cells[6:12])
+        if now_s >= begin_s + duration_s:
+            return target
+        return interpolate(_pose(cells[:6]), target, (now_s - begin_s) / duration_s)
 
     def _write_motion(self, arm: int, start: FlangePose, target: FlangePose, duration_s: float) -> None:
         poses = (

@@ -8,12 +8,11 @@ from collections.abc import Callable
 
 from drivers.device import ClosesItself
 from drivers.protocols import Reading
-from drivers.supervised import Supervised
+from drivers.supervised import LONGEST_START_S, Supervised
 from drivers.supplies.ramped import RampedSource
 
 _LOG = logging.getLogger(__name__)
 
-_START_S = 10.0
 _CLOSE_S = 2.0
 """Time to allow beyond switching off."""
 
@@ -28,6 +27,7 @@ class SupervisedSource(ClosesItself):
         *,
         slew_A_per_s: float,
         longest_off_s: float,
+        longest_start_s: float = LONGEST_START_S,
     ) -> None:
         """Start the child, which opens the port.
 
@@ -36,9 +36,10 @@ class SupervisedSource(ClosesItself):
             name: Name of the source in messages.
             slew_A_per_s: As of the source that is made.
             longest_off_s: As of the source that is made.
+            longest_start_s: Time for starting the child and opening the port.
         """
         self.slew_A_per_s, self.longest_off_s = slew_A_per_s, longest_off_s
-        self._make, self._name = make, name
+        self._make, self._name, self._longest_start_s = make, name, longest_start_s
         self._supervised = self._start()
         self._is_closed = False
 
@@ -76,4 +77,4 @@ class SupervisedSource(ClosesItself):
             self._supervised.close(timeout_s=self.longest_off_s + _CLOSE_S)
 
     def _start(self) -> Supervised:
-        return Supervised(self._make, self._name, start_timeout_s=_START_S)
+        return Supervised(self._make, self._name, longest_start_s=self._longest_start_s)

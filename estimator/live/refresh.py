@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import time
@@ -14,6 +13,7 @@ from types import TracebackType
 
 import torch
 
+from drivers.children import SPAWN, start_without_main
 from estimator.calibration.calibrate import calibrate
 from estimator.diagnosis.diagnose import diagnose
 from estimator.errors import InvalidInput
@@ -118,10 +118,9 @@ class Background:
         return result
 
     def _start(self) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self._pipe, child_end = spawn.Pipe()
-        self._process = spawn.Process(target=_serve, args=(child_end, self._seed), daemon=True)
-        self._process.start()
+        self._pipe, child_end = SPAWN.Pipe()
+        self._process = SPAWN.Process(target=_serve, args=(child_end, self._seed), daemon=True)
+        start_without_main(self._process)
         child_end.close()  # so that the pipe ends with the process
 
     def _begin(self, session: Session) -> None:

@@ -50,17 +50,16 @@ def world():
 @pytest.fixture
 def section(world):
     """Devices of a simulated rig."""
-    host = free_host()
     with (
         Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as f71,
         Simulator.on_serial_line(partial(simulated_kepco, world, 0, 5.0)) as kepco,
-        Simulator(partial(serve_ur, world, 0, "5.11.1.108318", host)) as _,
+        Simulator(partial(serve_ur, world, 0, "5.11.1.108318", free_host())) as ur,
     ):
         tcp_host, _, port = f71.address.rpartition(":")
         yield {
             "hall": {**SENSOR, "tcp": tcp_host, "port": int(port)},
             "coil1": {**SUPPLY, "serial": kepco.address},
-            "arm1": {**ARM, "host": host},
+            "arm1": {**ARM, "host": ur.address},
         }
 
 

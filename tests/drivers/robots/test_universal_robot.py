@@ -39,9 +39,8 @@ def world():
 def rig(request, world):
     """Simulator and arm."""
     model, version = request.param
-    host = free_host()
-    with Simulator(partial(serve_ur, world, 0, version, host)) as simulator:
-        arm = UniversalRobot(host, model)
+    with Simulator(partial(serve_ur, world, 0, version, free_host())) as simulator:
+        arm = UniversalRobot(simulator.address, model)
         yield simulator, arm
         simulator.faults.fault = Fault.NONE
         with contextlib.suppress(DriverError):

@@ -212,3 +212,23 @@ def test_a_rotation_is_interpolated_about_one_axis():
 )
 def test_long_and_short_forms_are_the_same_command(long, short):
     assert short_form(long) == short_form(short) == short
+
+
+def test_a_field_that_takes_longer_than_a_sample_is_computed_for_the_points_that_are_read(world):
+    computed = []
+
+    def slow(snapshot):
+        computed.append(snapshot)
+        time.sleep(0.02)  # two samples
+        return along_z(snapshot)
+
+    instrument = SimulatedF71(world, slow)
+    for _ in range(10):
+        time.sleep(0.01)
+        instrument.stream()
+    assert computed == []
+    instrument.take(b"FETC:BUFF:CLE\n")
+    time.sleep(0.01)
+    instrument.stream()
+    assert instrument.take(b"FETC:BUFF:DC?\n").count(b";") == 1
+    assert len(computed) == 1

@@ -63,7 +63,7 @@ def measured(run: Run, rig: Path, plan: Path, out: Path, *hidden: str) -> Result
     return result
 
 
-@pytest.mark.slow  # two arms at 500 Hz beside two computed sensors want more than two slow cores
+@pytest.mark.slow  # a minute and a half on two busy cores
 def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(run: Run, tmp_path: Path) -> None:
     rig_path, plan_path, out = (tmp_path / name for name in ("rig.yaml", "plan.yaml", "session.zarr"))
     rig_path.write_text(RIG, encoding="utf-8")

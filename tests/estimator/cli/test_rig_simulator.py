@@ -18,7 +18,7 @@ from drivers.open import check_device, open_devices
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
-START_S, END_S = 60.0, 20.0
+START_S, END_S = 180.0, 20.0
 
 Run = Callable[..., Result]
 
