@@ -131,6 +131,7 @@ class WindingMisstated(WindingEffect):
     source: ClassVar[str] = (
         "radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %"
     )
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Relative excess of the external radius, of the wire's thickness and of both numbers of loops."""
