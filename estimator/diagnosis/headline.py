@@ -9,7 +9,7 @@ from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import size_with_unit
 
-MOST_STRUCTURES = 3  # that the sentence about the source lists
+MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
@@ -46,15 +46,16 @@ def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
     assert others is not None
     search = diagnosis.findings.search
     n_kinds = len({cause.name for cause in search.added})
-    reached = ", ".join(
-        f"{diagnosis.label(one.cause)} {one.log_bayes_factor:.0f}" for one in others.asked[:MOST_STRUCTURES]
-    )
     left = search.steps[-1].discrepancy
-    still = f", which still leaves {left.log_bayes_factor:.0f}" if leaves_structure(left) else ""
-    first = f"the first {len(others.pile)} of them have a log evidence of {others.log_bayes_factor:.0f}"
+    leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
+    reached = "".join(
+        f"; {diagnosis.label(one.cause)} {one.log_bayes_factor:.0f} beside {len(one.needed)} of them"
+        for one in others.asked[:MOST_STRUCTURES]
+    )
     return (
-        f"The model of the source itself seems wrong, so check how it is built: {len(search.added)} causes of {n_kinds} kinds pile "
-        f"up{still}; {first}, and no other way to build the source does as well ({reached or 'none was asked'})."
+        f"The model of the source itself seems wrong, so check how it is built: {len(search.added)} causes of {n_kinds} kinds pile up"
+        f"{leaving if leaves_structure(left) else ''}, and none of {len(others.asked)} other ways to build it explains more than the "
+        f"first {len(others.pile)} by as few (log evidence {others.log_bayes_factor:.0f}{reached})."
     )
 
 
