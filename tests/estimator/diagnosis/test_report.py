@@ -23,6 +23,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
+from estimator.reporting.plots import Role
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
@@ -138,6 +139,11 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
         in page
     )
     assert f"{label} (stands in) x_T" in page
+    assert f"parameter {label} (stands in)" in page.partition("Impact of each cause")[2]
+    assert "taken; stands in" in page
+    race = next(p for p in pictures(unexplained) if p.title == "Hypotheses, step 1").figure
+    assert str(Role.STAND_IN) in [text.get_text() for text in race.legends[0].get_texts()]
+    assert str(Role.NAMED) not in [text.get_text() for text in race.legends[0].get_texts()]
     assert f"({label}," not in page.partition("The extended rig")[0]
     assert f"rig_extended.yaml also has {label}: needed here" in _text(unexplained, Path("out"))
     assert "also has" not in _text(diagnosis, Path("out"))
@@ -154,8 +160,9 @@ def test_pile_of_causes_is_said_with_what_speaks_for_a_wrong_source(
     assert piled.to_json()["source_model"]["seems_wrong"] is False
     monkeypatch.setattr(policy, "MOST_KINDS", 0)
     (sentence,) = [words for words in headline(piled) if words.startswith("The model of the source itself")]
-    assert "log evidence of 40" in sentence
-    assert "(iron_core 12)" in sentence
+    assert sentence.endswith(
+        "explains more than the first 1 by as few (log evidence 40; iron_core 12 beside 0 of them)."
+    )
     assert len(headline(piled)) <= 4
     assert piled.to_json()["source_model"] == {
         "seems_wrong": True,
