@@ -25,6 +25,7 @@ from estimator.diagnosis.hypotheses.step import (
     take_step,
 )
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
@@ -90,16 +91,19 @@ class Search:
         return self.final.log_evidence - self.base.log_evidence + n * log_prior_odds
 
 
-def search(base: Fit, tell: Callable[[str], None], limits: Limits) -> Search:
+def search(
+    base: Fit, tell: Callable[[str], None], limits: Limits, on_progress: OnProgress = unwatched
+) -> Search:
     """Add causes to a fit while their evidence suffices, then test for each whether another does better beside the rest.
 
     Args:
         base: Fit of the rig as described.
         tell: Called with a message at each step.
         limits: When the search ends before the evidence does.
+        on_progress: Called before and after each fit of a hypothesis.
     """
     pool = candidates(base, causes_of(base.rig, base))
-    state = _SearchState(base, pool, families(base), tell, limits)
+    state = _SearchState(base, pool, families(base), tell, limits, on_progress)
     base_discrepancy = discrepancy(base, state.smooth)
     fit = state.forward(base)
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
@@ -135,10 +139,12 @@ class _SearchState:
         smooth: list[Family],
         tell: Callable[[str], None],
         limits: Limits,
+        on_progress: OnProgress = unwatched,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
-        self.tell, self.limits = tell, limits
+        self.tell, self.limits, self.on_progress = tell, limits, on_progress
+        self.n_compared = 0
         self.ended_early = ""
         self.other_structures: OtherStructures | None = None
         self.steps: list[Step] = []
@@ -240,7 +246,11 @@ class _SearchState:
     def _with_other_structure(self, pile: Fit) -> Fit:
         """The fit with another structure of the source alone, where it does better than a pile of causes; else the pile."""
         n_causes = len({candidate.cause for candidate in self.pool})
-        self.other_structures = other_structures(self.base, pile, n_causes, self.tell, self.limits)
+        self.tell(
+            f"{len(self.added(pile))} causes pile up: asking whether another structure of the source does for them"
+        )
+        pace = Pace("other structures of the source", self.on_progress)
+        self.other_structures = other_structures(self.base, pile, n_causes, self.limits, pace)
         better = self.other_structures.better
         if better is None:
             self.tell("no other structure of the source does as well")
@@ -303,7 +313,9 @@ class _SearchState:
 
     def step(self, fit: Fit) -> Step:
         """Compare all hypotheses at a fit."""
-        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits)
+        self.n_compared += 1
+        pace = Pace(f"step {self.n_compared}", self.on_progress)
+        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits, pace)
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""

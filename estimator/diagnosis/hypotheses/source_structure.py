@@ -7,7 +7,7 @@ one hypothesis that would do for all.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from estimator.diagnosis import policy
@@ -23,6 +23,7 @@ from estimator.diagnosis.hypotheses.step import (
     with_probabilities,
 )
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -96,17 +97,15 @@ def is_pile(causes: Sequence[Cause], most: int) -> bool:
     return len({cause.name for cause in causes}) > most
 
 
-def other_structures(
-    base: Fit, pile: Fit, n_causes: int, tell: Callable[[str], None], limits: Limits
-) -> OtherStructures:
+def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: Pace) -> OtherStructures:
     """Fit every hypothesis of structure in full, alone from all its starts, then with what it leaves needed of a pile of causes.
 
     Args:
         base: Without any cause.
         pile: With causes of many kinds.
         n_causes: Number of causes that were compared.
-        tell: Called with a message at each hypothesis.
         limits: Once they are reached, no further hypothesis is asked.
+        pace: Told of each hypothesis.
     """
     prior_cost = math.log(max(n_causes, 1)) + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE
     piled = tuple(cause for cause in pile.rig.effects if cause not in base.rig.effects)
@@ -115,10 +114,11 @@ def other_structures(
         return fit.log_evidence - base.log_evidence - (n_added - 1) * prior_cost
 
     asked = []
-    for cause in structural_causes(base):
+    causes = structural_causes(base)
+    for i, cause in enumerate(causes):
         if limits.is_over:
             break
-        tell(f"asking whether {cause.label} does for {len(piled)} causes")
+        pace.tell(i, len(causes))
         alone = _best_alone(base, cause)
         if alone is None:
             continue
