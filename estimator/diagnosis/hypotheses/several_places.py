@@ -168,14 +168,8 @@ def comparison_steps(
 def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     """The fit without one of its causes, to first order, and the factor by which its noise would grow."""
     coordinates = fit.posterior.coordinates
-    nulls = {
-        f"{cause.label}.{q.key}": q.null
-        for q in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
-        if not q.is_shape
-    }
-    of_cause = [i for i, name in enumerate(coordinates.names) if name in nulls]
+    of_cause, null = fit.at_null(cause)
     others = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
-    null = torch.tensor([nulls[coordinates.names[i]] for i in of_cause], dtype=torch.float64)
     covariance = fit.covariance[of_cause][:, of_cause]
     shift = fit.covariance[:, of_cause] @ torch.linalg.solve(covariance, null - fit.vector[of_cause])
     residual = fit.residual - fit.jacobian @ shift
