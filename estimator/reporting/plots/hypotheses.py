@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
@@ -122,9 +123,9 @@ def stepwise_residual(
     factor, unit = (1e3, "mT") if max(rms_T) >= 1e-3 else (1e6, "µT")
     labels = ["rig as described", *(f"+ {name}" for name in names)]
     rises = ["", *(f", log evidence {rise:+.0f}".replace("-", "−") for rise in evidence)]
-    bars = list(zip(range(len(rms_T)), rms_T, [Role.OTHER, *roles], labels, rises, strict=True))
+    bars = list(zip(map(float, range(len(rms_T))), rms_T, [Role.OTHER, *roles], labels, rises, strict=True))
     if noise_T is not None:
-        left_T = max(rms_T[-1] ** 2 - noise_T**2, 0.0) ** 0.5
+        left_T = math.sqrt(max(rms_T[-1] ** 2 - noise_T**2, 0.0))
         bars.append((len(rms_T) + 0.5, left_T, Role.LEFT, "left beyond the noise", ""))
         ax.axvline(factor * noise_T, color=BLACK, lw=1.0, ls="--", label="noise")
         roles.append(Role.LEFT)
@@ -153,9 +154,7 @@ def _legend(ax: Axes, roles: Sequence[Role]) -> None:
         if role in roles
     ]
     lines, _ = ax.get_legend_handles_labels()
-    ax.get_figure(root=True).legend(
-        handles=[*handles, *lines], loc="outside lower center", ncols=2, fontsize=8
-    )
+    ax.figure.legend(handles=[*handles, *lines], loc="outside lower center", ncols=2, fontsize=8)
 
 
 @styled
