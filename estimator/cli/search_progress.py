@@ -66,10 +66,10 @@ def progress_words(progress: Progress) -> str:
         >>> progress_words(Progress("step 2", 7, 16, 20.3))
         'step 2: 7 of up to 16 hypotheses fitted, at most about 20 s of fits left'
         >>> progress_words(Progress("step 2", 4, 4, 0.0))
-        'step 2: 4 hypotheses fitted, checking them'
+        'step 2: 4 fitted, comparing all hypotheses'
     """
     if progress.n_fitted == progress.most:
-        return f"{progress.what}: {progress.n_fitted} hypotheses fitted, checking them"
+        return f"{progress.what}: {progress.n_fitted} fitted, comparing all hypotheses"
     state = f"{progress.what}: {progress.n_fitted} of up to {progress.most} hypotheses fitted"
     if progress.left_s is None:
         return state

@@ -85,14 +85,15 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
         [_role(diagnosis, addition.causes) for addition in additions],
-        float(np.sqrt(np.nanmean(_sigma_T(fits[-1]) ** 2))),
+        diagnosis.fits.before.lack_of_fit.noise_T,
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)
     yield Picture(
         "What each cause contributes",
         "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence. The last "
-        "bar is what remains beyond the noise: its square and that of the noise add up to the square of the bar above.",
+        "bar is what remains beyond the noise that repeats or the rig file state: its square and that of the noise add up to the square of "
+        "the bar above.",
         figure,
     )
 
@@ -162,10 +163,10 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _role(diagnosis: Diagnosis, causes: Sequence[Cause]) -> plots.Role:
-    """What the verdict makes of causes that were taken together: named where one of them is."""
+    """What the verdict makes of causes that were taken together: what the search kept without a name stands in for the unknown."""
     if {named.cause for named in diagnosis.causes} & set(causes):
         return plots.Role.NAMED
-    return plots.Role.STAND_IN if set(diagnosis.findings.stand_ins) & set(causes) else plots.Role.OTHER
+    return plots.Role.STAND_IN if set(diagnosis.findings.search.added) & set(causes) else plots.Role.OTHER
 
 
 def _residual_T(fit: Fit) -> np.ndarray:

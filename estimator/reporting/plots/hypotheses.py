@@ -87,11 +87,11 @@ def evidence_bars(
             text = f" {text}".replace("-", "−") + ("  ← taken here" if name == adopted else "")
             ax.annotate(text, (max(value, 0.0), row), va="center", ha="left", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.8)
-    ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0)
+    ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
     ax.set_yticks(rows, [plain(WORDS.get(name, name)) for name in names])
     ax.invert_yaxis()
     ax.set_xlim(least, 1.35 * max(best, 4.0))
-    ax.set_xlabel("log Bayes factor against “nothing wrong”; grey band: within 20 to 1 of the best")
+    ax.set_xlabel("log Bayes factor against “nothing wrong”")
     ax.set_title(plain(title))
     _legend(ax, [role[name] for name in names])
     return ax
@@ -127,7 +127,7 @@ def stepwise_residual(
     if noise_T is not None:
         left_T = math.sqrt(max(rms_T[-1] ** 2 - noise_T**2, 0.0))
         bars.append((len(rms_T) + 0.5, left_T, Role.LEFT, "left beyond the noise", ""))
-        ax.axvline(factor * noise_T, color=BLACK, lw=1.0, ls="--", label="noise")
+        ax.axvline(factor * noise_T, color=BLACK, lw=1.0, ls="--", label="noise alone")
         roles.append(Role.LEFT)
     for row, value_T, role, _, rise in bars:
         _bar(ax, row, factor * value_T, role)
@@ -147,14 +147,14 @@ def _bar(ax: Axes, row: float, length: float, role: Role) -> None:
 
 
 def _legend(ax: Axes, roles: Sequence[Role]) -> None:
-    """Below the axes: each role that is drawn, and lines with a label."""
+    """Below the axes: each role that is drawn, and what else has a label."""
     handles: list[Artist] = [
         Patch(facecolor=COLOUR[role], hatch=HATCH.get(role), edgecolor="white", lw=0.0, label=str(role))
         for role in Role
         if role in roles
     ]
-    lines, _ = ax.get_legend_handles_labels()
-    ax.figure.legend(handles=[*handles, *lines], loc="outside lower center", ncols=2, fontsize=8)
+    others, _ = ax.get_legend_handles_labels()
+    ax.figure.legend(handles=[*handles, *others], loc="outside lower center", ncols=2, fontsize=8)
 
 
 @styled

@@ -49,7 +49,7 @@ def test_names_stand_ins_and_what_is_left_are_groups_apart_that_a_legend_explain
     rows = np.diff(ax.get_yticks())
     assert rows.tolist() == [1.5, 1.5, 1.0, 1.5]
     (legend,) = ax.figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == list(Role)
+    assert [text.get_text() for text in legend.get_texts()] == [*Role, "within 20 to 1 of the best"]
     taken = next(text for text in ax.texts if "taken here" in text.get_text())
     assert taken.xy[1] == ax.get_yticks()[1]
 
@@ -114,5 +114,5 @@ def test_stepwise_residual_ends_with_what_is_left_beyond_the_noise():
     assert labels(ax)[-1] == "left beyond the noise"
     assert ax.patches[-1].get_width() == pytest.approx(4.0)
     (legend,) = ax.figure.legends
-    shown = [Role.NAMED, Role.STAND_IN, Role.LEFT, "noise"]
+    shown = [Role.NAMED, Role.STAND_IN, Role.LEFT, "noise alone"]
     assert [text.get_text() for text in legend.get_texts()] == shown
