@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import signal
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,6 +81,7 @@ def diagnose_command(
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
     from estimator.calibration.report import calibration_report
+    from estimator.cli.search_progress import SearchReporter
     from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.fit_journal import FITS
@@ -106,7 +106,7 @@ def diagnose_command(
         unfinished.mkdir(exist_ok=True)
         shutil.copy(out / FITS, unfinished / FITS)
     limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
-    with _stopping(limits):
+    with SearchReporter() as reporter, _stopping(limits, reporter.stage):
         diagnosis = diagnose(
             session,
             rig,
@@ -116,7 +116,8 @@ def diagnose_command(
             has_posterior=has_posterior,
             limits=limits,
             most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
-            on_stage=_show_stage,
+            on_stage=reporter.stage,
+            on_progress=reporter.progress,
         )
     command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
     write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
@@ -128,14 +129,14 @@ def diagnose_command(
 
 
 @contextmanager
-def _stopping(limits: Limits) -> Iterator[None]:
+def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
     """The first Ctrl-C or SIGTERM ends the search, and the report of the best so far follows; the second ends the program."""
 
     def stop(*_: object) -> None:
         if limits.stopped.is_set():
             raise KeyboardInterrupt
         limits.stopped.set()
-        _show_stage(
+        tell(
             "stopping after the fit at hand; the report of the best so far follows (once more to quit at once)"
         )
 
@@ -145,11 +146,6 @@ def _stopping(limits: Limits) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _show_stage(words: str) -> None:
-    click.echo(f"coilcal: {words}", err=True)
-    sys.stderr.flush()
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:

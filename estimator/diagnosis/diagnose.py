@@ -22,6 +22,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
+from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
     CALIBRATION_FOLDER,
     Diagnosis,
@@ -62,6 +63,7 @@ def diagnose(
     limits: Limits | None = None,
     most_readings: int = policy.MOST_READINGS_SEARCHED,
     on_stage: Callable[[str], None] | None = None,
+    on_progress: OnProgress = unwatched,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and validate the extension.
 
@@ -77,6 +79,7 @@ def diagnose(
         limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
         on_stage: Called with a message at the start of each stage.
+        on_progress: Called as the search fits hypotheses, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
         InvalidInput: The readings cannot support a fit.
@@ -93,7 +96,13 @@ def diagnose(
         if journal is not None and len(journal):
             tell(f"continuing: {len(journal)} fits were made before")
         result = _judged(
-            Question(rig, session.source, seed), seen, unseen, limits or Limits(), most_readings, tell
+            Question(rig, session.source, seed),
+            seen,
+            unseen,
+            limits or Limits(),
+            most_readings,
+            tell,
+            on_progress,
         )
     is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
@@ -121,6 +130,7 @@ def _judged(
     limits: Limits,
     most_readings: int,
     tell: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> Diagnosis:
     """The diagnosis from readings to be fitted and others to judge the fits."""
     rig, seed = question.rig, question.seed
@@ -128,7 +138,7 @@ def _judged(
     tell("fitting the rig as described")
     rules, refusal = rules_and_refusal(rig, few)
     plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
-    search_result, mistakes = _searched(plain, refusal, limits, tell)
+    search_result, mistakes = _searched(plain, refusal, limits, tell, on_progress)
     named = named_causes(search_result)
     verdict = verdict_of(search_result, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -182,7 +192,11 @@ def _judged(
 
 
 def _searched(
-    plain: Fit, refusal: InvalidInput | None, limits: Limits, tell: Callable[[str], None]
+    plain: Fit,
+    refusal: InvalidInput | None,
+    limits: Limits,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> tuple[Search, Sequence[RecordMistake]]:
     """The search for causes beside mistakes of the record; without such mistakes where they are doubtful.
 
@@ -193,12 +207,12 @@ def _searched(
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("searching for causes")
-    result = search(base, tell, limits)
+    result = search(base, tell, limits, on_progress)
     if mistakes and _are_doubtful(mistakes, result):
         if refusal is not None:
             raise refusal
         tell("the mistakes of the record are doubtful: searching again with the record as it is")
-        return search(plain, tell, limits), []
+        return search(plain, tell, limits, on_progress), []
     return result, mistakes
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.reporting.page import Picture
+from estimator.rig.rig import Cause
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
@@ -83,12 +84,16 @@ def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
         [diagnosis.label_of_addition(addition) for addition in additions],
         [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
         [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
+        [_role(diagnosis, addition.causes) for addition in additions],
+        diagnosis.fits.before.lack_of_fit.noise_T,
         title=diagnosis.rig.name,
     ).figure
     assert isinstance(figure, Figure)
     yield Picture(
         "What each cause contributes",
-        "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence.",
+        "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence. The last "
+        "bar is what remains beyond the noise that repeats or the rig file state: its square and that of the noise add up to the square of "
+        "the bar above.",
         figure,
     )
 
@@ -140,7 +145,12 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
             for hypothesis in step.hypotheses
         }
         taken = None if step.taken is None else diagnosis.label(step.taken)
-        figure = plots.evidence_bars(evidence, taken, title=f"step {number}").figure
+        roles = {
+            diagnosis.label_of_hypothesis(hypothesis): _role(diagnosis, (hypothesis.cause,))
+            for hypothesis in step.hypotheses
+            if hypothesis.cause is not None
+        }
+        figure = plots.evidence_bars(evidence, taken, roles, title=f"step {number}").figure
         assert isinstance(figure, Figure)
         words = f"{title} was taken." if taken else "No further cause has enough evidence."
         if taken and title != taken:
@@ -150,6 +160,13 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
             f"Log Bayes factor of each cause, and of a flexible curve for what no known cause explains, against nothing wrong. {words}",
             figure,
         )
+
+
+def _role(diagnosis: Diagnosis, causes: Sequence[Cause]) -> plots.Role:
+    """What the verdict makes of causes that were taken together: what the search kept without a name stands in for the unknown."""
+    if {named.cause for named in diagnosis.causes} & set(causes):
+        return plots.Role.NAMED
+    return plots.Role.STAND_IN if set(diagnosis.findings.search.added) & set(causes) else plots.Role.OTHER
 
 
 def _residual_T(fit: Fit) -> np.ndarray:

@@ -158,6 +158,21 @@ class Fit:
         gradients = jacobian_of(lambda vector: torch.stack(list(values(vector).values())), self.vector)
         return dict(zip(self.values, gradients, strict=True))
 
+    def null_values(self, cause: Cause) -> dict[str, Tensor]:
+        """Values, by parameter, at which one of the rig's causes changes nothing; without its shapes, which keep theirs."""
+        quantities = EFFECTS[cause.name].quantities(self.posterior.model.circumstances.extent)
+        sizes = [quantity for quantity in quantities if not quantity.is_shape]
+        return {f"{cause.label}.{q.key}": torch.tensor(q.null, dtype=torch.float64) for q in sizes}
+
+    def at_null(self, cause: Cause) -> tuple[list[int], Float[Tensor, " coordinate"]]:
+        """Which coordinates say how large one of the rig's causes is, and what they are at its null; -inf is the logarithm of 0."""
+        coordinates, nulls = self.posterior.coordinates, self.null_values(cause)
+        rows = [i for i, name in enumerate(coordinates.names) if name in nulls]
+        own = [(coordinates.parameters[i], nulls[coordinates.names[i]]) for i in rows]
+        return rows, torch.tensor(
+            [float(v.log() if p.is_positive else v) for p, v in own], dtype=torch.float64
+        )
+
     def log_evidence_for(
         self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
     ) -> float:
@@ -170,17 +185,9 @@ class Fit:
             beside: Columns of a discrepancy with standard normal coefficients, fitted as well.
         References: Dickey and Lientz, Ann. Math. Stat. 41, 214 (1970): ratio of prior and posterior density at the null.
         """
-        quantities = {
-            f"{cause.label}.{q.key}": q
-            for q in EFFECTS[cause.name].quantities(self.posterior.model.circumstances.extent)
-            if not q.is_shape
-        }
-        names = [name for name in quantities if name in self.posterior.coordinates.names]
-        if not names or any(quantities[name].is_positive and not quantities[name].null for name in names):
+        rows, null = self.at_null(cause)
+        if not rows or not bool(torch.isfinite(null).all()):
             return math.inf
-        rows = [self.posterior.coordinates.names.index(name) for name in names]
-        nulls = {name: torch.tensor(quantities[name].null, dtype=torch.float64) for name in names}
-        null = torch.stack([torch.log(v) if quantities[n].is_positive else v for n, v in nulls.items()])
         vector, covariance = self.vector, self.covariance
         if beside is not None:
             covariance = self.covariance_beside(beside)
@@ -189,12 +196,13 @@ class Fit:
             vector = vector - covariance @ pull
         posterior = torch.distributions.MultivariateNormal(vector[rows], covariance[rows][:, rows])
         log_prior = 0.0
-        for name in names:
-            prior = self.rig.parameters[name].prior
-            assert prior is not None
-            log_prior += float(prior.log_density(nulls[name])) + prior.log_normaliser
-            if quantities[name].is_positive:
-                log_prior += math.log(quantities[name].null)  # per logarithm, which is what was fitted
+        parameters = self.posterior.coordinates.parameters
+        for parameter, coordinate in zip((parameters[i] for i in rows), null, strict=True):
+            assert parameter.prior is not None
+            value = coordinate.exp() if parameter.is_positive else coordinate
+            log_prior += float(parameter.prior.log_density(value)) + parameter.prior.log_normaliser
+            if parameter.is_positive:
+                log_prior += float(coordinate)  # per logarithm, which is what was fitted
         return log_prior - float(posterior.log_prob(null))
 
     def still_has(self, cause: Cause) -> bool:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from estimator.diagnosis.hypotheses.source_structure import OtherStructures
+from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import size_with_unit
 
+MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
 def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
-    sentences = [_what(diagnosis), _cost(diagnosis), _next(diagnosis)]
-    if ended := diagnosis.findings.search.ended_early:
+    search = diagnosis.findings.search
+    source = _source(search.other_structures, diagnosis) if search.source_seems_wrong else ""
+    sentences = [_what(diagnosis), source, _cost(diagnosis), "" if source else _next(diagnosis)]
+    if ended := search.ended_early:
         sentences.append(f"The search ended early, for {ended}; the same command goes on with it.")
     return [sentence for sentence in sentences if sentence]
 
@@ -34,6 +39,24 @@ def _what(diagnosis: Diagnosis) -> str:
         f"{remainder.rms_sigma:.2g} times the noise"
     )
     return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+
+
+def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
+    """That the model of the source itself seems wrong, and what speaks for it."""
+    assert others is not None
+    search = diagnosis.findings.search
+    n_kinds = len({cause.name for cause in search.added})
+    left = search.steps[-1].discrepancy
+    leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
+    reached = "".join(
+        f"; {diagnosis.label(one.cause)} {one.log_bayes_factor:.0f} beside {len(one.needed)} of them"
+        for one in others.asked[:MOST_STRUCTURES]
+    )
+    return (
+        f"The model of the source itself seems wrong, so check how it is built: {len(search.added)} causes of {n_kinds} kinds pile up"
+        f"{leaving if leaves_structure(left) else ''}, and none of {len(others.asked)} other ways to build it explains more than the "
+        f"first {len(others.pile)} by as few (log evidence {others.log_bayes_factor:.0f}{reached})."
+    )
 
 
 def _mistakes(diagnosis: Diagnosis) -> list[tuple[str, str]]:

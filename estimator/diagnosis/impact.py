@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 
 from estimator.diagnosis.fitting import Fit
-from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 
@@ -17,16 +16,13 @@ def impact_sd(fit: Fit, cause: Cause) -> dict[str, float]:
     Args:
         fit: With the cause.
         cause: One of its rig.
-    Returns: By name of the parameter; empty where no quantity of the cause is free.
+    Returns: By name of the parameter; empty where no quantity of the cause is free, or where one cannot be at its null.
     References: ATLAS and CMS, ATL-PHYS-PUB-2011-11, for impacts and pulls of nuisance parameters.
     """
     coordinates = fit.posterior.coordinates
-    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
-    nulls = {f"{cause.label}.{q.key}": q.null for q in quantities if not q.is_shape and not q.is_positive}
-    own = [i for i, name in enumerate(coordinates.names) if name in nulls]
-    if not own:
+    own, null = fit.at_null(cause)
+    if not own or not bool(torch.isfinite(null).all()):
         return {}
-    null = torch.tensor([nulls[coordinates.names[i]] for i in own], dtype=torch.float64)
     within = fit.covariance[own][:, own]
     shift = fit.covariance[:, own] @ torch.linalg.solve(within, null - fit.vector[own])
     sd = torch.diagonal(fit.covariance).sqrt()

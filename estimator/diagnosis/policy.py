@@ -136,6 +136,11 @@ MOST_CAUSES_REFITTED = 4
 curves by a fit without it. With more nothing is exchanged, for in MICE run07 that made things worse (docs/decisions/0008), and each is
 judged to first order. Study: not tried yet."""
 
+MOST_KINDS = 5
+"""Kinds of causes after which it is asked whether the source is built otherwise instead; beyond it, where no such hypothesis does better,
+the model of the source seems wrong. By judgement: few sessions have more flaws at once, and for a compensating winding that the rig file
+did not tell of nine kinds piled up. Study: not tried yet."""
+
 MOST_CAUSES = 60
 """Causes at which a search ends; the search says so. Effort: the most so far were 33, in MICE run07. Study: not tried yet."""
 

@@ -309,6 +309,7 @@ class Diagnosis:
             "rig_parameters": _to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
             "steps": [self._step_to_json(step) for step in search.steps],
+            "source_model": self._source_model_to_json(),
             "dropped": [self.label(cause) for cause in search.dropped],
             "seed": self.question.seed,
         }
@@ -357,6 +358,25 @@ class Diagnosis:
         alternatives = tuple(Alternative(cause, probability, None) for cause, probability in twins)
         named = NamedCause(mistake.cause, weights[0], alternatives, mistake.log_bayes_factor)
         return replace(self._sized(named), is_record_mistake=True)
+
+    def _source_model_to_json(self) -> dict[str, Any] | None:
+        search = self.findings.search
+        others = search.other_structures
+        if others is None:
+            return None
+        return {
+            "seems_wrong": search.source_seems_wrong,
+            "pile": [self.label(cause) for cause in others.pile],
+            "log_bayes_factor": others.log_bayes_factor,
+            "asked": [
+                {
+                    "name": self.label(one.cause),
+                    "log_bayes_factor": one.log_bayes_factor,
+                    "needed": [self.label(cause) for cause in one.needed],
+                }
+                for one in others.asked
+            ],
+        }
 
     def _step_to_json(self, step: Step) -> dict[str, Any]:
         return {

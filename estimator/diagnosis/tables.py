@@ -11,6 +11,7 @@ from estimator.diagnosis.result import Diagnosis, Interval
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import Table
+from estimator.rig.rig import Cause
 from estimator.units import split_unit
 
 MOST_HYPOTHESES = 8
@@ -77,7 +78,7 @@ def _symptoms_table(diagnosis: Diagnosis) -> Table:
 
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
     parameters = []
-    for cause in diagnosis.fits.final.rig.effects:
+    for cause in _names_first(diagnosis):
         for key, p in diagnosis.quantities(cause).items():
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
@@ -86,10 +87,18 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
                 factor, unit = 1e6, f"µ{p.unit}"
             else:
                 factor, unit = display.factor, display.unit or p.unit
-            label = diagnosis.label(cause)
-            role = " (stands in)" if cause in diagnosis.findings.stand_ins else ""
-            parameters.append((label + role, key, p, factor, unit))
+            parameters.append((_label(diagnosis, cause), key, p, factor, unit))
     return parameters
+
+
+def _names_first(diagnosis: Diagnosis) -> list[Cause]:
+    """Causes of the extended rig, those that stand in for something unknown last."""
+    return sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in diagnosis.findings.stand_ins)
+
+
+def _label(diagnosis: Diagnosis, cause: Cause) -> str:
+    """Name of a cause, and whether it stands in for something unknown."""
+    return diagnosis.label(cause) + (" (stands in)" if cause in diagnosis.findings.stand_ins else "")
 
 
 def _validation_table(diagnosis: Diagnosis) -> Table:
@@ -157,7 +166,7 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
 
 def _impact_table(diagnosis: Diagnosis) -> Table:
     """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
-    causes = list(diagnosis.fits.final.rig.effects)[:MOST_IMPACT_COLUMNS]
+    causes = _names_first(diagnosis)[:MOST_IMPACT_COLUMNS]
     impacts = {cause: impact_sd(diagnosis.fits.final, cause) for cause in causes}
     names = [p.name for p in diagnosis.rig.free if p.name in diagnosis.fits.final.posterior.coordinates.names]
     names = [n for n in names if any(abs(impacts[c].get(n, 0.0)) > policy.LISTED_IMPACT_SD for c in causes)]
@@ -168,7 +177,7 @@ def _impact_table(diagnosis: Diagnosis) -> Table:
     ]
     return Table(
         "Impact of each cause",
-        ["parameter", *(diagnosis.label(cause) for cause in causes)],
+        ["parameter", *(_label(diagnosis, cause) for cause in causes)],
         rows,
         "How far each parameter of the rig would move, in its standard deviations, if one cause were left out and the others stayed.",
     )
@@ -187,7 +196,7 @@ def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str)
             "—"
             if hypothesis.held_out is None
             else f"{_signed(hypothesis.held_out.elpd_difference)} ± {hypothesis.held_out.elpd_se:.1f}",
-            _why(step, hypothesis),
+            _why(diagnosis, step, hypothesis),
         ]
         for i, hypothesis in enumerate(step.hypotheses)
         if i < MOST_HYPOTHESES or hypothesis.cause is None  # `nothing` and `unexplained` are always listed
@@ -227,9 +236,9 @@ def _words(hypothesis: Hypothesis) -> str:
     )
 
 
-def _why(step: Step, hypothesis: Hypothesis) -> str:
+def _why(diagnosis: Diagnosis, step: Step, hypothesis: Hypothesis) -> str:
     if hypothesis.cause is not None and hypothesis.cause == step.taken:
-        return "taken"
+        return "taken; stands in" if hypothesis.cause in diagnosis.findings.stand_ins else "taken"
     if hypothesis in step.credible and step.taken is not None:
         return "cannot be told apart from what was taken"
     best = next((r for r in step.hypotheses if r.cause == step.taken), None)

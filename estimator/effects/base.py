@@ -96,6 +96,7 @@ class Effect(ABC):
         source: Where the width of its priors comes from.
         is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
         idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
+        is_structural: The source is built otherwise than described, which may do for causes of many kinds that have piled up.
         is_linear: The field stays proportional to the currents.
     """
 
@@ -105,6 +106,7 @@ class Effect(ABC):
     source: ClassVar[str]
     is_record_mistake: ClassVar[bool] = False
     idealises: ClassVar[str | None] = None
+    is_structural: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
 
     @abstractmethod

@@ -12,11 +12,10 @@ from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import NoiseEffect, NoiseEstimate, Prediction
+from estimator.effects.stages import FEWEST_COMPONENTS, NoiseEffect, NoiseEstimate, Prediction
 from estimator.rig.parameters import LogNormal, Uniform
 
 EM_STEPS = 60
-FEWEST_COMPONENTS = 10  # for a share of them to mean anything
 MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it
 FIRST_RATIOS = (4.0, 10.0, 25.0)  # widths of outliers that the estimate starts from, in units of the noise
 

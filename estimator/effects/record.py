@@ -156,6 +156,7 @@ class CoilsExchanged(_Exchanged):
     name: ClassVar[str] = "coils_exchanged"
     words: ClassVar[str] = "two coils are connected in each other's place"
     source: ClassVar[str] = "any two coils"
+    is_structural: ClassVar[bool] = True
     exchanges_coils: ClassVar[bool] = True
 
     def places(self, rig: Rig) -> tuple[str, ...]:
@@ -182,6 +183,7 @@ class CurrentSign(CurrentEffect):
     kind: ClassVar[Kind] = Kind.COIL
     words: ClassVar[str] = "the coil is connected the other way round"
     source: ClassVar[str] = "there or not"
+    is_structural: ClassVar[bool] = True
     is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

@@ -23,6 +23,8 @@ from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.rig.rig import Coil, Rig
 
+FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
+
 
 class CurrentEffect(Effect):
     """Changes what the supply delivers.

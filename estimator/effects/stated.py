@@ -17,6 +17,7 @@ from torch import Tensor
 from estimator.effects.base import Kind, Quantity, Theta, normal, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import (
+    FEWEST_COMPONENTS,
     MotionEffect,
     MountEffect,
     NoiseEffect,
@@ -31,7 +32,6 @@ from estimator.rig.rig import Body, MotionKind, Rig
 
 SHIFT_KEYS, TURN_KEYS = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
 LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself
-FEWEST_COMPONENTS = 10  # for their scatter to mean anything
 ASKEW_KEYS = frozenset(("rx_rad", "ry_rad"))  # as `mount_tilt` has them
 
 
@@ -131,6 +131,7 @@ class WindingMisstated(WindingEffect):
     source: ClassVar[str] = (
         "radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %"
     )
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Relative excess of the external radius, of the wire's thickness and of both numbers of loops."""

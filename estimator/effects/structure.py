@@ -30,6 +30,7 @@ class HiddenWinding(SourceEffect):
     name: ClassVar[str] = "hidden_winding"
     words: ClassVar[str] = "another winding about the same axis carries the coil's current"
     source: ClassVar[str] = "wide: shields and compensations have a tenth of the turns and more"
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Share of the coil's turns, negative where wound the other way; radius, middle and length in external radii."""
@@ -80,6 +81,7 @@ class ReversedLayer(SourceEffect):
     name: ClassVar[str] = "reversed_layer"
     words: ClassVar[str] = "a layer is wound the other way"
     source: ClassVar[str] = "up to a whole layer"
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Share of a layer that runs the other way, and where: 0 is the outermost, 1 the innermost."""

@@ -93,6 +93,7 @@ class ShortLayer(SourceEffect):
     name: ClassVar[str] = "short_layer"
     words: ClassVar[str] = "the outermost layer is not wound to its end"
     source: ClassVar[str] = "up to a whole layer may be missing"
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Share of the layer that is missing, and at which end."""
@@ -123,6 +124,7 @@ class CoilOvality(SourceEffect):
     name: ClassVar[str] = "coil_ovality"
     words: ClassVar[str] = "the loops are oval"
     source: ClassVar[str] = "a coil pressed in a vice or wound on a printed former, 0 to 2 %"
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Cosine and sine part of the relative change of radius."""
@@ -169,6 +171,7 @@ class WindingSheared(SourceEffect):
     source: ClassVar[str] = (
         "turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm"
     )
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Shift along x and y per height above the middle of the winding."""
@@ -260,6 +263,7 @@ class IronCore(SourceEffect):
     name: ClassVar[str] = "iron_core"
     words: ClassVar[str] = "iron in the bore adds to the coil's moment"
     source: ClassVar[str] = "wide: a screw adds per mille, a core multiplies"
+    is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Moment of the rod in units of the winding's."""
@@ -278,6 +282,7 @@ class CoreSaturation(SourceEffect):
     name: ClassVar[str] = "core_saturation"
     words: ClassVar[str] = "iron in the bore saturates"
     source: ClassVar[str] = "wide: a core in a coil of some amperes may lose any part of its moment"
+    is_structural: ClassVar[bool] = True
     is_linear: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

@@ -1,7 +1,8 @@
 """The search for causes: take the best cause while its evidence suffices, then test each again beside the others.
 
 Where one effect at several places explains more than any cause at one place, it is taken at all of them together
-(`several_places`). Where no single cause suffices, two are tested together, for one may hide the other (`pairs`).
+(`several_places`). Where no single cause suffices, two are tested together, for one may hide the other (`pairs`). Where causes of many
+kinds pile up, another structure of the source may do for all of them (`source_structure`).
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps
+from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
 from estimator.diagnosis.hypotheses.step import (
     Step,
     leaves_structure,
     take_step,
 )
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
@@ -52,6 +55,7 @@ class Search:
         pool: Columns of every cause at the base fit.
         base_discrepancy: Structure in the residual of the base fit.
         ended_early: Why it ended before the evidence did; empty where it did not.
+        other_structures: Other structures of the source, where causes of many kinds had piled up; else None.
     """
 
     base: Fit
@@ -62,10 +66,21 @@ class Search:
     pool: tuple[Candidate, ...]
     base_discrepancy: Discrepancy
     ended_early: str = ""
+    other_structures: OtherStructures | None = None
 
     def step_of(self, cause: Cause) -> Step:
         """The step that took a cause."""
         return next(step for step in self.steps if step.taken == cause)
+
+    @property
+    def added(self) -> list[Cause]:
+        """Causes of the final fit beyond the base."""
+        return [cause for cause in self.final.rig.effects if cause not in self.base.rig.effects]
+
+    @property
+    def source_seems_wrong(self) -> bool:
+        """Whether causes of many kinds pile up for which no other structure of the source does."""
+        return self.other_structures is not None and is_pile(self.added, policy.MOST_KINDS)
 
     @property
     def log_odds(self) -> float:
@@ -76,16 +91,19 @@ class Search:
         return self.final.log_evidence - self.base.log_evidence + n * log_prior_odds
 
 
-def search(base: Fit, tell: Callable[[str], None], limits: Limits) -> Search:
+def search(
+    base: Fit, tell: Callable[[str], None], limits: Limits, on_progress: OnProgress = unwatched
+) -> Search:
     """Add causes to a fit while their evidence suffices, then test for each whether another does better beside the rest.
 
     Args:
         base: Fit of the rig as described.
         tell: Called with a message at each step.
         limits: When the search ends before the evidence does.
+        on_progress: Called before and after each fit of a hypothesis.
     """
     pool = candidates(base, causes_of(base.rig, base))
-    state = _SearchState(base, pool, families(base), tell, limits)
+    state = _SearchState(base, pool, families(base), tell, limits, on_progress)
     base_discrepancy = discrepancy(base, state.smooth)
     fit = state.forward(base)
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
@@ -107,6 +125,7 @@ def search(base: Fit, tell: Callable[[str], None], limits: Limits) -> Search:
         tuple(pool),
         base_discrepancy,
         limits.words if limits.is_over else state.ended_early,
+        state.other_structures,
     )
 
 
@@ -120,11 +139,14 @@ class _SearchState:
         smooth: list[Family],
         tell: Callable[[str], None],
         limits: Limits,
+        on_progress: OnProgress = unwatched,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
-        self.tell, self.limits = tell, limits
+        self.tell, self.limits, self.on_progress = tell, limits, on_progress
+        self.n_compared = 0
         self.ended_early = ""
+        self.other_structures: OtherStructures | None = None
         self.steps: list[Step] = []
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
@@ -138,6 +160,13 @@ class _SearchState:
         self.steps = [step for step in self.steps if step.taken in self.added(fit)]
         while True:
             is_over = self.limits.is_over
+            if (
+                not is_over
+                and self.other_structures is None
+                and is_pile(self.added(fit), policy.MOST_KINDS - 1)
+            ):
+                fit = self._with_other_structure(fit)
+                continue
             if not is_over and (wider := self._with_several_places(fit)) is not None:
                 fit = self._without_idle(wider)
                 continue
@@ -214,6 +243,24 @@ class _SearchState:
                 return self.forward(hypothesis.fit)
         return fit
 
+    def _with_other_structure(self, pile: Fit) -> Fit:
+        """The fit with another structure of the source alone, where it does better than a pile of causes; else the pile."""
+        n_causes = len({candidate.cause for candidate in self.pool})
+        self.tell(
+            f"{len(self.added(pile))} causes pile up: asking whether another structure of the source does for them"
+        )
+        pace = Pace("other structures of the source", self.on_progress)
+        self.other_structures = other_structures(self.base, pile, n_causes, self.limits, pace)
+        better = self.other_structures.better
+        if better is None:
+            self.tell("no other structure of the source does as well")
+            return pile
+        self.tell(f"{better.cause.label} does better: starting again from it")
+        self._drop(self.added(pile))
+        self.steps = [self.other_structures.step(self.base, self.pool, discrepancy(self.base, self.smooth))]
+        self.additions = [Addition((better.cause,), better.alone)]
+        return better.alone
+
     def _with_several_places(self, fit: Fit) -> Fit | None:
         """The fit with one effect at several more places; None where a cause at one place does better."""
         wider = at_several_places(fit, self._pool(fit))
@@ -266,7 +313,9 @@ class _SearchState:
 
     def step(self, fit: Fit) -> Step:
         """Compare all hypotheses at a fit."""
-        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits)
+        self.n_compared += 1
+        pace = Pace(f"step {self.n_compared}", self.on_progress)
+        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits, pace)
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""

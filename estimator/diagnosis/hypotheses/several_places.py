@@ -28,7 +28,7 @@ from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.rig.rig import Cause
+from estimator.rig.rig import Cause, Rig
 
 
 def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
@@ -59,7 +59,12 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     evidence, best_starts = max((joint_evidence(fit, starts) for starts in starts_by_name), key=itemgetter(0))
     if evidence <= least:
         return None
-    wider = _fit_with_needed(fit, best_starts, least_log_evidence(len(screened)))
+    rig = fit.rig
+    for start in best_starts:
+        rig = with_effect(rig, start.cause, fit.observations, start.shapes)
+    wider = fit_with_needed(
+        fit, rig, [start.cause for start in best_starts], least_log_evidence(len(screened))
+    )
     n_new = len(wider.rig.effects) - len(fit.rig.effects)
     is_better = wider.log_evidence - fit.log_evidence > least
     return wider if n_new >= policy.FEWEST_PLACES and is_better else None
@@ -99,12 +104,16 @@ def joint_evidence(fit: Fit, starts: Sequence[Candidate]) -> tuple[float, list[C
     return best, [starts[i] for i in sorted(members)]
 
 
-def _fit_with_needed(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit:
-    """The fit with those of several causes whose evidence suffices beside the others."""
-    rig, rules = fit.rig, fit.posterior.model.rules
-    for start in starts:
-        rig = with_effect(rig, start.cause, fit.observations, start.shapes)
-    causes = [start.cause for start in starts]
+def fit_with_needed(fit: Fit, rig: Rig, causes: Sequence[Cause], least: float) -> Fit:
+    """The fit with those of several causes whose evidence suffices beside the others.
+
+    Args:
+        fit: Without them.
+        rig: With all of them.
+        causes: Those that were added.
+        least: Log evidence that each needs.
+    """
+    rules = fit.posterior.model.rules
     wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
     while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
@@ -159,14 +168,8 @@ def comparison_steps(
 def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     """The fit without one of its causes, to first order, and the factor by which its noise would grow."""
     coordinates = fit.posterior.coordinates
-    nulls = {
-        f"{cause.label}.{q.key}": q.null
-        for q in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
-        if not q.is_shape
-    }
-    of_cause = [i for i, name in enumerate(coordinates.names) if name in nulls]
+    of_cause, null = fit.at_null(cause)
     others = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
-    null = torch.tensor([nulls[coordinates.names[i]] for i in of_cause], dtype=torch.float64)
     covariance = fit.covariance[of_cause][:, of_cause]
     shift = fit.covariance[:, of_cause] @ torch.linalg.solve(covariance, null - fit.vector[of_cause])
     residual = fit.residual - fit.jacobian @ shift

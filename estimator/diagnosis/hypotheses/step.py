@@ -20,6 +20,7 @@ from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families.collection import Family
@@ -78,7 +79,7 @@ class Step:
 
 
 def take_step(
-    fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks, limits: Limits
+    fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks, limits: Limits, pace: Pace
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -88,6 +89,7 @@ def take_step(
         smooth: Families of flexible curves, for what no cause explains.
         block: Block number of each reading, for cross-validation.
         limits: Once they are reached, no further hypothesis is fitted.
+        pace: Told of each fit.
     """
     present = set(fit.rig.effects)
     remainder = discrepancy(fit, smooth)
@@ -97,16 +99,17 @@ def take_step(
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
     ]
-    best = 0.0
+    best, n_fitted = 0.0, 0
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted = None
-        is_leader = i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0)
-        could_be_best = i < policy.MOST_FITTED and highest > max(best, 0.0)
-        if (is_leader or could_be_best) and not limits.is_over:
+        if _is_worth_a_fit(i, highest, best) and not limits.is_over:
+            n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
+            pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, value, start)
-            best = max(best, value)
+            best, n_fitted = max(best, value), n_fitted + 1
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
+    pace.tell(n_fitted, n_fitted)
     least = least_log_evidence(len(ranked))
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
     beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
@@ -124,6 +127,13 @@ def take_step(
         causes = [hypothesis for hypothesis in causes if not _is_noise(hypothesis) or hypothesis == choice]
     taken = None if choice is None else choice.cause
     return Step(tuple(hypotheses), taken, credible_set(causes, taken), remainder)
+
+
+def _is_worth_a_fit(i: int, highest: float, best: float) -> bool:
+    """Whether a cause at a place of the screening is fitted in full, given its best start there and the best that was fitted."""
+    is_leader = i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0)
+    could_be_best = i < policy.MOST_FITTED and highest > max(best, 0.0)
+    return is_leader or could_be_best
 
 
 def least_log_evidence(n_causes: int) -> float:

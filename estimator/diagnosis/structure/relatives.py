@@ -17,7 +17,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector, log_mean_exp
 from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
-from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 
@@ -40,12 +39,10 @@ def p_not_in_library(fit: Fit, cause: Cause, families: Sequence[Family]) -> floa
 def visible_rms_sigma(fit: Fit, cause: Cause) -> float:
     """Rms of what a cause changes in the readings beyond what the rest of the fit can follow, in units of the noise."""
     posterior, prefix = fit.posterior, f"{cause.label}."
-    quantities = EFFECTS[cause.name].quantities(posterior.model.circumstances.extent)
-    nulls = {
-        f"{prefix}{q.key}": torch.tensor(q.null, dtype=torch.float64) for q in quantities if not q.is_shape
-    }
     with torch.no_grad():
-        without_T = posterior.model.predict({**fit.values, **nulls}).expand(len(fit.observations), 3)
+        without_T = posterior.model.predict({**fit.values, **fit.null_values(cause)}).expand(
+            len(fit.observations), 3
+        )
         change_T = posterior.predicted(fit.vector) - posterior.measured_components(without_T)
     others = [i for i, name in enumerate(posterior.coordinates.names) if not name.startswith(prefix)]
     prior = (fit.optimum.precision - fit.optimum.information)[0][others][:, others]

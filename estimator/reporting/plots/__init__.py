@@ -13,6 +13,7 @@ from estimator.reporting.plots.error_maps import (
 from estimator.reporting.plots.field_map import field_plane
 from estimator.reporting.plots.history import history
 from estimator.reporting.plots.hypotheses import (
+    Role,
     evidence_bars,
     explained_residual,
     stepwise_residual,
@@ -29,6 +30,7 @@ from estimator.reporting.plots.sensitivity import interaction, interactions, mai
 from estimator.reporting.plots.sessions import across_sessions
 
 __all__ = [
+    "Role",
     "across_sessions",
     "angular_deviation_map",
     "before_and_after_map",

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-from estimator.reporting.numbers import plain
+from estimator.reporting.numbers import plain, size_with_unit
 from estimator.reporting.plots.style import (
     BLACK,
     BLUE,
@@ -19,6 +23,7 @@ from estimator.reporting.plots.style import (
     NOISE,
     ORANGE,
     PALE,
+    PURPLE,
     axes,
     figure,
     sigma_unit,
@@ -31,39 +36,64 @@ CLEAR = 3.0  # log Bayes factor, about 20 to 1
 BINS = 12
 
 
+class Role(StrEnum):
+    """What a diagnosis makes of a hypothesis, in the words of the legend; drawn in this order."""
+
+    NAMED = "named by the verdict"
+    STAND_IN = "stands in for something unknown, not named"
+    OTHER = "not needed"
+    LEFT = "what no known cause explains"
+
+
+COLOUR = {Role.NAMED: BLUE, Role.STAND_IN: PURPLE, Role.OTHER: GREY, Role.LEFT: ORANGE}
+HATCH = {Role.STAND_IN: "///"}
+WORDS = {"nothing": "nothing wrong", "unexplained": "a flexible curve"}
+
+
 @styled
 def evidence_bars(
-    evidence: Mapping[str, float], adopted: str | None = None, ax: Axes | None = None, title: str = ""
+    evidence: Mapping[str, float],
+    adopted: str | None = None,
+    roles: Mapping[str, Role] | None = None,
+    ax: Axes | None = None,
+    title: str = "",
 ) -> Axes:
-    """Log Bayes factors of hypotheses against "nothing", best on top; the adopted one in colour.
+    """Log Bayes factors of hypotheses against "nothing", in groups by role, the best of each on top.
 
     Args:
         evidence: Log Bayes factors by name; `nothing` is 0 by definition, and worse hypotheses are drawn to its left.
         adopted: The hypothesis that was adopted; None if none was.
+        roles: Of some hypotheses; by default the adopted one is named, `unexplained` is what is left, and the others are not needed.
         ax: Axes to draw into; a new figure by default.
         title: Rig and step.
     """
-    names = sorted(evidence, key=lambda name: -evidence[name])[:MOST_BARS]
-    names += [name for name in ("nothing", "unexplained") if name in evidence and name not in names]
-    ax = axes(ax, 6.4, 0.9 + 0.26 * len(names))
+    role = dict.fromkeys(evidence, Role.OTHER) | {"unexplained": Role.LEFT}
+    role |= roles if roles is not None else {} if adopted is None else {adopted: Role.NAMED}
+    shown = sorted(evidence, key=lambda name: -evidence[name])[:MOST_BARS]
+    always = ("nothing", "unexplained", adopted)
+    shown += [name for name in evidence if name in always and name not in shown]
+    groups = [[name for name in shown if role[name] is one] for one in Role]
+    names = [name for group in groups for name in group]
+    begins = [0.5 * sum(map(bool, groups[: list(Role).index(role[name])])) for name in names]
+    rows = [i + begin for i, begin in enumerate(begins)]
+    ax = axes(ax, 6.4, 1.2 + 0.26 * (rows[-1] + 1.0))
     best = max(evidence.values())
     least = -0.25 * max(best, 4.0)
-    for row, name in enumerate(names):
+    for row, name in zip(rows, names, strict=True):
         value = max(evidence[name], least)
-        colour = BLUE if name == adopted else ORANGE if name == "unexplained" else GREY
-        ax.barh(row, value, color=colour, height=0.7)
+        _bar(ax, row, value, role[name])
         if name != "nothing":
             text = f"{round(evidence[name], 1) + 0.0:.1f}" if evidence[name] >= least else f"< {least:.0f}"
-            ax.annotate(
-                f" {text}".replace("-", "−"), (max(value, 0.0), row), va="center", ha="left", fontsize=8
-            )
+            text = f" {text}".replace("-", "−") + ("  ← taken here" if name == adopted else "")
+            ax.annotate(text, (max(value, 0.0), row), va="center", ha="left", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.8)
-    ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0)
-    ax.set_yticks(range(len(names)), [plain(name) for name in names])
+    ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
+    ax.set_yticks(rows, [plain(WORDS.get(name, name)) for name in names])
     ax.invert_yaxis()
-    ax.set_xlim(least, 1.15 * max(best, 4.0))
-    ax.set_xlabel("log Bayes factor against “nothing”; grey band: within 20 to 1 of the best")
+    ax.set_xlim(least, 1.35 * max(best, 4.0))
+    ax.set_xlabel("log Bayes factor against “nothing wrong”")
     ax.set_title(plain(title))
+    _legend(ax, [role[name] for name in names])
     return ax
 
 
@@ -72,31 +102,59 @@ def stepwise_residual(
     names: Sequence[str],
     rms_T: Sequence[float],
     evidence: Sequence[float],
+    roles: Sequence[Role] | None = None,
+    noise_T: float | None = None,
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Residual that remains as causes are added one after another, first on top.
+    """Residual that remains as causes are added one after another, first on top; last, what is left beyond the noise.
 
     Args:
         names: Names of the causes, in the order in which they were adopted.
         rms_T: Rms residual per component before any cause, then after each; one more than names.
         evidence: Increase of the log evidence of the fit by each cause.
+        roles: Of each cause; named by default.
+        noise_T: Rms noise per component.
         ax: Axes to draw into; a new figure by default.
         title: Rig.
     """
-    ax = axes(ax, 6.4, 1.2 + 0.26 * len(rms_T))
-    for row, value_T in enumerate(rms_T):
-        ax.barh(row, 1e6 * value_T, color=BLUE if row else GREY, height=0.7)
-        number = f"{1e6 * value_T:.3g}" if value_T < 1e-3 else f"{1e6 * value_T:.0f}"
-        text = f"  {number} µT" + (f", log evidence +{evidence[row - 1]:.0f}" if row else "")
-        ax.annotate(text, (1e6 * value_T, row), va="center", ha="left", fontsize=8)
+    roles = list(roles or [Role.NAMED] * len(names))
+    ax = axes(ax, 6.4, 1.7 + 0.26 * len(rms_T))
+    factor, unit = (1e3, "mT") if max(rms_T) >= 1e-3 else (1e6, "µT")
     labels = ["rig as described", *(f"+ {name}" for name in names)]
-    ax.set_yticks(range(len(rms_T)), [plain(label) for label in labels])
+    rises = ["", *(f", log evidence {rise:+.0f}".replace("-", "−") for rise in evidence)]
+    bars = list(zip(map(float, range(len(rms_T))), rms_T, [Role.OTHER, *roles], labels, rises, strict=True))
+    if noise_T is not None:
+        left_T = math.sqrt(max(rms_T[-1] ** 2 - noise_T**2, 0.0))
+        bars.append((len(rms_T) + 0.5, left_T, Role.LEFT, "left beyond the noise", ""))
+        ax.axvline(factor * noise_T, color=BLACK, lw=1.0, ls="--", label="noise alone")
+        roles.append(Role.LEFT)
+    for row, value_T, role, _, rise in bars:
+        _bar(ax, row, factor * value_T, role)
+        text = f"  {size_with_unit(value_T, 'T', 3)}{rise}"
+        ax.annotate(text, (factor * value_T, row), va="center", ha="left", fontsize=8)
+    ax.set_yticks([bar[0] for bar in bars], [plain(bar[3]) for bar in bars])
     ax.invert_yaxis()
-    ax.set_xlim(0.0, 1.45e6 * max(rms_T))
-    ax.set_xlabel("rms residual per component, readings used in the search (µT)")
+    ax.set_xlim(0.0, 1.45 * factor * max(rms_T))
+    ax.set_xlabel(f"rms residual per component, readings used in the search ({unit})")
     ax.set_title(plain(title))
+    _legend(ax, roles)
     return ax
+
+
+def _bar(ax: Axes, row: float, length: float, role: Role) -> None:
+    ax.barh(row, length, color=COLOUR[role], hatch=HATCH.get(role), edgecolor="white", lw=0.0, height=0.7)
+
+
+def _legend(ax: Axes, roles: Sequence[Role]) -> None:
+    """Below the axes: each role that is drawn, and what else has a label."""
+    handles: list[Artist] = [
+        Patch(facecolor=COLOUR[role], hatch=HATCH.get(role), edgecolor="white", lw=0.0, label=str(role))
+        for role in Role
+        if role in roles
+    ]
+    others, _ = ax.get_legend_handles_labels()
+    ax.figure.legend(handles=[*handles, *others], loc="outside lower center", ncols=2, fontsize=8)
 
 
 @styled

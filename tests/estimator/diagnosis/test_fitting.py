@@ -43,3 +43,26 @@ def test_a_number_at_its_bound_is_not_pushed_beyond_it(small_rig, small_session)
     assert held.values["iron_plate[room].strength"] == 0.0
     assert (slope @ held.residual).abs() > 0.1
     torch.testing.assert_close(held.residual, without.residual, atol=1e-3, rtol=0.0)
+
+
+def test_null_of_a_cause_is_that_of_its_sizes_and_a_logarithm_where_they_are_positive(
+    small_rig, small_session
+):
+    """A winding's place is no size; a noise is fitted as a logarithm, with a factor of 1 as its null, or an sd of 0."""
+    causes = {
+        Cause("hidden_winding", "coil1"): {"turns": 0.0},
+        Cause("noise_misstated", "hall"): {"factor": 1.0},
+        Cause("position_jitter", "arm1"): {"sd_m": 0.0},
+    }
+    rig = small_rig
+    for cause in causes:
+        rig = with_effect(rig, cause, small_session.observations, {})
+    rules = fit_of(small_rig, small_session.observations).posterior.model.rules
+    fit = fit_rig(rig, small_session.observations, rig.nominal_values(), rules, tolerance=1e9)
+    names = fit.posterior.coordinates.names
+    for (cause, values), coordinate in zip(causes.items(), (0.0, 0.0, -torch.inf), strict=True):
+        nulls = {f"{cause.label}.{key}": value for key, value in values.items()}
+        assert {name: float(value) for name, value in fit.null_values(cause).items()} == nulls
+        rows, null = fit.at_null(cause)
+        assert [names[i] for i in rows] == list(nulls)
+        assert null.tolist() == [coordinate]

@@ -10,17 +10,20 @@ from pathlib import Path
 import pytest
 
 from estimator.cli.diagnose import _text
+from estimator.diagnosis import policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.hypotheses.search import Addition
+from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
+from estimator.reporting.plots import Role
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
@@ -136,9 +139,38 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
         in page
     )
     assert f"{label} (stands in) x_T" in page
+    assert f"parameter {label} (stands in)" in page.partition("Impact of each cause")[2]
+    assert "taken; stands in" in page
+    race = next(p for p in pictures(unexplained) if p.title == "Hypotheses, step 1").figure
+    assert str(Role.STAND_IN) in [text.get_text() for text in race.legends[0].get_texts()]
+    assert str(Role.NAMED) not in [text.get_text() for text in race.legends[0].get_texts()]
     assert f"({label}," not in page.partition("The extended rig")[0]
     assert f"rig_extended.yaml also has {label}: needed here" in _text(unexplained, Path("out"))
     assert "also has" not in _text(diagnosis, Path("out"))
+
+
+def test_pile_of_causes_is_said_with_what_speaks_for_a_wrong_source(
+    diagnosis: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = Asked(Cause("iron_core", "coil1"), 12.0, (), diagnosis.fits.plain)
+    pile = tuple(diagnosis.fits.final.rig.effects)
+    search = replace(diagnosis.findings.search, other_structures=OtherStructures(pile, 40.0, (core,)))
+    piled = replace(diagnosis, findings=replace(diagnosis.findings, search=search))
+    assert not any("source itself" in sentence for sentence in headline(piled))
+    assert piled.to_json()["source_model"]["seems_wrong"] is False
+    monkeypatch.setattr(policy, "MOST_KINDS", 0)
+    (sentence,) = [words for words in headline(piled) if words.startswith("The model of the source itself")]
+    assert sentence.endswith(
+        "explains more than the first 1 by as few (log evidence 40; iron_core 12 beside 0 of them)."
+    )
+    assert len(headline(piled)) <= 4
+    assert piled.to_json()["source_model"] == {
+        "seems_wrong": True,
+        "pile": [diagnosis.label(cause) for cause in pile],
+        "log_bayes_factor": 40.0,
+        "asked": [{"name": "iron_core", "log_bayes_factor": 12.0, "needed": []}],
+    }
+    assert diagnosis.to_json()["source_model"] is None
 
 
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:

@@ -42,9 +42,9 @@ def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypa
     pool = candidates(noisy, [GAIN])
     given = []
 
-    def spy(fit, pool, smooth, block, limits):
+    def spy(fit, pool, smooth, *others):
         given.append((pool, smooth))
-        return take_step(fit, pool, smooth, block, limits)
+        return take_step(fit, pool, smooth, *others)
 
     monkeypatch.setattr(search, "take_step", spy)
     smooth = families(noisy)
@@ -85,3 +85,20 @@ def test_a_search_without_time_takes_nothing_and_says_why(small_rig, small_sessi
     assert all(hypothesis.fit is None for hypothesis in result.steps[-1].hypotheses if hypothesis.cause)
     assert result.ended_early == "its time of 0 min was over"
     assert result.steps[-1].discrepancy.log_bayes_factor > 10.0
+
+
+def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_session, small_truth):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
+    told = []
+    result = search.search(
+        fit_of(small_rig, readings), lambda words: None, Limits(most_causes=0), told.append
+    )
+    (step,) = result.steps
+    n_fitted = sum(hypothesis.fit is not None for hypothesis in step.hypotheses)
+    assert n_fitted > 1
+    assert [progress.n_fitted for progress in told] == list(range(n_fitted + 1))
+    assert all(progress.most >= n_fitted for progress in told)
+    assert told[-1].most == n_fitted
+    assert told[0].left_s is None
+    assert {progress.what for progress in told} == {"step 1"}

@@ -9,7 +9,13 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from estimator.reporting.plots import evidence_bars, explained_residual, stepwise_residual, structure_bars
+from estimator.reporting.plots import (
+    Role,
+    evidence_bars,
+    explained_residual,
+    stepwise_residual,
+    structure_bars,
+)
 from estimator.reporting.plots.style import BLUE, ORANGE
 
 EVIDENCE = {"nothing": 0.0, "axis_gain": 31.2, "cross_axis": 12.0, "unexplained": 8.5, "backlash": -90.0}
@@ -25,26 +31,39 @@ def labels(ax: Axes) -> list[str]:
 
 def test_best_hypothesis_stands_on_top_and_the_adopted_one_has_a_colour_of_its_own() -> None:
     ax = evidence_bars(EVIDENCE, "axis_gain", title="step 1")
-    assert labels(ax) == ["axis_gain", "cross_axis", "unexplained", "nothing", "backlash"]
+    assert labels(ax) == ["axis_gain", "cross_axis", "nothing wrong", "backlash", "a flexible curve"]
     assert ax.yaxis_inverted()
     widths = [bar.get_width() for bar in bars(ax)]
-    assert widths[:4] == [31.2, 12.0, 8.5, 0.0]
+    assert widths[:3] == [31.2, 12.0, 0.0]
+    assert widths[4] == 8.5
     colours = [to_hex(bar.get_facecolor()) for bar in bars(ax)]
     assert colours[0] == BLUE.lower()
-    assert colours[2] == ORANGE.lower()
-    assert len({colours[0], colours[1], colours[2]}) == 3
+    assert colours[4] == ORANGE.lower()
+    assert len({colours[0], colours[1], colours[4]}) == 3
+
+
+def test_names_stand_ins_and_what_is_left_are_groups_apart_that_a_legend_explains() -> None:
+    roles = {"axis_gain": Role.STAND_IN, "cross_axis": Role.NAMED}
+    ax = evidence_bars(EVIDENCE, "axis_gain", roles)
+    assert labels(ax) == ["cross_axis", "axis_gain", "nothing wrong", "backlash", "a flexible curve"]
+    rows = np.diff(ax.get_yticks())
+    assert rows.tolist() == [1.5, 1.5, 1.0, 1.5]
+    (legend,) = ax.figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [*Role, "within 20 to 1 of the best"]
+    taken = next(text for text in ax.texts if "taken here" in text.get_text())
+    assert taken.xy[1] == ax.get_yticks()[1]
 
 
 def test_hopeless_hypotheses_are_cut_off_and_said_to_be(words: Callable[[Axes | Figure], str]) -> None:
     ax = evidence_bars(EVIDENCE, "axis_gain")
-    assert bars(ax)[-1].get_width() > -20.0
+    assert bars(ax)[3].get_width() > -20.0
     assert "< −8" in words(ax)
 
 
 def test_nothing_and_the_unexplained_are_shown_however_far_behind() -> None:
     evidence = {f"cause{i}": 50.0 - i for i in range(30)} | {"nothing": 0.0, "unexplained": -2.0}
     names = labels(evidence_bars(evidence))
-    assert {"nothing", "unexplained"} <= set(names)
+    assert {"nothing wrong", "a flexible curve"} <= set(names)
     assert len(names) == 12
 
 
@@ -85,4 +104,15 @@ def test_stepwise_residual_shows_what_remains_after_each_cause():
     annotations = [text.get_text().strip() for text in ax.texts]
     assert annotations == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
     large = stepwise_residual(["iron_plate[room]"], [4.25e-3, 2.9e-3], [604.0])
-    assert [text.get_text().strip() for text in large.texts] == ["4250 µT", "2900 µT, log evidence +604"]
+    assert [text.get_text().strip() for text in large.texts] == ["4.25 mT", "2.9 mT, log evidence +604"]
+    assert "mT" in large.get_xlabel()
+
+
+def test_stepwise_residual_ends_with_what_is_left_beyond_the_noise():
+    roles = [Role.NAMED, Role.STAND_IN]
+    ax = stepwise_residual(["axis_gain", "backlash"], [40e-6, 25e-6, 5e-6], [31.4, 8.0], roles, 3e-6)
+    assert labels(ax)[-1] == "left beyond the noise"
+    assert ax.patches[-1].get_width() == pytest.approx(4.0)
+    (legend,) = ax.figure.legends
+    shown = [Role.NAMED, Role.STAND_IN, Role.LEFT, "noise alone"]
+    assert [text.get_text() for text in legend.get_texts()] == shown

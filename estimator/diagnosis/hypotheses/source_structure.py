@@ -1,0 +1,163 @@
+"""Where causes of many kinds pile up: whether the source is built otherwise than described instead.
+
+A wrong picture of a winding looks like a little of many causes. A search that takes the best of them one at a time never comes back to the
+one hypothesis that would do for all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.several_places import fit_with_needed
+from estimator.diagnosis.hypotheses.step import (
+    Hypothesis,
+    Step,
+    credible_set,
+    least_log_evidence,
+    with_probabilities,
+)
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import Pace
+from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One hypothesis of structure, asked in place of a pile of causes.
+
+    Attributes:
+        cause: Name and place.
+        log_bayes_factor: Against nothing, with the causes that it leaves needed, each of which costs its prior odds.
+        needed: Causes of the pile that are needed beside it.
+        alone: Fit with it alone.
+    """
+
+    cause: Cause
+    log_bayes_factor: float
+    needed: tuple[Cause, ...]
+    alone: Fit
+
+
+@dataclass(frozen=True)
+class OtherStructures:
+    """A pile of causes, and what the hypotheses of structure reached in its place.
+
+    Attributes:
+        pile: Its causes.
+        log_bayes_factor: Of the pile, counted as that of a hypothesis.
+        asked: The hypotheses, best first.
+    """
+
+    pile: tuple[Cause, ...]
+    log_bayes_factor: float
+    asked: tuple[Asked, ...]
+
+    @property
+    def better(self) -> Asked | None:
+        """The best hypothesis that explains more than the pile by no more causes; None where there is none."""
+        explaining = (one for one in self.asked if one.log_bayes_factor > self.log_bayes_factor)
+        return next((one for one in explaining if len(one.needed) < len(self.pile)), None)
+
+    def step(self, base: Fit, pool: Sequence[Candidate], remainder: Discrepancy) -> Step:
+        """The comparison that takes the better one: hypotheses of structure by what they reached, all others as screened.
+
+        Args:
+            base: Without any cause.
+            pool: Columns of every cause there.
+            remainder: Structure in its residual.
+        """
+        of_structure = {one.cause for one in self.asked}
+        screened = screening(base, [c for c in pool if c.cause not in of_structure])
+        hypotheses = [
+            Hypothesis(None, "nothing", 0.0),
+            Hypothesis(None, "unexplained", remainder.log_bayes_factor),
+            *(
+                Hypothesis(one.cause, one.cause.label, one.log_bayes_factor, fit=one.alone)
+                for one in self.asked
+            ),
+            *(Hypothesis(cause, cause.label, value) for cause, (value, _, _) in screened.items()),
+        ]
+        ranked = with_probabilities(hypotheses, len(hypotheses) - 2)
+        taken = None if self.better is None else self.better.cause
+        causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
+        return Step(tuple(ranked), taken, credible_set(causes, taken), remainder)
+
+
+def is_pile(causes: Sequence[Cause], most: int) -> bool:
+    """Whether there are more than so many different kinds of causes; one kind at several places counts once."""
+    return len({cause.name for cause in causes}) > most
+
+
+def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: Pace) -> OtherStructures:
+    """Fit every hypothesis of structure in full, alone from all its starts, then with what it leaves needed of a pile of causes.
+
+    Args:
+        base: Without any cause.
+        pile: With causes of many kinds.
+        n_causes: Number of causes that were compared.
+        limits: Once they are reached, no further hypothesis is asked.
+        pace: Told of each hypothesis.
+    """
+    prior_cost = math.log(max(n_causes, 1)) + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE
+    piled = tuple(cause for cause in pile.rig.effects if cause not in base.rig.effects)
+
+    def log_bayes_factor(fit: Fit, n_added: int) -> float:
+        return fit.log_evidence - base.log_evidence - (n_added - 1) * prior_cost
+
+    asked = []
+    causes = structural_causes(base)
+    for i, cause in enumerate(causes):
+        if limits.is_over:
+            break
+        pace.tell(i, len(causes))
+        alone = _best_alone(base, cause)
+        if alone is None:
+            continue
+        others = [c for c in piled if c != cause]
+        beside = _with_needed(alone, pile, others, least_log_evidence(n_causes))
+        needed = tuple(c for c in others if c in beside.rig.effects)
+        asked.append(Asked(cause, log_bayes_factor(beside, 1 + len(needed)), needed, alone))
+    asked.sort(key=lambda one: -one.log_bayes_factor)
+    return OtherStructures(piled, log_bayes_factor(pile, len(piled)), tuple(asked))
+
+
+def structural_causes(base: Fit) -> list[Cause]:
+    """Hypotheses of structure that the rig of a fit does not have and that concern the session."""
+    circumstances = base.posterior.model.circumstances
+    return [
+        cause
+        for name, effect in EFFECTS.items()
+        if effect.is_structural
+        for place in effect.places(base.rig)
+        if (cause := Cause(name, place)) not in base.rig.effects and effect.concerns(circumstances, place)
+    ]
+
+
+def _best_alone(base: Fit, cause: Cause) -> Fit | None:
+    """The fit with a cause from the best of its starts; None where it is no longer itself from any."""
+    fits = []
+    for shapes in EFFECTS[cause.name].starts(base.posterior.model.circumstances, cause.place):
+        rig = with_effect(base.rig, cause, base.observations, shapes)
+        rules = base.posterior.model.rules
+        fit = fit_rig(rig, base.observations, base.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+        if math.isfinite(fit.log_evidence) and fit.still_has(cause):
+            fits.append(fit)
+    return max(fits, key=lambda fit: fit.log_evidence, default=None)
+
+
+def _with_needed(alone: Fit, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
+    """The fit with those causes of a pile whose evidence suffices beside a hypothesis of structure."""
+    rig = alone.rig
+    for cause in others:
+        parameters = [p for name, p in pile.rig.parameters.items() if name.startswith(f"{cause.label}.")]
+        rig = rig.with_cause(cause, parameters)
+    return fit_with_needed(alone, rig, others, least)

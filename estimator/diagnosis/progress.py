@@ -1,0 +1,50 @@
+"""How far a search is while it fits one hypothesis after another."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a series of fits.
+
+    Attributes:
+        what: What they are for.
+        n_fitted: Hypotheses that were fitted.
+        most: Hypotheses that will have been fitted at most; it falls when one turns out better than others can be.
+        left_s: Time that the fits will take at most, at their mean pace so far; None before the first.
+    """
+
+    what: str
+    n_fitted: int
+    most: int
+    left_s: float | None
+
+
+OnProgress = Callable[[Progress], None]
+
+
+def unwatched(progress: Progress) -> None:
+    """For a search that nobody watches."""
+
+
+class Pace:
+    """Tells after each fit of a series how far it is.
+
+    Args:
+        what: What the fits are for.
+        on_progress: Called with the state.
+    """
+
+    def __init__(self, what: str, on_progress: OnProgress) -> None:
+        self.what, self.on_progress = what, on_progress
+        self.begin_s = time.monotonic()
+
+    def tell(self, n_fitted: int, most: int) -> None:
+        """Tell how many hypotheses were fitted, and how many will have been at most."""
+        mean_s = (time.monotonic() - self.begin_s) / n_fitted if n_fitted else None
+        left_s = None if mean_s is None else mean_s * (most - n_fitted)
+        self.on_progress(Progress(self.what, n_fitted, most, left_s))

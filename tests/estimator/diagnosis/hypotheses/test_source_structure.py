@@ -1,0 +1,92 @@
+"""Where causes of many kinds pile up, another structure of the source is taken in their place if it does better, and only then."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses import source_structure
+from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.search import Addition, _SearchState
+from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures, is_pile, structural_causes
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.structure.families import families
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+pytestmark = pytest.mark.whole
+
+CORE, HIDDEN, OVAL = (Cause(name, "coil1") for name in ("iron_core", "hidden_winding", "coil_ovality"))
+PILE = tuple(Cause(name, "hall") for name in ("axis_gain", "cross_axis", "sensor_offset"))
+OFFSET = PILE[2]
+
+
+def asked(fit: Fit, log_bayes_factor: float, *needed: Cause) -> Asked:
+    return Asked(HIDDEN, log_bayes_factor, needed, fit)
+
+
+@pytest.fixture(scope="module")
+def plain(small_rig: Rig, small_session: Session) -> Fit:
+    return fit_of(small_rig, small_session.observations.calibration)
+
+
+def test_more_evidence_by_no_more_causes_is_better(plain: Fit) -> None:
+    worse, as_many, more = (
+        asked(plain, 99.0),
+        asked(plain, 101.0, *PILE[:2]),
+        asked(plain, 150.0, *PILE),
+    )
+    assert OtherStructures(PILE, 100.0, (worse,)).better is None
+    assert OtherStructures(PILE, 100.0, (more, worse)).better is None
+    assert OtherStructures(PILE, 100.0, (more, as_many, worse)).better is as_many
+
+
+def test_one_kind_at_many_places_is_no_pile() -> None:
+    six_offsets = [Cause("sensor_offset", f"probe{i}") for i in range(6)]
+    assert not is_pile(six_offsets, 1)
+    assert is_pile([*six_offsets, CORE], 1)
+
+
+def test_effects_say_themselves_that_they_are_other_structures(plain: Fit) -> None:
+    assert {CORE, HIDDEN, OVAL} < set(structural_causes(plain))
+    assert not set(PILE) & set(structural_causes(plain))
+
+
+@pytest.fixture
+def search_of_imitation(
+    monkeypatch, small_rig: Rig, small_session: Session, small_truth: dict[str, float]
+) -> tuple[_SearchState, Fit]:
+    """Readings with a core in the bore and an offset: a search from the plain fit, and a fit where a pile stands for both."""
+    monkeypatch.setattr(source_structure, "structural_causes", lambda base: [OVAL, CORE])
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, CORE, {"share": 0.3})
+    readings = with_wrong(rig, readings, OFFSET, {"x_T": 100e-6}).calibration
+    base = fit_of(small_rig, readings)
+    pool = candidates(base, [CORE, OVAL, *PILE])
+    state = _SearchState(base, pool, families(base), lambda words: None, Limits())
+    pile = fit_of(small_rig, readings, *PILE)
+    state.additions = [Addition(PILE, pile)]
+    return state, pile
+
+
+def test_other_structure_and_what_it_leaves_needed_replace_a_pile(search_of_imitation) -> None:
+    state, pile = search_of_imitation
+    fit = state._with_other_structure(pile)
+    found = state.other_structures
+    assert found.pile == PILE
+    assert [one.cause for one in found.asked] == [CORE, OVAL]
+    assert found.better.needed == (OFFSET,)
+    assert fit.rig.effects == (CORE,)
+    assert float(fit.values[f"{CORE.label}.share"]) == pytest.approx(0.3, abs=0.1)
+    assert state.dropped == list(PILE)
+    assert [step.taken for step in state.steps] == [CORE]
+    assert state.steps[0].taken_fit is fit
+    assert state.additions_in(fit) == (Addition((CORE,), fit),)
+
+
+def test_a_pile_stays_where_no_other_structure_is_asked(search_of_imitation, monkeypatch) -> None:
+    state, pile = search_of_imitation
+    monkeypatch.setattr(source_structure, "structural_causes", lambda base: [])
+    assert state._with_other_structure(pile) is pile
+    assert state.additions == [Addition(PILE, pile)]
