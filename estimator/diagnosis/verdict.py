@@ -80,7 +80,8 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
-    if _idealise_the_same(named) or any(only_resembles(cause) for cause in named):
+    is_doubtful = _idealise_the_same(named) or any(only_resembles(cause) for cause in named)
+    if is_doubtful or search.source_seems_wrong:
         return Verdict.UNEXPLAINED
     return Verdict.INDISTINGUISHABLE if any(cause.alternatives for cause in named) else Verdict.NAMED
 
