@@ -88,7 +88,7 @@ def log_bayes_factor(
     score: Float[Tensor, "*batch column"],
     prior_sd: Float[Tensor, "*batch column"],
     noise: FreeNoise | None = None,
-    started: Float[Tensor, "*batch"] | float = 0.0,
+    started: Float[Tensor, "*#batch"] | float = 0.0,
 ) -> Float[Tensor, "*batch"]:
     """Log Bayes factor of columns with normal priors about zero, against none.
 

@@ -281,8 +281,8 @@ class IronBody(_SoftIron):
 class SecondIronBody(_SoftIron):
     """Another piece beside the one that the rig has; they do not answer each other.
 
-    A diagnosis that begins without iron asks for one piece alone, for both would be the same cause twice; a diagnosis of the extended rig
-    asks for the second. So two pieces are never two pictures of the same thing in one verdict, but a plate beside a piece still is.
+    It is asked once a first piece is there, for before that both would be the same cause twice. So two pieces are never two pictures of
+    the same thing in one verdict, but a plate beside a piece still is.
     """
 
     name: ClassVar[str] = "second_iron_body"

@@ -64,7 +64,7 @@ def path(tmp_path):
 
 
 def supervise(kind, path):
-    return Supervised(partial(kind, path), "device", start_timeout_s=10.0)
+    return Supervised(partial(kind, path), "device", longest_start_s=60.0)
 
 
 def test_calls_return_raise_and_end_with_close(path):

@@ -53,7 +53,7 @@ SIGNATURES = {
     "recalibrate": "rig, inbox, registry, seed, settings, again, on_entry, on_waiting",
     "batch": "sessions, out, rig, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, tell",
     "roll_back": "registry, version",
-    "simulate": "rig, plan, truth, seed, hidden",
+    "simulate": "rig, plan, truth, seed, hidden, n_segments",
     "draw_truth": "rig, seed",
     "load_plan": "path, rig",
     "load_rig": "path",

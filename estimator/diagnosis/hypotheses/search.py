@@ -332,7 +332,9 @@ class _SearchState:
 
     def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.base)
-        return [candidate.weighed(weight) for candidate in self.pool]
+        asked = {candidate.cause for candidate in self.pool}
+        beside_others = [cause for cause in causes_of(fit.rig, fit) if cause not in asked]
+        return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, beside_others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:
         return [family.weighed(fit.weight_over(self.base)) for family in self.smooth]
