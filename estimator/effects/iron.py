@@ -281,12 +281,13 @@ class IronBody(_SoftIron):
 class SecondIronBody(_SoftIron):
     """Another piece beside the one that the rig has; they do not answer each other.
 
-    It is asked once a first piece is there, for before that both would be the same cause twice. So two pieces are never two pictures of
-    the same thing in one verdict, but a plate beside a piece still is.
+    It is asked once a first piece is there, for before that both would be the same cause twice. It is no second picture of the first, as a
+    plate would be.
     """
 
     name: ClassVar[str] = "second_iron_body"
     words: ClassVar[str] = "a second piece of iron in the room answers the coils"
+    idealises: ClassVar[str | None] = None
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Beside a first piece."""
