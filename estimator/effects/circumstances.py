@@ -78,7 +78,8 @@ class Circumstances:
         """Largest component that one sensor read in the session."""
         history = self.observations.history
         is_sensor = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
-        return max(float(history.field_sensor_T[is_sensor].nan_to_num().abs().max()), 1e-9)
+        shown_T = history.field_sensor_T[is_sensor].nan_to_num().abs().flatten()
+        return max(float(shown_T.max()), 1e-9) if len(shown_T) else 1e-9
 
     @cached_property
     def positions_m(self) -> Float[Tensor, "position 3"]:

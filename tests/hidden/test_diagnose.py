@@ -33,7 +33,8 @@ def verdict(
 
 
 @pytest.mark.parametrize(
-    "cause", ["axis_gain", "coil_heating", pytest.param("axes_swapped", marks=pytest.mark.slow)]
+    "cause",
+    ["axis_gain", *(pytest.param(c, marks=pytest.mark.slow) for c in ("coil_heating", "axes_swapped"))],
 )
 def test_hidden_cause_is_named(tmp_path, cause):
     seed, protocol, sigma = CASES[cause]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -330,10 +331,14 @@ class _SearchState:
     def _at(self, cause: Cause) -> int:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
+    @cached_property
+    def _possible_at_base(self) -> set[Cause]:
+        """Causes that concern the session without any other; some concern it only beside another."""
+        return {*self.base.rig.effects, *causes_of(self.base.rig, self.base)}
+
     def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.base)
-        asked = {candidate.cause for candidate in self.pool}
-        beside_others = [cause for cause in causes_of(fit.rig, fit) if cause not in asked]
+        beside_others = [cause for cause in causes_of(fit.rig, fit) if cause not in self._possible_at_base]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, beside_others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:

@@ -67,6 +67,7 @@ def priors(draw: st.DrawFn, typical: float, is_positive: bool) -> Prior:
     ends = {"lower": lower} if draw(st.booleans()) else {"lower": 0.0} if is_positive else {}
     ends |= {"upper": upper} if draw(st.booleans()) else {}
     width = draw(decimal(1e-3, 1.0))
+    assume(width * scale > 0.0)  # which the smallest numbers lose
     if kind == "log_normal":
         return LogNormal(typical, width, **ends)
     return Normal(typical, width * scale, **ends)
