@@ -153,7 +153,7 @@ def recalibrate_command(
 
 def _exit_code(entry: Entry) -> int:
     """Exit code of a conclusion by itself; 0 if nobody has to act."""
-    from estimator.recalibration.judgement import IS_CONVERGED
+    from estimator.recalibration.conclusion import IS_CONVERGED
 
     is_unsure = entry.checks.get(IS_CONVERGED) is False
     return EXIT_CODES.get(entry.conclusion, EXIT_NOT_CONVERGED if is_unsure else 0)

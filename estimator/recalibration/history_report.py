@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from estimator.recalibration.judgement import IS_CONVERGED
+from estimator.recalibration.conclusion import IS_CONVERGED
 from estimator.recalibration.registry import ROLLED_BACK, Entry, Registry
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 from estimator.reporting.plots.history import SessionSummary, VersionInUse, history

@@ -10,8 +10,9 @@ from estimator.code_version import code_version
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibration.arrivals import CHANGED, Arrival, arrivals
+from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.history_report import history_report
-from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement, judge
+from estimator.recalibration.judgement import judge
 from estimator.recalibration.registry import Entry, Registry
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text

@@ -14,8 +14,9 @@ from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
-from estimator.recalibration import judgement
-from estimator.recalibration.judgement import Judgement, judge
+from estimator.recalibration import comparison, judgement, successor
+from estimator.recalibration.conclusion import Judgement
+from estimator.recalibration.judgement import judge
 from estimator.recalibration.stored import stored_log_density
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -38,7 +39,7 @@ def is_sampled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
         asked.append(True)
         raise AssertionError("must not be sampled")
 
-    monkeypatch.setattr(judgement, "_sampled", sampled)
+    monkeypatch.setattr(comparison, "sampled_successor", sampled)
     return asked
 
 
@@ -49,12 +50,12 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
     monkeypatch: pytest.MonkeyPatch,
     is_sampled: list[bool],
 ) -> None:
-    real = judgement.improvement_of
+    real = comparison.improvement_of
 
     def small_improvement(*arguments: object) -> Improvement:
         return replace(real(*arguments), elpd_difference=1.9, elpd_se=1.0)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(judgement, "improvement_of", small_improvement)
+    monkeypatch.setattr(comparison, "improvement_of", small_improvement)
     judged = judge(mounted_anew, small_rig, small_calibration, seed=1)
     assert (judged.conclusion, judged.calibration, judged.agrees) == ("unchanged", None, False)
     assert judged.reason.startswith(
@@ -105,7 +106,7 @@ def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
         draws["coil1.world_from_coil0.z_m"] = draws["coil1.world_from_coil0.z_m"] - 5e-3
         return replace(small_calibration, draws=draws)
 
-    monkeypatch.setattr(judgement, "_sampled", gone_astray)
+    monkeypatch.setattr(comparison, "sampled_successor", gone_astray)
     judged: Judgement = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=small_settings)
     assert (judged.conclusion, judged.calibration) == ("unchanged", None)
     assert "its sampled posterior predicts them worse (log density -" in judged.reason
@@ -153,8 +154,8 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
         asked.append(settings.for_rig(len(rig.free)))
         return small_calibration
 
-    assert calibrate is judgement.calibrate
-    monkeypatch.setattr(judgement, "calibrate", calibrated)
+    assert calibrate is successor.calibrate
+    monkeypatch.setattr(successor, "calibrate", calibrated)
     readings = simulate(small_rig, small_plan, small_truth, 4, {"background_field.x_T": 20e-6})
     drifted = replace(small_session, observations=readings)
     judged = judge(drifted, small_rig, small_calibration, seed=1, settings=SamplerSettings(n_walkers=6))

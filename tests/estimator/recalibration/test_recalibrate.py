@@ -19,7 +19,8 @@ from estimator.readings.plan import Plan
 from estimator.recalibration import arrivals as arrivals_module
 from estimator.recalibration import policy
 from estimator.recalibration.arrivals import arrivals
-from estimator.recalibration.judgement import Conclusion, Judgement, judge
+from estimator.recalibration.conclusion import Conclusion, Judgement
+from estimator.recalibration.judgement import judge
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
 from estimator.recalibration.registry import Entry, Registry
 from estimator.rig.rig import Rig

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.recalibration.judgement import EVIDENCE, Conclusion, Judgement
+from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.recalibrate import recalibrate
 from estimator.recalibration.registry import Registry
 from estimator.recalibration.together import named_together

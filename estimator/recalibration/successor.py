@@ -1,0 +1,55 @@
+"""The calibration that would replace the current one, and what a diagnosis gives to a conclusion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.verdict import Verdict
+from estimator.inference.ensemble import SamplerSettings
+from estimator.recalibration import policy
+from estimator.store.session import Session
+
+
+def sampled_successor(
+    session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
+) -> Calibration:
+    """Sample the extended rig of a diagnosis; its causes may need more walkers than were asked for."""
+    rig = diagnosis.extended_rig
+    if settings is not None and settings.n_walkers:
+        n = len(rig.free)
+        settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
+    return calibrate(session, rig, seed=seed, settings=settings)
+
+
+def short_of(calibration: Calibration) -> str:
+    """How sampling fell short of its targets, in words."""
+    sampling = calibration.summary()["sampling"]
+    rhat = sampling["largest_rhat"]
+    numbers = f"{sampling['smallest_ess']:.0f} effective samples, R-hat {'unknown' if rhat is None else f'{rhat:.3f}'}"
+    return f"its posterior did not converge ({numbers})"
+
+
+def is_unexplained(diagnosis: Diagnosis) -> bool:
+    """Whether the residual exceeds noise, in structure or in size."""
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        return True
+    return diagnosis.fits.after.lack_of_fit.p_value < policy.FALSE_ALARMS
+
+
+def causes_of(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], ...]:
+    """Causes as in the log and `diagnosis.json`."""
+    return tuple(cause.to_json() for cause in diagnosis.sized_causes)
+
+
+def estimate_of(fit: Fit) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of every free parameter."""
+    return {
+        parameter.name: (float(fit.values[parameter.name]), fit.value_sd(parameter.name))
+        for parameter in fit.rig.free
+    }
