@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -57,6 +59,16 @@ def test_lag_of_a_simulated_session_goes_on_from_reading_to_reading_in_the_order
     for i in range(1, N):
         shown_T.append(settled_T(shown_T[-1], FIELD_T[i], TIME_S[i] - TIME_S[i - 1]))
     assert_same_field(predicted_T(blank, LAG), np.array(shown_T)[order], 1e-8)
+
+
+def test_lag_of_a_sensor_that_was_not_read_changes_nothing():
+    """Curves of the history ask for the field at every instant, as each sensor in turn would show it."""
+    rig = rig_from_text(RIG + "  second: {carried_by: mapper, noise_uT: 5}\n")
+    sensor = torch.full((N,), [s.name for s in rig.sensors].index("second"))
+    unread = Circumstances(rig, replace(READINGS, sensor=sensor))
+    field_T = torch.from_numpy(FIELD_T)
+    changed_T = EFFECTS["sensor_lag"].apply(field_T, {"tau_s": torch.tensor(1.3)}, unread, "probe")
+    torch.testing.assert_close(changed_T, field_T, rtol=0.0, atol=0.0)
 
 
 def test_lag_of_a_component_that_was_not_recorded_leaves_the_others_as_they_are():
