@@ -13,9 +13,51 @@ import yaml
 from estimator.errors import InvalidInput, reason
 from estimator.units import UNITS, Unit, split_unit
 
+# Far beyond any rig or plan. The text of a file may come from anywhere, and YAML's short forms can stand for endless data.
+MOST_BYTES = 4_000_000
+MOST_VALUES = 100_000
+MOST_LEVELS = 20
+MOST_SHOWN = 200  # characters of a refused value
+UNSEEN = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]"
+)  # controls of a terminal, and halves of characters
+LARGEST = 1e12  # powers of larger numbers overflow
+
 
 class Loader(yaml.SafeLoader):
-    """Numbers as in YAML 1.2: 2e-5 is a number and 010 is ten; 1:30, 1_000 and 2025-01-31 are text."""
+    """Numbers as in YAML 1.2: 2e-5 is a number and 010 is ten; 1:30, 1_000 and 2025-01-31 are text.
+
+    Keys, values and levels are counted while they are read, those behind an alias (`*noise`) as often as it is used.
+    """
+
+    def __init__(self, text: str, file: str) -> None:
+        super().__init__(text)
+        self.name = file
+        self._n_values = self._level = 0
+        self._n_behind: dict[str, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose a value with all that it holds; refuse one beyond the limits."""
+        event, n_before = self.peek_event(), self._n_values
+        is_alias = isinstance(event, yaml.AliasEvent)
+        if is_alias and event.anchor in self.anchors and event.anchor not in self._n_behind:
+            self._refuse(f"must not hold itself; *{event.anchor} does", event)
+        self._n_values += self._n_behind.get(event.anchor, 1) if is_alias else 1
+        self._level += 1
+        if self._n_values > MOST_VALUES:
+            self._refuse(f"must hold at most {MOST_VALUES} keys and values; there are more", event)
+        if isinstance(event, yaml.ScalarEvent) and UNSEEN.search(event.value):
+            self._refuse("must hold characters that can be shown", event)
+        if self._level > MOST_LEVELS:
+            self._refuse(f"must have at most {MOST_LEVELS} levels; there are more", event)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._level -= 1
+        if event.anchor is not None and not is_alias:
+            self._n_behind[event.anchor] = self._n_values - n_before
+        return node
+
+    def _refuse(self, rule: str, event: yaml.Event) -> NoReturn:
+        raise InvalidInput(f"{self.name} {rule} (line {event.start_mark.line + 1})")
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
@@ -31,7 +73,8 @@ Loader.add_implicit_resolver(
     ),
     list("-+.0123456789"),
 )
-Loader.add_constructor(_INT, lambda _, node: int(node.value))
+# Python makes no whole number of thousands of digits and no float of hundreds; as a float they are infinite, and refused as such.
+Loader.add_constructor(_INT, lambda _, node: int(node.value) if len(node.value) <= 18 else float(node.value))
 
 
 class Section:
@@ -65,8 +108,11 @@ class Section:
     @classmethod
     def from_text(cls, text: str, file: str) -> Section:
         """The top mapping of a YAML text."""
+        if len(text) > MOST_BYTES:
+            raise InvalidInput(f"{file} must hold at most {MOST_BYTES} bytes; it holds more")
         try:
-            node = yaml.compose(text, Loader=Loader)
+            loader = Loader(text, file)
+            node = loader.get_single_node()
         except yaml.YAMLError as error:
             raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}") from error
         if not isinstance(node, yaml.MappingNode):
@@ -79,7 +125,8 @@ class Section:
     def from_file(cls, path: Path) -> Section:
         """The top mapping of a YAML file."""
         try:
-            return cls.from_text(path.read_text(encoding="utf-8"), str(path))
+            with path.open("rb") as file:
+                return cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path))
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
@@ -96,7 +143,9 @@ class Section:
 
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
         """Raise InvalidInput that names key, rule, value, file and line."""
-        raise InvalidInput(f"{self.path_of(key)} {rule}; received {received} ({self.where(key)})")
+        shown = str(received)
+        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+        raise InvalidInput(f"{self.path_of(key)} {rule}; received {shown} ({self.where(key)})")
 
     def where(self, key: str) -> str:
         """File and line of a key."""
@@ -113,7 +162,7 @@ class Section:
         self._unread.discard(key)
         try:
             return _plain(self._entries[key])
-        except yaml.YAMLError as error:
+        except Exception as error:  # a tag such as !!timestamp raises errors of nearly any type on other text
             raise InvalidInput(
                 f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})"
             ) from error
@@ -129,6 +178,8 @@ class Section:
         value = self.required(key) if default is None else self.value(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             self.refuse(key, "must be a finite number", repr(value))
+        if abs(value) > LARGEST:
+            self.refuse(key, f"must lie between {-LARGEST:g} and {LARGEST:g}", f"{value:g}")
         return float(value)
 
     def choice(self, key: str, choices: tuple[str, ...], default: str | None = None) -> str:
@@ -220,7 +271,7 @@ class Section:
 
 
 def _plain(node: yaml.Node) -> Any:
-    loader = Loader("")
+    loader = Loader("", "")
     try:
         return loader.construct_object(node, deep=True)
     finally:
