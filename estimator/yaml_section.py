@@ -38,26 +38,26 @@ class Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose a value with all that it holds; refuse one beyond the limits."""
-        event, n_before = self.peek_event(), self._n_values
+        event, n_before = self.peek_event(), self._n_values  # type: ignore[no-untyped-call]
         is_alias = isinstance(event, yaml.AliasEvent)
         if is_alias and event.anchor in self.anchors and event.anchor not in self._n_behind:
-            self._refuse(f"must not hold itself; *{event.anchor} does", event)
+            self._refuse(f"must not hold itself; *{event.anchor} does")
         self._n_values += self._n_behind.get(event.anchor, 1) if is_alias else 1
         self._level += 1
         if self._n_values > MOST_VALUES:
-            self._refuse(f"must hold at most {MOST_VALUES} keys and values; there are more", event)
+            self._refuse(f"must hold at most {MOST_VALUES} keys and values; there are more")
         if isinstance(event, yaml.ScalarEvent) and UNSEEN.search(event.value):
-            self._refuse("must hold characters that can be shown", event)
+            self._refuse("must hold characters that can be shown")
         if self._level > MOST_LEVELS:
-            self._refuse(f"must have at most {MOST_LEVELS} levels; there are more", event)
+            self._refuse(f"must have at most {MOST_LEVELS} levels; there are more")
         node: yaml.Node | None = super().compose_node(parent, index)
         self._level -= 1
         if event.anchor is not None and not is_alias:
             self._n_behind[event.anchor] = self._n_values - n_before
         return node
 
-    def _refuse(self, rule: str, event: yaml.Event) -> NoReturn:
-        raise InvalidInput(f"{self.name} {rule} (line {event.start_mark.line + 1})")
+    def _refuse(self, rule: str) -> NoReturn:
+        raise InvalidInput(f"{self.name} {rule} (line {self.line + 1})")
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
