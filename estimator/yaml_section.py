@@ -18,9 +18,7 @@ MOST_BYTES = 4_000_000
 MOST_VALUES = 100_000
 MOST_LEVELS = 20
 MOST_SHOWN = 200  # characters of a refused value
-UNSEEN = re.compile(
-    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]"
-)  # controls of a terminal, and halves of characters
+HALF = re.compile(r"[\ud800-\udfff]")  # of a character, which no file can hold
 LARGEST = 1e12  # powers of larger numbers overflow
 
 
@@ -46,8 +44,8 @@ class Loader(yaml.SafeLoader):
         self._level += 1
         if self._n_values > MOST_VALUES:
             self._refuse(f"must hold at most {MOST_VALUES} keys and values; there are more")
-        if isinstance(event, yaml.ScalarEvent) and UNSEEN.search(event.value):
-            self._refuse("must hold characters that can be shown")
+        if isinstance(event, yaml.ScalarEvent) and HALF.search(event.value):
+            self._refuse("must hold whole characters; there is half a one")
         if self._level > MOST_LEVELS:
             self._refuse(f"must have at most {MOST_LEVELS} levels; there are more")
         node: yaml.Node | None = super().compose_node(parent, index)
@@ -73,8 +71,8 @@ Loader.add_implicit_resolver(
     ),
     list("-+.0123456789"),
 )
-# Python makes no whole number of thousands of digits and no float of hundreds; as a float they are infinite, and refused as such.
-Loader.add_constructor(_INT, lambda _, node: int(node.value) if len(node.value) <= 18 else float(node.value))
+# Python makes no float of longer whole numbers, and none at all of thousands of digits; as a float they are infinite, and refused as such.
+Loader.add_constructor(_INT, lambda _, node: int(node.value) if len(node.value) <= 300 else float(node.value))
 
 
 class Section:
