@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -102,6 +103,7 @@ class Section:
             self._entries[key], self._lines[key] = value_node, line
             self._spans[key] = (key_node.start_mark.index, value_node.end_mark.index)
         self._unread = set(self._entries)
+        self._known: dict[str, None] = {}  # keys that were asked for, whether they are there or not
 
     @classmethod
     def from_text(cls, text: str, file: str) -> Section:
@@ -133,6 +135,7 @@ class Section:
         return iter(self._entries)
 
     def __contains__(self, key: str) -> bool:
+        self._known[key] = None
         return key in self._entries
 
     def path_of(self, key: str) -> str:
@@ -155,7 +158,7 @@ class Section:
 
     def value(self, key: str, default: Any = None) -> Any:
         """Plain value of a key: text, number, list or None."""
-        if key not in self._entries:
+        if key not in self:
             return default
         self._unread.discard(key)
         try:
@@ -167,8 +170,10 @@ class Section:
 
     def required(self, key: str) -> Any:
         """Plain value of a key that must be present."""
-        if key not in self._entries:
-            raise InvalidInput(f"{self.path_of(key)} is missing ({self.where(key)})")
+        if key not in self:
+            raise InvalidInput(
+                f"{self.path_of(key)} is missing{_closest(key, self._unread)} ({self.where(key)})"
+            )
         return self.value(key)
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -204,6 +209,7 @@ class Section:
     def section(self, key: str) -> Section:
         """A mapping below this one; empty if the key is absent."""
         self._unread.discard(key)
+        self._known[key] = None
         node = self._entries.get(key)
         if node is None:
             node = yaml.MappingNode(
@@ -235,6 +241,7 @@ class Section:
             InvalidInput: The key has no unit, one of another dimension, or appears with two units.
         """
         symbols = [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
+        self._known |= dict.fromkeys(f"{quantity}_{symbol}" for symbol in symbols)
         keys = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
         for key in keys:
             unit = split_unit(key)[1]
@@ -265,7 +272,16 @@ class Section:
         """Refuse keys that nobody read."""
         for key in self._entries:
             if key in self._unread:
-                raise InvalidInput(f"{self.path_of(key)} is not a known key ({self.where(key)})")
+                known = self._known.keys() - self._entries.keys()
+                raise InvalidInput(
+                    f"{self.path_of(key)} is not a known key{_closest(key, known)} ({self.where(key)})"
+                )
+
+
+def _closest(key: str, others: Iterable[str]) -> str:
+    """The key that may have been meant, in words; nothing where none is like it."""
+    close = get_close_matches(key, sorted(others), n=1)
+    return f"; the closest is {close[0]}" if close else ""
 
 
 def _plain(node: yaml.Node) -> Any:
