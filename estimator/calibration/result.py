@@ -174,6 +174,7 @@ class Calibration:
             shutil.rmtree(partial, ignore_errors=True)
             summary = json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n"
             self._write_posterior(partial, summary)
+            (folder / SUMMARY_FILE).unlink(missing_ok=True)  # never beside a posterior that is not its own
             replace_folder(partial, folder / POSTERIOR_STORE)
             write_text(folder / SUMMARY_FILE, summary)
         except OSError as error:
