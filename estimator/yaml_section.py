@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -13,9 +14,49 @@ import yaml
 from estimator.errors import InvalidInput, reason
 from estimator.units import UNITS, Unit, split_unit
 
+# Far beyond any rig or plan. The text of a file may come from anywhere, and YAML's short forms can stand for endless data.
+MOST_BYTES = 4_000_000
+MOST_VALUES = 100_000
+MOST_LEVELS = 20
+MOST_SHOWN = 200  # characters of a refused value
+HALF = re.compile(r"[\ud800-\udfff]")  # of a character, which no file can hold
+LARGEST = 1e12  # powers of larger numbers overflow
+
 
 class Loader(yaml.SafeLoader):
-    """Numbers as in YAML 1.2: 2e-5 is a number and 010 is ten; 1:30, 1_000 and 2025-01-31 are text."""
+    """Numbers as in YAML 1.2: 2e-5 is a number and 010 is ten; 1:30, 1_000 and 2025-01-31 are text.
+
+    Keys, values and levels are counted while they are read, those behind an alias (`*noise`) as often as it is used.
+    """
+
+    def __init__(self, text: str, file: str) -> None:
+        super().__init__(text)
+        self.name = file
+        self._n_values = self._level = 0
+        self._n_behind: dict[str, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose a value with all that it holds; refuse one beyond the limits."""
+        event, n_before = self.peek_event(), self._n_values  # type: ignore[no-untyped-call]
+        is_alias = isinstance(event, yaml.AliasEvent)
+        if is_alias and event.anchor in self.anchors and event.anchor not in self._n_behind:
+            self._refuse(f"must not hold itself; *{event.anchor} does")
+        self._n_values += self._n_behind.get(event.anchor, 1) if is_alias else 1
+        self._level += 1
+        if self._n_values > MOST_VALUES:
+            self._refuse(f"must hold at most {MOST_VALUES} keys and values; there are more")
+        if isinstance(event, yaml.ScalarEvent) and HALF.search(event.value):
+            self._refuse("must hold whole characters; there is half a one")
+        if self._level > MOST_LEVELS:
+            self._refuse(f"must have at most {MOST_LEVELS} levels; there are more")
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._level -= 1
+        if event.anchor is not None and not is_alias:
+            self._n_behind[event.anchor] = self._n_values - n_before
+        return node
+
+    def _refuse(self, rule: str) -> NoReturn:
+        raise InvalidInput(f"{self.name} {rule} (line {self.line + 1})")
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
@@ -31,7 +72,8 @@ Loader.add_implicit_resolver(
     ),
     list("-+.0123456789"),
 )
-Loader.add_constructor(_INT, lambda _, node: int(node.value))
+# Python makes no float of longer whole numbers, and none at all of thousands of digits; as a float they are infinite, and refused as such.
+Loader.add_constructor(_INT, lambda _, node: int(node.value) if len(node.value) <= 300 else float(node.value))
 
 
 class Section:
@@ -61,12 +103,16 @@ class Section:
             self._entries[key], self._lines[key] = value_node, line
             self._spans[key] = (key_node.start_mark.index, value_node.end_mark.index)
         self._unread = set(self._entries)
+        self._known: dict[str, None] = {}  # keys that were asked for, whether they are there or not
 
     @classmethod
     def from_text(cls, text: str, file: str) -> Section:
         """The top mapping of a YAML text."""
+        if len(text) > MOST_BYTES:
+            raise InvalidInput(f"{file} must hold at most {MOST_BYTES} bytes; it holds more")
         try:
-            node = yaml.compose(text, Loader=Loader)
+            loader = Loader(text, file)
+            node = loader.get_single_node()
         except yaml.YAMLError as error:
             raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}") from error
         if not isinstance(node, yaml.MappingNode):
@@ -79,7 +125,8 @@ class Section:
     def from_file(cls, path: Path) -> Section:
         """The top mapping of a YAML file."""
         try:
-            return cls.from_text(path.read_text(encoding="utf-8"), str(path))
+            with path.open("rb") as file:
+                return cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path))
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
@@ -88,6 +135,7 @@ class Section:
         return iter(self._entries)
 
     def __contains__(self, key: str) -> bool:
+        self._known[key] = None
         return key in self._entries
 
     def path_of(self, key: str) -> str:
@@ -96,7 +144,9 @@ class Section:
 
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
         """Raise InvalidInput that names key, rule, value, file and line."""
-        raise InvalidInput(f"{self.path_of(key)} {rule}; received {received} ({self.where(key)})")
+        shown = str(received)
+        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+        raise InvalidInput(f"{self.path_of(key)} {rule}; received {shown} ({self.where(key)})")
 
     def where(self, key: str) -> str:
         """File and line of a key."""
@@ -108,20 +158,22 @@ class Section:
 
     def value(self, key: str, default: Any = None) -> Any:
         """Plain value of a key: text, number, list or None."""
-        if key not in self._entries:
+        if key not in self:
             return default
         self._unread.discard(key)
         try:
             return _plain(self._entries[key])
-        except yaml.YAMLError as error:
+        except Exception as error:  # a tag such as !!timestamp raises errors of nearly any type on other text
             raise InvalidInput(
                 f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})"
             ) from error
 
     def required(self, key: str) -> Any:
         """Plain value of a key that must be present."""
-        if key not in self._entries:
-            raise InvalidInput(f"{self.path_of(key)} is missing ({self.where(key)})")
+        if key not in self:
+            raise InvalidInput(
+                f"{self.path_of(key)} is missing{_closest(key, self._unread)} ({self.where(key)})"
+            )
         return self.value(key)
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -129,6 +181,8 @@ class Section:
         value = self.required(key) if default is None else self.value(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             self.refuse(key, "must be a finite number", repr(value))
+        if abs(value) > LARGEST:
+            self.refuse(key, f"must lie between {-LARGEST:g} and {LARGEST:g}", f"{value:g}")
         return float(value)
 
     def choice(self, key: str, choices: tuple[str, ...], default: str | None = None) -> str:
@@ -155,6 +209,7 @@ class Section:
     def section(self, key: str) -> Section:
         """A mapping below this one; empty if the key is absent."""
         self._unread.discard(key)
+        self._known[key] = None
         node = self._entries.get(key)
         if node is None:
             node = yaml.MappingNode(
@@ -186,6 +241,7 @@ class Section:
             InvalidInput: The key has no unit, one of another dimension, or appears with two units.
         """
         symbols = [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
+        self._known |= dict.fromkeys(f"{quantity}_{symbol}" for symbol in symbols)
         keys = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
         for key in keys:
             unit = split_unit(key)[1]
@@ -216,11 +272,20 @@ class Section:
         """Refuse keys that nobody read."""
         for key in self._entries:
             if key in self._unread:
-                raise InvalidInput(f"{self.path_of(key)} is not a known key ({self.where(key)})")
+                known = self._known.keys() - self._entries.keys()
+                raise InvalidInput(
+                    f"{self.path_of(key)} is not a known key{_closest(key, known)} ({self.where(key)})"
+                )
+
+
+def _closest(key: str, others: Iterable[str]) -> str:
+    """The key that may have been meant, in words; nothing where none is like it."""
+    close = get_close_matches(key, sorted(others), n=1)
+    return f"; the closest is {close[0]}" if close else ""
 
 
 def _plain(node: yaml.Node) -> Any:
-    loader = Loader("")
+    loader = Loader("", "")
     try:
         return loader.construct_object(node, deep=True)
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import shutil
@@ -23,11 +24,24 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
 from estimator.rig_files.state import rig_from_state, rig_state
+from estimator.store.admission import admit, admit_readings
 from estimator.store.files import write_text
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE = "posterior.zarr", "summary.json"
+SUMMARY_SEAL = "summary_sha256"
+SUMMARY_KEYS: Mapping[str, type] = {
+    **dict.fromkeys(
+        ("parameters", "prior_tension", "rmse", "rmse_nominal", "rmse_by_sensor", "coverage90"), dict
+    ),
+    **dict.fromkeys(("sampling", "point_estimate", "truth", "versions"), dict),
+    **dict.fromkeys(("loop_counts", "undetermined"), list),
+    **dict.fromkeys(("is_converged", "has_integer_counts"), bool),
+    **dict.fromkeys(("session_source", "session_created", "session_hash", "rig_hash"), str),
+    "seed": int,
+}
+"""What pages read of a summary; one that is older than its seal may have been altered unnoticed."""
 INTERVAL_DRAWS = 400
 
 
@@ -158,9 +172,11 @@ class Calibration:
             folder.mkdir(parents=True, exist_ok=True)
             partial = folder / (POSTERIOR_STORE + ".partial")
             shutil.rmtree(partial, ignore_errors=True)
-            self._write_posterior(partial)
+            summary = json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n"
+            self._write_posterior(partial, summary)
+            (folder / SUMMARY_FILE).unlink(missing_ok=True)  # never beside a posterior that is not its own
             replace_folder(partial, folder / POSTERIOR_STORE)
-            write_text(folder / SUMMARY_FILE, json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n")
+            write_text(folder / SUMMARY_FILE, summary)
         except OSError as error:
             raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
 
@@ -177,11 +193,15 @@ class Calibration:
             raise InvalidInput(
                 f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}"
             )
+        admit(folder / POSTERIOR_STORE, "calibration")
         try:
-            summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
+            text = (folder / SUMMARY_FILE).read_bytes()
+            summary = json.loads(text)
             with (
                 quiet_zarr(),
-                xr.open_datatree(folder / POSTERIOR_STORE, engine="zarr", consolidated=False) as tree,
+                xr.open_datatree(
+                    folder / POSTERIOR_STORE, engine="zarr", consolidated=False, zarr_format=3
+                ) as tree,
             ):
                 tree.load()
             if tree.attrs["schema_version"] != SCHEMA_VERSION:
@@ -193,11 +213,22 @@ class Calibration:
                 raise CorruptStore(
                     f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
                 )
+            # Version 0.1 and the first of 0.2 did not seal the summary.
+            if tree.attrs.get(SUMMARY_SEAL, _sha256(text)) != _sha256(text):
+                raise CorruptStore(
+                    f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
+                )
             attributes = tree.attrs
             arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
             rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
+            admit_readings(arrays, rig, str(folder))
             observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
             draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
+            _check_numbers(rig, best, draws, log_prob, folder)
+            if any(not isinstance(summary[key], kind) for key, kind in SUMMARY_KEYS.items()):
+                raise CorruptStore(
+                    f"calibration must have a summary as coilcal writes it; {folder / SUMMARY_FILE} is another"
+                )
         except CorruptStore:
             raise
         except Exception as error:  # zarr, JSON and NumPy raise errors of many types on damaged bytes
@@ -206,13 +237,14 @@ class Calibration:
             ) from error
         return cls(rig, observations, best, draws, log_prob, summary)
 
-    def _write_posterior(self, path: Path) -> None:
+    def _write_posterior(self, path: Path, summary: str) -> None:
         walkers, steps = self.log_prob.shape
         coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
         attributes = {
             "schema_version": SCHEMA_VERSION,
             "rig": json.dumps(rig_state(self.rig)),
             "best": json.dumps(dict(self.best)),
+            SUMMARY_SEAL: _sha256(summary.encode()),
         }
         posterior = {name: (("chain", "draw"), draws) for name, draws in self.draws.items()}
         arrays = observation_arrays(self.observations)
@@ -240,6 +272,26 @@ class Calibration:
             if not math.isfinite(currents_A[name]):
                 raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
+
+
+def _check_numbers(
+    rig: Rig, best: Mapping[str, float], draws: Mapping[str, np.ndarray], log_prob: np.ndarray, folder: Path
+) -> None:
+    """Refuse a posterior that lacks a number of the rig, or holds another shape or no finite number."""
+    for name in rig.parameters:
+        if not math.isfinite(best[name]):
+            raise CorruptStore(f"best {name} must be finite; received {best[name]} ({folder})")
+    for parameter in rig.free:
+        values = draws[parameter.name]
+        if values.shape != log_prob.shape or not np.isfinite(values).all():
+            raise CorruptStore(
+                f"draws of {parameter.name} must be finite and of shape {log_prob.shape}; "
+                f"received {'others' if values.shape == log_prob.shape else values.shape} ({folder})"
+            )
+
+
+def _sha256(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
 
 
 def _tree_hash(tree: xr.DataTree) -> str:

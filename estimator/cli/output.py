@@ -8,11 +8,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -21,6 +22,7 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5
 EXIT_DRIFTED, EXIT_REJECTED = 10, 11
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 class CoilcalCommand(click.Command):
@@ -29,7 +31,7 @@ class CoilcalCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; help, completion and refused arguments never get here, so they do not load torch."""
         use_threads(ctx.find_root().params.get("threads", 1))
-        with explained_errors():
+        with explained_errors(as_json=bool(ctx.params.get("as_json"))):
             return super().invoke(ctx)
 
 
@@ -42,21 +44,26 @@ def use_threads(n_threads: int) -> None:
 
 
 @contextmanager
-def explained_errors() -> Iterator[None]:
-    """Turn faults that coilcal can explain into one sentence on standard error and an exit code."""
+def explained_errors(as_json: bool = False) -> Iterator[None]:
+    """Turn faults that coilcal can explain into one sentence on standard error and an exit code, and into JSON where that was asked for."""
     try:
         yield
     except CoilcalError as error:
-        click.echo(f"coilcal: {error}", err=True)
-        sys.exit(EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT)
+        _end(str(error), EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT, as_json)
     except DriverError as error:
-        click.echo(f"coilcal: {error}", err=True)
-        sys.exit(EXIT_BAD_INPUT if isinstance(error, Refused) else EXIT_DEVICE)
+        _end(str(error), EXIT_BAD_INPUT if isinstance(error, Refused) else EXIT_DEVICE, as_json)
     except BrokenPipeError:
         raise
     except OSError as error:  # the system refused a path before coilcal checked it
-        click.echo(f"coilcal: {error.filename} must be readable and writable: {reason(error)}", err=True)
-        sys.exit(EXIT_BAD_INPUT)
+        _end(f"{error.filename} must be readable and writable: {reason(error)}", EXIT_BAD_INPUT, as_json)
+
+
+def _end(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
+    """End with a fault. What a file holds may be in it, so no control character of it reaches the terminal."""
+    click.echo(f"coilcal: {CONTROL.sub(lambda found: repr(found[0])[1:-1], sentence)}", err=True)
+    if as_json:
+        click.echo(json.dumps({"error": sentence, "exit_code": exit_code}, indent=2))
+    sys.exit(exit_code)
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ from estimator.errors import InvalidInput, reason
 if TYPE_CHECKING:
     import numpy as np
 
+MOST_POINTS = 1_000_000
+BLOCK = 10_000  # points predicted at once, with all draws of the posterior
 HEADER = (
     ["x_m", "y_m", "z_m"]
     + [f"B{axis}_T" for axis in "xyz"]
@@ -80,6 +83,11 @@ def predict_command(
     grid = [_axis(text) for text in axes]
     if len({name for name, _ in grid}) < len(grid):
         raise InvalidInput(f"--grid must name an axis once; received {', '.join(axes)}")
+    n_points = math.prod(len(coordinates_m) for _, coordinates_m in grid)
+    if n_points > MOST_POINTS:
+        raise InvalidInput(
+            f"--grid must have at most {MOST_POINTS} points; received {n_points} ({', '.join(axes)})"
+        )
     coordinates_m = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(grid)}
     points_m = torch.from_numpy(
         np.stack(np.meshgrid(*coordinates_m.values(), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -89,8 +97,10 @@ def predict_command(
         name: torch.tensor(values, dtype=torch.float64)
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
-    field = calibration.field(points_m, currents_A, motion)
-    lower, upper = calibration.field_interval(points_m, currents_A, level, motion)
+    blocks = points_m.split(BLOCK)
+    field = torch.cat([calibration.field(block, currents_A, motion) for block in blocks])
+    intervals = [calibration.field_interval(block, currents_A, level, motion) for block in blocks]
+    lower, upper = (torch.cat(ends) for ends in zip(*intervals, strict=True))
     is_inside = torch.isnan(field).any(dim=1)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -120,6 +130,7 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
     import numpy as np
 
     from estimator.units import split_unit
+    from estimator.yaml_section import LARGEST
 
     key, _, span = text.partition("=")
     name, unit = split_unit(key)
@@ -138,4 +149,8 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
         or not np.isfinite(numbers).all()
     ):
         raise InvalidInput(f"--grid must look like x_mm=-50:50:11 or z_mm=20; received {text!r}")
+    if count > MOST_POINTS or max(map(abs, numbers[:2])) > LARGEST:
+        raise InvalidInput(
+            f"--grid must have at most {MOST_POINTS} points within {LARGEST:g} of 0; received {text!r}"
+        )
     return name, np.linspace(numbers[0], numbers[-2 if len(numbers) == 3 else 0], count) * unit.to_si

@@ -103,8 +103,8 @@ def truth_of(rig: Rig, choice: str, seed: int) -> dict[str, float]:
         return {parameter.name: parameter.value for parameter in rig.free}
     rule = "--truth must be prior, nominal or a JSON file {parameter: number}"
     try:
-        content = json.loads(Path(choice).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = json.loads(Path(choice).read_text(encoding="utf-8"), parse_int=float)
+    except (OSError, ValueError, RecursionError) as error:
         raise InvalidInput(f"{rule}; received {choice}: {reason(error)}") from error
     numbers = content.values() if isinstance(content, dict) else [None]
     if not all(isinstance(value, int | float) for value in numbers):

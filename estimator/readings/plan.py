@@ -12,15 +12,17 @@ import numpy as np
 import torch
 import yaml
 
+from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
 from estimator.rig.rig import POSE_QUANTITIES, MotionKind, Mover, Rig
 from estimator.units import UNITS
-from estimator.yaml_section import Section
+from estimator.yaml_section import LARGEST, Section
 
 CARTESIAN = POSE_QUANTITIES[:6]  # position and rotation vector; tilts and spin belong to mounts
 WRITTEN_IN = {"length": "mm", "angle": "deg"}  # units of a written plan
 REVISITED = 2.0  # poses, in the recommended protocol
+MOST_STOPS = 200_000  # of a plan; two days at one a second
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
@@ -83,6 +85,8 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
         _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0),
     )
     top.finish()
+    n_poses = len(calibration) + 2 * plan.n_revisited + len(validation)
+    _check_stops(top, (n_poses * len(plan.currents_A) + len(stops)) * plan.repeats)
     return plan
 
 
@@ -136,6 +140,8 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
         block.finish()
     section.finish()
     stops = [axis for *_, axis in axes]
+    if n_scattered is None:
+        _check_stops(section, math.prod(len(axis) for axis in stops))
     rows = itertools.product(*stops) if n_scattered is None else _scattered(stops, n_scattered)
     poses = []
     for values in rows:
@@ -191,7 +197,17 @@ def _count(section: Section, key: str, default: float | None = None, least: int 
     number = section.number(key, default)
     if number < least or number != int(number):
         section.refuse(key, f"must be a whole number of at least {least}", f"{number:g}")
+    if number > MOST_STOPS:
+        section.refuse(key, f"must be at most {MOST_STOPS}", f"{number:g}")
     return int(number)
+
+
+def _check_stops(section: Section, n_stops: int) -> None:
+    if n_stops > MOST_STOPS:
+        thing = section.path or "the plan"
+        raise InvalidInput(
+            f"{thing} must have at most {MOST_STOPS} stops; received {n_stops} ({section.file}, line {section.line})"
+        )
 
 
 def _currents(top: Section, rig: Rig, is_recommended: bool) -> tuple[Mapping[str, float], ...]:
@@ -216,6 +232,8 @@ def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> Non
         is_number = isinstance(current, int | float) and not isinstance(current, bool)
         if not is_number or not math.isfinite(current):
             section.refuse(key, "must hold finite numbers", repr(setting))
+        if abs(current) > LARGEST:
+            section.refuse(key, f"must hold numbers between {-LARGEST:g} and {LARGEST:g}", repr(setting))
 
 
 def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import subprocess
 import urllib.request
@@ -27,11 +28,18 @@ def run_command(command: str, message: Mapping[str, Any]) -> str | None:
             check=False,
         )
     except (OSError, ValueError, IndexError, subprocess.TimeoutExpired) as error:
-        return f"alert command {command!r} failed: {error}"
+        return f"alert command {command!r} failed: {error}{_shell_hint(command)}"
     if process.returncode:
         output = process.stderr.decode(errors="replace").strip()
-        return f"alert command {command!r} ended with exit code {process.returncode}: {output}"
+        return f"alert command {command!r} ended with exit code {process.returncode}: {output}{_shell_hint(command)}"
     return None
+
+
+def _shell_hint(command: str) -> str:
+    """What to write instead, if the command has what only a shell understands."""
+    if not re.search(r"[|&;<>$`*]", command):
+        return ""
+    return f"; it runs without a shell, so write {'sh -c ' + shlex.quote(command)}"
 
 
 def post(url: str, message: Mapping[str, Any]) -> str | None:

@@ -227,7 +227,10 @@ class Registry:
         Returns: The delivered entries.
         """
         entries = self.entries()
-        n_told = int((self.folder / TOLD).read_text(encoding="utf-8"))
+        told = (self.folder / TOLD).read_text(encoding="utf-8").strip()
+        if not told.isdecimal():
+            raise CorruptStore(f"registry must count who was told; {self.folder / TOLD} holds {told[:20]!r}")
+        n_told = int(told)
         delivered = []
         for number, entry in enumerate(entries[n_told:], start=n_told + 1):
             if entry.hash:
@@ -263,9 +266,11 @@ class Registry:
     def _summary(self, version: int) -> Mapping[str, Any]:
         path = self._path(version) / SUMMARY_FILE
         try:
-            summary: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            summary: Mapping[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
+        if not isinstance(summary.get("parameters"), dict):
+            raise CorruptStore(f"version must be whole; {path} is damaged: it holds no parameters")
         return summary
 
     def _save(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
@@ -313,6 +318,10 @@ class Registry:
         for version in self.versions:
             if version not in logged:
                 path = self.folder / VERSIONS / f"{version:04d}" / PROVENANCE
-                self._log(Entry(**json.loads(path.read_text(encoding="utf-8"))["entry"]))
+                try:
+                    entry = Entry(**json.loads(path.read_text(encoding="utf-8"))["entry"])
+                except (OSError, ValueError, TypeError, KeyError) as error:
+                    raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
+                self._log(entry)
         if self.entries():
             self._point()

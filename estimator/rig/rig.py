@@ -17,6 +17,9 @@ from typing import Any
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import Parameter
 
+MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
+MOST_TURNS = 200_000  # of one winding
+
 POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
 POSE_QUANTITIES = (
     ("x", "length"),
@@ -201,6 +204,8 @@ class Rig:
                 return name, "must be finite", f"{value}"
             if parameter.is_count and value < 1.0:
                 return name, "must be at least 1", f"{value:g}"
+            if parameter.is_count and value > MOST_LOOPS:
+                return name, f"must be at most {MOST_LOOPS}", f"{value:g}"
             # A noise of 0 is fine in a simulation, a length of 0 is not.
             if parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
                 return name, "must be > 0", f"{value:g} {parameter.unit}"
@@ -212,6 +217,10 @@ class Rig:
                     f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
                 )
                 return f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+            turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
+            if turns > MOST_TURNS:
+                rule = f"x radial_loops must be at most {MOST_TURNS}"
+                return f"{coil.name}.axial_loops", rule, f"{turns:g}"
         return None
 
     def nominal_values(self) -> dict[str, float]:

@@ -13,6 +13,7 @@ from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
+    MOST_LOOPS,
     POSE_QUANTITIES,
     Cause,
     Coil,
@@ -28,6 +29,7 @@ from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
+MOST_BODIES = 200  # coils, sensors or movers
 NAME = re.compile(
     r"[A-Za-z0-9_-]+"
 )  # names become columns of tables, arrays of stores and parts of dotted names
@@ -64,6 +66,9 @@ def _rig(top: Section) -> Rig:
     numbers = _Numbers()
     name = str(top.required("name"))
     top.value("description")
+    for kind in ("movers", "coils", "sensors"):
+        if len(list(top.section(kind))) > MOST_BODIES:
+            top.refuse(kind, f"must name at most {MOST_BODIES}", len(list(top.section(kind))))
     mover_sections = top.section("movers")
     movers = tuple(_mover(mover_sections.section(key), key, numbers) for key in mover_sections)
     coil_sections = top.section("coils")
@@ -288,6 +293,8 @@ def _store(
         section.refuse(key, "must be > 0", f"{value / to_si:g}")
     if is_count and tie is None and value < 1.0:
         section.refuse(key, "must be at least 1", f"{value:g}")
+    if is_count and prior is not None and prior.sd > MOST_LOOPS:
+        section.refuse(key, f"must have a prior no wider than {MOST_LOOPS}", f"{prior.sd:g}")
     if prior is not None and not prior.lower <= value <= prior.upper:
         section.refuse(
             key,

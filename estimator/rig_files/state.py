@@ -32,4 +32,7 @@ def rig_from_state(state: Mapping[str, Any], file: str) -> Rig:
     if "values" not in state:
         return rig
     rig = rig.with_values(state["values"])
+    broken = rig.broken_rule()
+    if broken is not None:
+        raise InvalidInput(f"{broken[0]} {broken[1]}; received {broken[2]} ({file})")
     return rig.with_fixed(parameter.name for parameter in rig.free if parameter.name not in state["free"])

@@ -223,8 +223,13 @@ def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Entry], int]
     for number, line in enumerate(lines, start=first):
         if not _is_whole(line):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
-        entry = json.loads(line.partition(b" ")[2])
-        if entry.pop("n") != number:
+        try:
+            entry = dict(json.loads(line.partition(b" ")[2]))
+        except (ValueError, TypeError, RecursionError) as error:
+            raise CorruptStore(
+                f"session must hold an entry in each line; line {number + 1} of {path} holds none"
+            ) from error
+        if entry.pop("n", None) != number:
             raise CorruptStore(
                 f"session must hold all its lines; line {number + 1} of {path} has another number"
             )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -29,6 +30,7 @@ from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.rig_files.write import rig_text
+from estimator.store.admission import admit, admit_readings
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
 
@@ -160,8 +162,9 @@ def load_session(path: Path | str) -> Session:
         raise InvalidInput(
             f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
+    admit(path, "session")
     try:
-        group = zarr.open_group(path, mode="r")
+        group = zarr.open_group(path, mode="r", zarr_format=3)
         attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
         stored_digest = attributes.pop("sha256")
@@ -173,14 +176,16 @@ def load_session(path: Path | str) -> Session:
         if digest(arrays, attributes) != stored_digest:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
         stored = StoredRig.of(attributes["rig"], f"rig inside {path}")
-        observations = observations_from({name: data for name, (_, data) in arrays.items()}, stored.rig)
+        readings = {name: data for name, (_, data) in arrays.items()}
+        admit_readings(readings, stored.rig, str(path))
+        observations = observations_from(readings, stored.rig)
+        provenance = _provenance(attributes, path)
     except CoilcalError:
         raise
     except Exception as error:  # damaged bytes raise errors of nearly any type in zarr, JSON and NumPy
         raise CorruptStore(
             f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
         ) from error
-    provenance = (attributes["source"], attributes["created"], attributes["truth"])
     return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
@@ -234,9 +239,22 @@ def _from_journal(path: Path) -> Session:
     header, entries = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
-    stored = StoredRig.of(header["rig"], f"rig inside {path}")
-    observations = observations_of(entries, stored.rig)
-    return Session(stored.rig, observations, header["source"], header["created"], stored_rig=stored)
+    try:
+        stored = StoredRig.of(header["rig"], f"rig inside {path}")
+        observations = observations_of(entries, stored.rig)
+        admit_readings(
+            {name: data for name, (_, data) in observation_arrays(observations).items()},
+            stored.rig,
+            str(path),
+        )
+        provenance = _provenance(header, path)
+    except CoilcalError:
+        raise
+    except Exception as error:  # lines with their checksums, but of another shape
+        raise CorruptStore(
+            f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
+        ) from error
+    return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
 def _is_session(path: Path) -> bool:
@@ -255,6 +273,16 @@ def _check_kind(attributes: Mapping[str, Any], path: Path) -> None:
         raise CorruptStore(
             f"session schema_version must be {SCHEMA_VERSION}; received {attributes.get('schema_version')!r} ({path})"
         )
+
+
+def _provenance(attributes: Mapping[str, Any], path: Path) -> tuple[str, str, Mapping[str, float]]:
+    """Source, time and truth of a session, as `Session` takes them."""
+    source, created, truth = attributes["source"], attributes["created"], attributes.get("truth", {})
+    if not (isinstance(source, str) and isinstance(created, str)):
+        raise CorruptStore(f"session must tell its source and time in words; {path} does not")
+    if not all(isinstance(value, int | float) and math.isfinite(value) for value in truth.values()):
+        raise CorruptStore(f"session must tell its truth in finite numbers; {path} does not")
+    return source, created, truth
 
 
 def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from drivers.errors import DeviceFault, Refused
@@ -299,3 +300,32 @@ def test_devices_are_brought_to_rest_at_the_same_time():
         interlock.add(name, meeting.wait)
     interlock.trip("of a test")
     assert interlock.not_at_rest == []
+
+
+@pytest.mark.parametrize(
+    ("delivered_A", "is_right"), [(2.0099, True), (1.9901, True), (2.0101, False), (1.9899, False)]
+)
+def test_a_current_is_right_within_the_tolerance_and_not_a_hundredth_beyond(delivered_A, is_right):
+    rig = Rig()
+    rig.use()
+    rig.memory_source.current_A = delivered_A
+    if is_right:
+        rig.source.read_current_A(timeout_s=1.0)
+        return
+    with pytest.raises(DeviceFault, match="where 2 A were set"):
+        rig.source.read_current_A(timeout_s=1.0)
+
+
+def test_what_a_coil_carried_counts_after_it_was_switched_off(monkeypatch):
+    """Five amperes through a whole thermal time constant leave 63 % of their load, whatever was asked in between."""
+    clock_s = [1000.0]
+    monkeypatch.setattr("drivers.guarded.time.monotonic", lambda: clock_s[0])
+    limits = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=4.5, thermal_time_constant_s=10.0)
+    rig = Rig(limits)
+    rig.source.set_current_A(5.0, timeout_s=5.0)
+    clock_s[0] += 10.0
+    rig.source.output_off(timeout_s=5.0)
+    rested = CoilLoad(0.0, 25.0 * (1.0 - np.exp(-1.0)))
+    assert rig.source._update_load(0.0).mean_square_A2 == pytest.approx(rested.mean_square_A2)
+    clock_s[0] += 5.0
+    assert rig.source._update_load(0.0).mean_square_A2 == pytest.approx(rested.mean_square_A2 * np.exp(-0.5))

@@ -155,7 +155,7 @@ def test_a_choice_outside_its_list_is_refused() -> None:
     assert message == "a must be one of x, y; received 'Y' (rig.yaml, line 1)"
 
 
-@pytest.mark.parametrize("text", ["a: &x [*x]", "a: !foo 3", "a: {[1]: 2}"])
+@pytest.mark.parametrize("text", ["a: !foo 3", "a: {[1]: 2}"])
 def test_exotic_yaml_is_refused_in_a_sentence(text: str) -> None:
     assert refusal(text, lambda s: s.value("a")) == (
         "a must be plain text, a number or a list (rig.yaml, line 1)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 
 import pytest
@@ -65,6 +66,7 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (InvalidInput("a must be b"), 2, "coilcal: a must be b\n"),
         (CorruptStore("c is damaged"), 3, "coilcal: c is damaged\n"),
+        (InvalidInput("\x1b[2Jd\r\x9b"), 2, "coilcal: \\x1b[2Jd\\r\\x9b\n"),
         (
             PermissionError(13, "Permission denied", "/x"),
             2,
@@ -79,6 +81,14 @@ def test_a_fault_becomes_a_sentence_and_an_exit_code(
         raise fault
     assert caught.value.code == code
     assert capsys.readouterr() == ("", sentence)
+
+
+def test_a_program_gets_the_fault_as_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit), explained_errors(as_json=True):
+        raise CorruptStore("c is damaged")
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == {"error": "c is damaged", "exit_code": 3}
+    assert shown.err == "coilcal: c is damaged\n"
 
 
 @pytest.mark.parametrize("fault", [BrokenPipeError(), ZeroDivisionError()])

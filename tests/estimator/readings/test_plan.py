@@ -137,9 +137,14 @@ def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: P
 CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
 REFUSALS = {
     "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
-    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a known key", 11),
+    "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a known key; the closest is repeats", 11),
     "no poses": ("poses:", "pose:", "poses.calibration is missing", 1),
-    "no calibration": ("  calibration:", "  calibrate:", "poses.calibration is missing", 4),
+    "no calibration": (
+        "  calibration:",
+        "  calibrate:",
+        "poses.calibration is missing; the closest is calibrate",
+        4,
+    ),
     "unknown mover": (
         "    stage: {x_cm: 2}",
         "    stages: {x_cm: 2}",
@@ -155,7 +160,7 @@ REFUSALS = {
     "joints of a stage": (
         "x_cm: 2",
         "q1_deg: 2",
-        "poses.validation.stage.q1_deg is not a known key",
+        "poses.validation.stage.q1_deg is not a known key; the closest is rz_deg",
         8,
     ),
     "range as text": (

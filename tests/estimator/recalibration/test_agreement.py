@@ -99,3 +99,12 @@ def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
     # A sensor that was exchanged at the very beginning has another zero: the same column but for a few readings.
     constant = ("background_field[room]", "sensor_offset[hall]", "sensor_exchanged[hall]")
     assert outcome.striking_cause in constant
+
+
+@pytest.mark.parametrize(
+    ("p_value", "agrees"), [(0.5, True), (0.05, True), (0.002, True), (0.0009, False), (5e-5, False)]
+)
+def test_one_session_in_a_thousand_disagrees_by_chance(p_value: float, agrees: bool) -> None:
+    """One false alarm in twenty years of weekly sessions, as README and decision 14 promise."""
+    assert Agreement(p_value, {}, 0.5, 1.0, None).holds is agrees
+    assert Agreement(0.5, {}, p_value, 1.0, None).is_refit_enough is agrees

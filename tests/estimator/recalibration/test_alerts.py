@@ -33,6 +33,15 @@ def test_a_command_that_fails_is_told_in_one_sentence(command: str) -> None:
     assert problem.startswith("alert command ")
 
 
+def test_a_command_for_a_shell_is_told_how_to_get_one_and_that_works(tmp_path: Path) -> None:
+    problem = run_command(f"cat >> {tmp_path}/alerts.log", MESSAGE)
+    assert problem is not None
+    hint = problem.partition("; it runs without a shell, so write ")[2]
+    assert hint == f"sh -c 'cat >> {tmp_path}/alerts.log'"
+    assert run_command(hint, MESSAGE) is None
+    assert json.loads((tmp_path / "alerts.log").read_text(encoding="utf-8")) == MESSAGE
+
+
 def test_webhook_gets_the_message_and_a_dead_one_is_told() -> None:
     received: list[Any] = []
 

@@ -160,6 +160,33 @@ def test_a_damaged_line_of_the_log_is_refused(registry: Registry) -> None:
         registry.entries()
 
 
+DAMAGE = {
+    "told is a word": ("told", "x\n", "registry must count who was told"),
+    "told is negative": ("told", "-5\n", "registry must count who was told"),
+    "told is empty": ("told", "", "registry must count who was told"),
+    "summary is a list": ("versions/0001/summary.json", "[]", "version must be whole"),
+    "summary is null": ("versions/0001/summary.json", "null", "version must be whole"),
+    "summary is deep": ("versions/0001/summary.json", "[" * 100_000, "version must be whole"),
+    "provenance of a version without its line": (
+        "versions/0001/provenance.json",
+        "{}",
+        "version must be whole",
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "message"), DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_file_is_refused_in_a_sentence(
+    registry: Registry, name: str, text: str, message: str
+) -> None:
+    (registry.folder / name).write_text(text, encoding="utf-8")
+    if "provenance" in name:
+        (registry.folder / "log.jsonl").write_text("", encoding="utf-8")
+    with pytest.raises(CorruptStore, match=message), registry.writing():  # noqa: PT012
+        registry.tell(lambda _: None)
+        registry.history()
+
+
 def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
     kept: Path, tmp_path: Path, small_calibration: Calibration
 ) -> None:

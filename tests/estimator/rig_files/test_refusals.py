@@ -22,7 +22,7 @@ REFUSALS = {
     "unknown key": (
         WIRE,
         f"{WIRE}\n    current_gian: 1",
-        "coils.coil1.current_gian is not a known key",
+        "coils.coil1.current_gian is not a known key; the closest is current_gain",
         11,
     ),
     "unknown key at the top": (
@@ -34,7 +34,7 @@ REFUSALS = {
     "pose of a body that is carried": (
         "  hall:",
         "  hall:\n    carried_by: arm2\n    world_from_sensor: {}",
-        "sensors.hall.world_from_sensor is not a known key",
+        "sensors.hall.world_from_sensor is not a known key; the closest is flange_from_sensor",
         24,
     ),
     "unknown sum": (
@@ -50,6 +50,12 @@ REFUSALS = {
         11,
     ),
     "missing key": ("    radial_loops: 22\n", "", "coils.coil1.radial_loops is missing", 8),
+    "another word": (
+        "    radial_loops: 22",
+        "    radial_turns: 22",
+        "coils.coil1.radial_loops is missing; the closest is radial_turns",
+        8,
+    ),
     "missing wire": (f"    {WIRE}\n", "", "coils.coil1.wire_radius_m is missing", 8),
     "missing version": ("schema_version: 1\n", "", "schema_version is missing", 1),
     "other version": ("schema_version: 1", "schema_version: 2", "schema_version must be 1; received 2", 1),

@@ -110,6 +110,43 @@ def test_continuing_after_any_number_of_steps_gives_the_uninterrupted_chain(tmp_
         assert_same(ZarrBackend.open(path), expected)
 
 
+def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a loss of power only what was synced is there; a commit may not come before its rows."""
+    path = tmp_path / "chain.zarr"
+    backend = create(path)
+    sample(backend, CHECKPOINT_STEPS - 1)
+    before = {file: file.read_bytes() for file in files_of(path)}
+    synced: dict[Path, bytes] = {}
+    fsync, replace = os.fsync, Path.replace
+
+    def syncing(descriptor: int) -> None:
+        file = Path(f"/proc/self/fd/{descriptor}").readlink()
+        if file.is_file():
+            synced[file] = file.read_bytes()
+        fsync(descriptor)
+
+    def committing(self: Path, target: Path) -> Path:
+        if target == path / "zarr.json":
+            changed = {file for file in files_of(path) if file.read_bytes() != before.get(file)}
+            assert {file.parts[len(path.parts)] for file in changed} >= {
+                "chain",
+                "log_prob",
+                "checkpoint",
+                "accepted",
+            }
+            assert {file: file.read_bytes() for file in changed} == {
+                file: synced.get(file) for file in changed
+            }
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", syncing)
+    monkeypatch.setattr(Path, "replace", committing)
+    sample(backend, 1)
+    assert ZarrBackend.open(path).iteration == CHECKPOINT_STEPS
+
+
 def test_steps_reach_the_disk_at_checkpoints_only_until_flushed(tmp_path: Path) -> None:
     path = tmp_path / "chain.zarr"
     backend = create(path)

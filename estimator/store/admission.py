@@ -1,0 +1,127 @@
+"""What a folder must be before zarr opens it, and its arrays before they become readings.
+
+Zarr runs the codecs that an array asks for, allots the memory that its metadata claims and waits for whatever its files are, so the
+metadata of a store that came from elsewhere are read here first, by plain JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import CorruptStore
+from estimator.rig.rig import Rig
+from estimator.yaml_section import LARGEST
+
+METADATA = "zarr.json"
+CODECS = ("bytes", "zstd", "crc32c")
+TYPES = ("bool", "int64", "float64")
+MOST_FILES = 100_000
+MOST_METADATA_BYTES = 8_000_000
+MOST_NUMBERS = 300_000_000  # in all arrays, and in one chunk: 2.4 GB
+MOST_REPEATS = 999_999_999
+
+
+def admit(path: Path, what: str) -> None:
+    """Refuse a folder of zarr that is not what coilcal writes.
+
+    Args:
+        path: Folder of the group.
+        what: The kind of store, for messages.
+    Raises:
+        CorruptStore: It is of another zarr format, beyond a limit, or its metadata cannot be read.
+    """
+    n_numbers = 0
+    for n_files, part in enumerate(path.rglob("*"), start=1):
+        if n_files > MOST_FILES:
+            raise CorruptStore(f"{what} must hold at most {MOST_FILES} files; {path} holds more")
+        if not part.is_file() and (part.is_symlink() or not part.is_dir()):
+            raise CorruptStore(f"{what} must hold files and folders only; {part} is something else")
+        if part.name in (".zgroup", ".zarray"):
+            raise CorruptStore(f"{what} must be of zarr format 3; {part} is of format 2")
+        if part.name == METADATA:
+            n_numbers += _numbers_of(part, what)
+            if n_numbers > MOST_NUMBERS:
+                raise CorruptStore(
+                    f"{what} must hold at most {MOST_NUMBERS} numbers; with {part} it claims {n_numbers}"
+                )
+
+
+def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> None:
+    """Refuse arrays that are no readings of a rig: of other lengths or types, or with sensors that it has not.
+
+    Args:
+        stored: Arrays by name, as in a session.
+        rig: The rig of the readings.
+        file: Their origin, for messages.
+    Raises:
+        CorruptStore: An array is missing, or breaks the rule that the message names.
+    """
+    n = stored["time_s"].size if "time_s" in stored else 0
+    shapes: dict[str, tuple[tuple[int, ...], str]] = {
+        "time_s": ((n,), "float64"),
+        "sensor_index": ((n,), "int64"),
+        "current_A": ((n, len(rig.coils)), "float64"),
+        "field_sensor_T": ((n, 3), "float64"),
+        "is_validation": ((n,), "bool"),
+        "repeat": ((n,), "int64"),
+    }
+    shapes |= {f"motion_{mover.name}": ((n, 6), "float64") for mover in rig.movers}
+    shapes |= {name: ((n,), "float64") for name in stored if name.startswith("temperature_")}
+    optional = {"current_measured_A": shapes["current_A"], "segment": shapes["repeat"]}
+    shapes |= {name: rule for name, rule in optional.items() if name in stored}
+    for name, (shape, kind) in shapes.items():
+        if name not in stored:
+            raise CorruptStore(f"readings must have the array {name}; it is missing ({file})")
+        array = stored[name]
+        if array.shape != shape or array.dtype != kind:
+            raise CorruptStore(
+                f"{name} must be {kind} of shape {shape}; received {array.dtype} of shape {array.shape} ({file})"
+            )
+        lowest, highest = {
+            "sensor_index": (0, len(rig.sensors) - 1),
+            "repeat": (0, MOST_REPEATS),
+            "segment": (-1, MOST_REPEATS),
+        }.get(name, (-LARGEST, LARGEST))
+        beyond = array[(array < lowest) | (array > highest)]
+        if beyond.size:
+            raise CorruptStore(
+                f"{name} must lie between {lowest:g} and {highest:g}; received {beyond[0]:g} ({file})"
+            )
+
+
+def _numbers_of(file: Path, what: str) -> int:
+    """Numbers that a node of zarr claims to hold, after a look at its metadata; 0 for a group."""
+    if file.stat().st_size > MOST_METADATA_BYTES:
+        raise CorruptStore(
+            f"{what} must have metadata of at most {MOST_METADATA_BYTES} bytes; {file} is larger"
+        )
+    try:
+        node: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if node["zarr_format"] != 3:
+            raise CorruptStore(f"{what} must be of zarr format 3; {file} is of {node['zarr_format']!r}")
+        if node["node_type"] == "group":
+            return 0
+        codecs = [codec["name"] for codec in node["codecs"]]
+        data_type = str(node["data_type"])
+        chunk = node["chunk_grid"]["configuration"]["chunk_shape"]
+        n_numbers = max(int(abs(math.prod(shape))) for shape in (node["shape"], chunk))
+    except CorruptStore:
+        raise
+    except Exception as error:  # altered JSON raises errors of nearly any type
+        raise CorruptStore(
+            f"{what} must be readable; {file} is damaged: {type(error).__name__} {error}"
+        ) from error
+    for codec in codecs:
+        if codec not in CODECS:
+            raise CorruptStore(
+                f"{what} must use the codecs {', '.join(CODECS)} only; {file} uses {str(codec)[:60]!r}"
+            )
+    if data_type not in TYPES:
+        raise CorruptStore(f"{what} must hold arrays of {', '.join(TYPES)}; {file} is of {data_type[:60]!r}")
+    return n_numbers
