@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.correction import best_corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -162,6 +163,13 @@ def _judged(
             verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
             named = shown
     is_unexplained = verdict is Verdict.UNEXPLAINED
+    correction = None
+    if is_unexplained:
+        tell("correcting what is left, without a name")
+        correction = best_corrected((extended, search_result.final), after, unseen, tell)
+    if correction is not None and correction.is_taken:
+        extended, after = correction.fit, correction.final
+        improvement = improvement_of(before, after, unseen) if len(unseen) else None
     return Diagnosis(
         question=question,
         verdict=verdict,
@@ -178,17 +186,23 @@ def _judged(
             before=Symptoms.of(plain, seed),
             after=Symptoms.of(extended, seed),
             improvement=improvement,
+            correction=correction,
         ),
         left_open=LeftOpen(
             visible=tuple(smallest_visible(search_result.base, search_result.pool)),
             twins=tuple(indistinguishable(search_result.base, search_result.pool)),
             next_measurements=tuple(_next_measurements(search_result, named, rig)),
-            widening=Widening.of(extended, after, search_result.steps[-1].discrepancy)
-            if is_unexplained
-            else None,
+            widening=_widened(search_result, extended, after) if is_unexplained else None,
         ),
         extended_rig=extended_rig(rig, after),
     )
+
+
+def _widened(search_result: Search, extended: Fit, after: Fit) -> Widening:
+    """What is left widens intervals as much where a correction follows it: in tesla its curves stay as they are."""
+    remainder = search_result.steps[-1].discrepancy
+    weight = extended.weight_over(search_result.final)
+    return Widening.of(extended, after, replace(remainder, columns=remainder.columns * weight[:, None]))
 
 
 def _searched(

@@ -76,6 +76,8 @@ class SensorLag(ReadingEffect):
             return field_sensor_T + left * (before_T - field_sensor_T)
         in_time = torch.argsort(circumstances.observations.row)
         in_time = in_time[circumstances.sensor[in_time] == own]
+        if not len(in_time):
+            return field_sensor_T
         field_sensor_T, left = torch.broadcast_tensors(field_sensor_T, left)
         shown_T: list[Tensor] = []
         for field_T, share in zip(

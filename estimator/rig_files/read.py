@@ -9,7 +9,6 @@ from pathlib import Path
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
-from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
@@ -75,11 +74,12 @@ def _rig(top: Section) -> Rig:
             raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
     _check_names((mover_sections, coil_sections, sensor_sections))
     rig = Rig(name, coils, sensors, movers, numbers.parameters)
-    effect_sections = top.section("effects")
-    causes = tuple(
-        _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections
+    effects, corrections = (
+        _causes(top.section(name), name, rig, numbers) for name in ("effects", "corrections")
     )
-    rig = replace(rig, effects=causes, devices=read_devices(top.section(DEVICES), rig))
+    rig = replace(
+        rig, effects=effects, corrections=corrections, devices=read_devices(top.section(DEVICES), rig)
+    )
     top.finish()
     _check_ties(numbers)
     broken = rig.broken_rule()
@@ -88,6 +88,17 @@ def _rig(top: Section) -> Rig:
         section, key = numbers.origin[parameter]
         section.refuse(key, rule, value)
     return rig
+
+
+def _causes(sections: Section, name: str, rig: Rig, numbers: _Numbers) -> tuple[Cause, ...]:
+    """The entries of one of the sections `effects` and `corrections`, which keep explained and corrected apart."""
+    causes = []
+    for label in sections:
+        cause = _cause(sections.section(label), label, sections, rig, numbers)
+        if (belongs := "corrections" if EFFECTS[cause.name].is_correction else "effects") != name:
+            sections.refuse(label, f"must stand under {belongs}", f"{label!r} under {name}")
+        causes.append(cause)
+    return tuple(causes)
 
 
 def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Numbers) -> Cause:
@@ -104,7 +115,7 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         above.refuse(
             label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(match["place"])
         )
-    quantities = effect.quantities(extent_of_keys(section))
+    quantities = effect.quantities(effect.extent_of(section))
     for quantity in quantities:
         if quantity.key not in section:
             _refuse_misspelt(section, quantity, {q.key for q in quantities})
