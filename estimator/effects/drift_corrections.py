@@ -126,4 +126,5 @@ class ResponseWanders(_Drift, ReadingEffect):
         """Components as they are read."""
         parts = field_sensor_T / theta["range_T"].flatten()[0]
         matrix = self._wandering(theta, circumstances).unflatten(-1, (3, 3))
-        return field_sensor_T + (matrix @ parts[..., None])[..., 0]
+        added_T: Tensor = (matrix @ parts[..., None])[..., 0]
+        return field_sensor_T + added_T

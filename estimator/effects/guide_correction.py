@@ -18,6 +18,7 @@ from estimator.geometry.motion import base_from_motion
 
 STRAIGHT_DEGREE = 3  # up to which a guide may bend across itself; beyond, only the screw's own error is asked
 SMALLEST_SPAN = 1e-3  # of the widest: along shorter ways nothing depends on the position
+LEAST_SPAN_M = 1e-6
 
 
 class GuideErrors(Correction, MotionEffect):
@@ -49,7 +50,7 @@ class GuideErrors(Correction, MotionEffect):
         """The box that the mover went through."""
         at_m = self._at_m(circumstances, place)
         low_m, span_m = at_m.min(0).values, at_m.max(0).values - at_m.min(0).values
-        span_m = span_m.clamp(min=SMALLEST_SPAN * float(span_m.max()))
+        span_m = span_m.clamp(min=max(SMALLEST_SPAN * float(span_m.max()), LEAST_SPAN_M))
         numbers = {f"from_{axis}_m": low for axis, low in zip("xyz", low_m.tolist(), strict=True)}
         numbers |= {f"span_{axis}_m": span for axis, span in zip("xyz", span_m.tolist(), strict=True)}
         return ({key: float(f"{number:.6g}") for key, number in numbers.items()},)

@@ -15,6 +15,7 @@ from estimator.effects.stages import RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.winding import Rule, Winding
 
+LEAST_REACH_M = 1e-6
 NEAREST = 0.5  # of the mean distance of the readings from a coil: nearer to it multipoles grow beyond what the others tell
 
 
@@ -61,7 +62,7 @@ def _ball(middle_m: Tensor, reach_m: float) -> dict[str, float]:
 def _about(places_m: Float[Tensor, "reading 3"]) -> dict[str, float]:
     """The ball about all places."""
     middle_m = places_m.mean(0)
-    return _ball(middle_m, float((places_m - middle_m).norm(dim=-1).max()))
+    return _ball(middle_m, max(float((places_m - middle_m).norm(dim=-1).max()), LEAST_REACH_M))
 
 
 class _CoilHarmonics(_Harmonics, SourceEffect):

@@ -192,12 +192,16 @@ class Rig:
     def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
         quantities = {parameter.name: parameter for parameter in parameters}
-        return replace(self, parameters={**self.parameters, **quantities}, effects=(*self.effects, cause))
+        labels = tuple(f"{correction.label}." for correction in self.corrections)
+        last = {n: p for n, p in self.parameters.items() if n.startswith(labels)}  # as rig files have them
+        before = {n: p for n, p in self.parameters.items() if n not in last}
+        return replace(self, parameters={**before, **quantities, **last}, effects=(*self.effects, cause))
 
     def with_correction(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with one more correction, whose parameters are named `correction[place].quantity`."""
-        corrected = self.with_cause(cause, parameters)
-        return replace(corrected, effects=self.effects, corrections=(*self.corrections, cause))
+        quantities = {parameter.name: parameter for parameter in parameters}
+        corrections = (*self.corrections, cause)
+        return replace(self, parameters={**self.parameters, **quantities}, corrections=corrections)
 
     def without_cause(self, cause: Cause) -> Rig:
         """The same rig without an effect or a correction."""

@@ -28,4 +28,5 @@ def harmonic_gradients(points: Float[Tensor, "point 3"], degree: int) -> Float[T
 @lru_cache
 def _orthonormalised(degree: int) -> Float[Tensor, "term term"]:
     """Combinations of the solid harmonics that are orthonormal in their coefficients."""
-    return torch.linalg.inv(torch.linalg.qr(coefficients(degree)).R)
+    mixing: Tensor = torch.linalg.inv(torch.linalg.qr(coefficients(degree)).R)
+    return mixing
