@@ -162,14 +162,15 @@ def _judged(
         if len(shown) < len(named) or improvement.is_loss:
             verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
             named = shown
-    is_unexplained = verdict is Verdict.UNEXPLAINED
-    correction = None
-    if is_unexplained:
+    correction, widening = None, None
+    if verdict is Verdict.UNEXPLAINED:
+        widening = Widening.of(extended, after, search_result.steps[-1].discrepancy)
         tell("correcting what is left, without a name")
         correction = best_corrected((extended, search_result.final), after, unseen, tell)
-    if correction is not None and correction.is_taken:
-        extended, after = correction.fit, correction.final
-        improvement = improvement_of(before, after, unseen) if len(unseen) else None
+        if correction.is_taken:
+            extended, after = correction.fit, correction.final
+            widening = widening.carried_to(after)
+            improvement = improvement_of(before, after, unseen) if len(unseen) else None
     return Diagnosis(
         question=question,
         verdict=verdict,
@@ -192,17 +193,10 @@ def _judged(
             visible=tuple(smallest_visible(search_result.base, search_result.pool)),
             twins=tuple(indistinguishable(search_result.base, search_result.pool)),
             next_measurements=tuple(_next_measurements(search_result, named, rig)),
-            widening=_widened(search_result, extended, after) if is_unexplained else None,
+            widening=widening,
         ),
         extended_rig=extended_rig(rig, after),
     )
-
-
-def _widened(search_result: Search, extended: Fit, after: Fit) -> Widening:
-    """What is left widens intervals as much where a correction follows it: in tesla its curves stay as they are."""
-    remainder = search_result.steps[-1].discrepancy
-    weight = extended.weight_over(search_result.final)
-    return Widening.of(extended, after, replace(remainder, columns=remainder.columns * weight[:, None]))
 
 
 def _searched(

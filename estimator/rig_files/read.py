@@ -74,11 +74,13 @@ def _rig(top: Section) -> Rig:
             raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
     _check_names((mover_sections, coil_sections, sensor_sections))
     rig = Rig(name, coils, sensors, movers, numbers.parameters)
-    effects, corrections = (
-        _causes(top.section(name), name, rig, numbers) for name in ("effects", "corrections")
-    )
+    acting = [
+        tuple(_cause(sections.section(label), label, sections, name, rig, numbers) for label in sections)
+        for name in ("effects", "corrections")
+        for sections in (top.section(name),)
+    ]
     rig = replace(
-        rig, effects=effects, corrections=corrections, devices=read_devices(top.section(DEVICES), rig)
+        rig, effects=acting[0], corrections=acting[1], devices=read_devices(top.section(DEVICES), rig)
     )
     top.finish()
     _check_ties(numbers)
@@ -90,19 +92,8 @@ def _rig(top: Section) -> Rig:
     return rig
 
 
-def _causes(sections: Section, name: str, rig: Rig, numbers: _Numbers) -> tuple[Cause, ...]:
-    """The entries of one of the sections `effects` and `corrections`, which keep explained and corrected apart."""
-    causes = []
-    for label in sections:
-        cause = _cause(sections.section(label), label, sections, rig, numbers)
-        if (belongs := "corrections" if EFFECTS[cause.name].is_correction else "effects") != name:
-            sections.refuse(label, f"must stand under {belongs}", f"{label!r} under {name}")
-        causes.append(cause)
-    return tuple(causes)
-
-
-def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Numbers) -> Cause:
-    """One entry `cause[place]` with its numbers, by their SI keys."""
+def _cause(section: Section, label: str, above: Section, name: str, rig: Rig, numbers: _Numbers) -> Cause:
+    """One entry `cause[place]` of the section of that name, with its numbers, by their SI keys."""
     match = CAUSE.fullmatch(label)
     if match is None:
         above.refuse(label, "must be written as cause[place], such as axis_gain[hall]", repr(label))
@@ -110,6 +101,8 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         closest = " ".join(get_close_matches(match["name"], EFFECTS, n=1, cutoff=0.0))
         above.refuse(label, f"must be a cause that coilcal knows, such as {closest}", repr(match["name"]))
     effect = EFFECTS[match["name"]]
+    if (belongs := "corrections" if effect.is_correction else "effects") != name:
+        above.refuse(label, f"must stand under {belongs}", f"it under {name}")
     places = effect.places(rig)
     if match["place"] not in places:
         above.refuse(
@@ -120,8 +113,8 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         if quantity.key not in section:
             _refuse_misspelt(section, quantity, {q.key for q in quantities})
             section.required(quantity.key)
-        name = f"{label}.{quantity.key}"
-        _store(section, quantity.key, name, quantity.unit, 1.0, numbers, quantity.is_positive)
+        parameter = f"{label}.{quantity.key}"
+        _store(section, quantity.key, parameter, quantity.unit, 1.0, numbers, quantity.is_positive)
     section.finish()
     values = {q.key: numbers.parameters[f"{label}.{q.key}"].value for q in quantities}
     broken = effect.broken_rule(values)
