@@ -11,6 +11,7 @@ from torch import Tensor
 from estimator.diagnosis.correction import best_corrected, corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.validation import validation_scores
@@ -146,6 +147,32 @@ def test_coil_keeps_the_interval_that_what_was_left_gave_it_and_the_field_stays_
         for c in (corrected_fit.covariance, after.covariance)
     ]
     assert field_sd[1] < 1.5 * field_sd[0]
+
+
+def test_posterior_of_a_corrected_rig_is_drawn_without_sampling_its_amplitudes(
+    small_rig, small_session, flawed, small_settings
+):
+    """The draws are as wide as the widening wants them, and the field is as sure as the readings."""
+    count = "coil1.axial_loops"
+    known = small_rig.with_values({count: small_session.truth[count]}).with_fixed([count])
+    searched = fit_of(known, flawed.calibration)
+    fit = corrected(searched, unheard).fit
+    widening = Widening.of(searched, searched, discrepancy(searched, families(searched))).carried_to(fit)
+    rig = extended_rig(known, fit)
+    session = Session(known, flawed, "simulated")
+    posterior = extended_posterior(session, rig, widening, seed=1, settings=small_settings)
+    names = {p.name for p in rig.free}
+    assert len(names) > 10
+    assert set(posterior.draws) == names
+    assert set(posterior.summary()["parameters"]) >= names
+    for name in names:
+        wanted = widening.factors[name] * fit.value_sd(name)
+        assert posterior.draws[name].std() == pytest.approx(wanted, rel=0.2)
+    points_m = torch.tensor([[0.01, 0.0, 0.0]], dtype=torch.float64)
+    low_T, high_T = posterior.field_interval(points_m, {"coil1": CURRENT_A})
+    best_T = posterior.field(points_m, {"coil1": CURRENT_A})
+    assert bool(((low_T < best_T) & (best_T < high_T)).all())
+    assert float((high_T - low_T).max()) < 6.0 * NOISE_T
 
 
 @pytest.mark.parametrize(
