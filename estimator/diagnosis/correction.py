@@ -6,7 +6,7 @@ parameters, and taken if blocks of places held out are predicted better. Then th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -180,9 +180,11 @@ def best_corrected(
     best = max((corrected(fit, tell) for fit in distinct), key=lambda c: (c.is_taken, c.fit.log_evidence))
     if not best.is_taken:
         return best
-    if causes.observations is not best.fit.observations:
-        rules = best.fit.posterior.model.rules
-        best = replace(best, final=fit_rig(best.fit.rig, causes.observations, best.fit.values, rules))
+    polished = _fitted(best.fit.rig, best.fit, policy.FINE_TOLERANCE)
+    best = replace(best, fit=polished, final=polished)
+    if causes.observations is not polished.observations:
+        rules = polished.posterior.model.rules
+        best = replace(best, final=fit_rig(polished.rig, causes.observations, polished.values, rules))
     if not len(unseen):
         return best
     gain = improvement_of(causes, best.final, unseen)
@@ -192,7 +194,7 @@ def best_corrected(
 
 
 def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
-    """Correct a fit by what has clear evidence and predicts blocks of places held out better, the best first.
+    """Correct a fit by what has clear evidence and predicts blocks of places held out better, the best first; roughly fitted.
 
     Args:
         fit: With all causes.
@@ -202,16 +204,19 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
     kinds = _kinds(fit)
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
-    parts: list[Part] = []
+    columns = {kind.cause: kind.columns(fit) for kind in kinds}  # they hardly change as corrections are taken
+    start, parts = fit, list[Part]()
     while kinds:
-        ranked = sorted(_options(fit, kinds), key=lambda option: -option.log_bayes_factor)
+        weight = fit.weight_over(start)
+        weighed = {cause: own * weight[:, None] for cause, own in columns.items()}
+        ranked = sorted(_options(fit, kinds, weighed), key=lambda option: -option.log_bayes_factor)
         clear = [o for o in ranked if o.log_bayes_factor > policy.LEAST_LOG_EVIDENCE_CORRECTED]
         if not clear:
             break
         best = clear[0]
         kinds.remove(best.kind)
         rig = best.kind.rig(fit, best.widths)
-        after = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
+        after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
         gain = held_out(fit, after, block)
         log_bayes_factor = after.log_evidence - fit.log_evidence
         if gain.elpd_difference <= 0.0 or log_bayes_factor <= 0.0:
@@ -222,6 +227,11 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
         fit = after
     refusal = "" if parts else "no correction has clear evidence and predicts places held out better"
     return Correction(fit, tuple(parts), limits, refusal, fit)
+
+
+def _fitted(rig: Rig, fit: Fit, tolerance: float) -> Fit:
+    rules = fit.posterior.model.rules
+    return fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=tolerance)
 
 
 def _kinds(fit: Fit) -> list[_Kind]:
@@ -237,7 +247,9 @@ def _kinds(fit: Fit) -> list[_Kind]:
     ]
 
 
-def _options(fit: Fit, kinds: Sequence[_Kind]) -> list[_Option]:
+def _options(
+    fit: Fit, kinds: Sequence[_Kind], columns: Mapping[Cause, Float[Tensor, "component amplitude"]]
+) -> list[_Option]:
     """Of each kind the degree with most evidence, averaged over the widths of its amplitudes.
 
     Widths go over the rms that the terms have together, from less than the noise to many times as much; the best of them becomes the
@@ -245,12 +257,11 @@ def _options(fit: Fit, kinds: Sequence[_Kind]) -> list[_Option]:
     """
     best = []
     for kind in kinds:
-        columns = kind.columns(fit)
         families, by_degree = [], []
         for degree in range(kind.effect.lowest, kind.limit.degree + 1):
             keys = kind.keys(degree)
             relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
-            own = columns[:, : len(keys)] * relative
+            own = columns[kind.cause][:, : len(keys)] * relative
             scale = float(own.square().sum(1).mean().sqrt())
             families.append(Family.of(kind.cause.label, own))
             by_degree.append((degree, keys, relative / max(scale, 1e-300)))
