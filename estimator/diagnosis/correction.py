@@ -166,18 +166,23 @@ class _Option:
 
 
 def best_corrected(
-    starts: Sequence[Fit], causes: Fit, unseen: Observations, tell: Callable[[str], None]
+    extended: Fit, searched: Fit, causes: Fit, unseen: Observations, tell: Callable[[str], None]
 ) -> Correction:
-    """The correction with most evidence of those from several fits, fitted to more readings and judged by unseen ones.
+    """The correction of the extended rig, or of that with all causes that were taken where these are worth it; judged by unseen readings.
 
     Args:
-        starts: Fits of the readings of the search: the extended rig, and that with all causes that were taken, named or not.
+        extended: With the named causes, fitted to the readings of the search.
+        searched: With all causes that were taken, named or not, fitted to the same.
         causes: The extended rig, fitted to the readings that count.
         unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
     """
-    distinct = {fit.rig.effects: fit for fit in reversed(starts)}.values()
-    best = max((corrected(fit, tell) for fit in distinct), key=lambda c: (c.is_taken, c.fit.log_evidence))
+    best = corrected(extended, tell)
+    if searched.rig.effects != extended.rig.effects:
+        other = corrected(searched, tell)
+        lead = other.fit.log_evidence - best.fit.log_evidence
+        if other.is_taken and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not best.is_taken):
+            best = other
     if not best.is_taken:
         return best
     polished = _fitted(best.fit.rig, best.fit, policy.FINE_TOLERANCE)
@@ -206,7 +211,7 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
     kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
     columns = {kind.cause: kind.columns(fit) for kind in kinds}  # they hardly change as corrections are taken
     start, parts = fit, list[Part]()
-    while kinds:
+    while kinds and len(parts) < policy.MOST_CORRECTIONS:
         weight = fit.weight_over(start)
         weighed = {cause: own * weight[:, None] for cause, own in columns.items()}
         ranked = sorted(_options(fit, kinds, weighed), key=lambda option: -option.log_bayes_factor)

@@ -166,7 +166,7 @@ def _judged(
     if verdict is Verdict.UNEXPLAINED:
         widening = Widening.of(extended, after, search_result.steps[-1].discrepancy)
         tell("correcting what is left, without a name")
-        correction = best_corrected((extended, search_result.final), after, unseen, tell)
+        correction = best_corrected(extended, search_result.final, after, unseen, tell)
         if correction.is_taken:
             extended, after = correction.fit, correction.final
             widening = widening.carried_to(after)

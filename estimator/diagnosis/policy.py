@@ -251,6 +251,9 @@ LEAST_LOG_EVIDENCE_CORRECTED = 2.0 * math.log(20.0)
 """Log evidence that a correction needs. Odds of 20 to 1 with a prior of one in twenty, for so many kinds and degrees are asked; by
 judgement. Study: not tried yet."""
 
+MOST_CORRECTIONS = 6
+"""Kinds and places that one diagnosis corrects. Effort: each is a fit with tens of amplitudes. Study: not tried yet."""
+
 CORRECTION_STEP = 1e-3
 """Share of their typical width by which amplitudes are stepped for their derivatives. Numerics: predictions are nearly linear in them.
 Study: not in it."""

@@ -126,8 +126,8 @@ def test_correction_that_predicts_unseen_readings_worse_is_dropped(plain: Fit, f
     """Unseen readings of a session without the dipole refute it; they are the ones that count."""
     clean = with_dipole(flawed.validation, -0.0425)
     opposite = flawed.validation.with_field(2.0 * flawed.validation.field_sensor_T - clean.field_sensor_T)
-    assert best_corrected((plain,), plain, flawed.validation, unheard).is_taken
-    dropped = best_corrected((plain,), plain, opposite, unheard)
+    assert best_corrected(plain, plain, plain, flawed.validation, unheard).is_taken
+    dropped = best_corrected(plain, plain, plain, opposite, unheard)
     assert not dropped.is_taken
     assert "unseen" in dropped.refusal
     assert dropped.gain is not None
