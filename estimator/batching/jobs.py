@@ -135,7 +135,7 @@ def _causes(hypothesis: str) -> list[str]:
 
 def _with_cause(rig: Rig, observations: Observations, text: str) -> Rig:
     cause = cause_of(text, rig)
-    if cause in rig.effects:
+    if cause in rig.acting:
         raise InvalidInput(f"hypothesis {text!r} must not be in the rig already")
     shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]
     return with_effect(rig, cause, observations, shapes)

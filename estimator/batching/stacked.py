@@ -32,7 +32,7 @@ def settings_hash(rig: Rig, observations: Observations) -> str:
     arrays = observation_arrays(observations)
     dimensions, _ = arrays.pop("field_sensor_T")
     arrays["is_measured"] = dimensions, observations.is_measured.numpy()
-    ignored = ("repeat", "current_measured_A", *(() if rig.effects else ("time_s", "temperature_")))
+    ignored = ("repeat", "current_measured_A", *(() if rig.acting else ("time_s", "temperature_")))
     return digest(
         {name: array for name, array in arrays.items() if not name.startswith(ignored)}, {"rig": rig.hash}
     )

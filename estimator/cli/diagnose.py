@@ -179,6 +179,8 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             f"  something is left that no known cause explains: it depends on {remainder.family}, {remainder.rms_sigma:.2g} of the "
             f"noise rms, log evidence {remainder.log_bayes_factor:.3g}"
         )
+    if (correction := diagnosis.fits.correction) is not None:
+        lines.append(f"  {correction.words(diagnosis.label)}")
     if left_open.twins:
         groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)
         lines.append(f"  this session cannot tell apart: {groups}")

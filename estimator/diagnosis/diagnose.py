@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.correction import best_corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -161,7 +162,15 @@ def _judged(
         if len(shown) < len(named) or improvement.is_loss:
             verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
             named = shown
-    is_unexplained = verdict is Verdict.UNEXPLAINED
+    correction, widening = None, None
+    if verdict is Verdict.UNEXPLAINED:
+        widening = Widening.of(extended, after, search_result.steps[-1].discrepancy)
+        tell("correcting what is left, without a name")
+        correction = best_corrected(extended, search_result.final, after, unseen, tell)
+        if correction.is_taken:
+            extended, after = correction.fit, correction.final
+            widening = widening.carried_to(after)
+            improvement = improvement_of(before, after, unseen) if len(unseen) else None
     return Diagnosis(
         question=question,
         verdict=verdict,
@@ -178,14 +187,13 @@ def _judged(
             before=Symptoms.of(plain, seed),
             after=Symptoms.of(extended, seed),
             improvement=improvement,
+            correction=correction,
         ),
         left_open=LeftOpen(
             visible=tuple(smallest_visible(search_result.base, search_result.pool)),
             twins=tuple(indistinguishable(search_result.base, search_result.pool)),
             next_measurements=tuple(_next_measurements(search_result, named, rig)),
-            widening=Widening.of(extended, after, search_result.steps[-1].discrepancy)
-            if is_unexplained
-            else None,
+            widening=widening,
         ),
         extended_rig=extended_rig(rig, after),
     )

@@ -9,25 +9,27 @@ from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
 NOTE = (
-    "Extended by coilcal diagnose: under effects is what was found, in SI; null is 0 unless said otherwise."
+    "Extended by coilcal diagnose, in SI: under effects is what was found, under corrections what has no name. "
+    "Null is 0 unless said otherwise."
 )
 
 
 def extended_rig(rig: Rig, fit: Fit) -> Rig:
-    """The rig with the effects of a fit. Effects that it had stay as described; new ones get the values at the maximum.
+    """The rig with the effects and corrections of a fit. Those that it had stay as described; new ones get the values at the maximum.
 
     Args:
         rig: As described; its numbers keep their nominal values.
-        fit: Of that rig with further effects.
+        fit: Of that rig with further effects or corrections.
     """
     extended = rig
-    for cause in rig.effects:
+    for cause in rig.acting:
         extended = extended.without_cause(cause)
-    for cause in fit.rig.effects:
-        source = rig if cause in rig.effects else fit.rig
+    for cause in fit.rig.acting:
+        is_new = cause not in rig.acting
+        source = fit.rig if is_new else rig
         parameters = [p for name, p in source.parameters.items() if name.startswith(f"{cause.label}.")]
-        is_new = cause not in rig.effects
-        extended = extended.with_cause(cause, [_at_maximum(p, fit) if is_new else p for p in parameters])
+        add = extended.with_correction if cause in fit.rig.corrections else extended.with_cause
+        extended = add(cause, [_at_maximum(p, fit) if is_new else p for p in parameters])
     return extended
 
 

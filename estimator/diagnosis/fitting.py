@@ -297,7 +297,7 @@ def fit_rig(
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:
-    labels = tuple(f"{cause.label}." for cause in rig.effects)
+    labels = tuple(f"{cause.label}." for cause in rig.acting)
     return [p for p in rig.free if p.name.startswith(labels)] if labels else []
 
 

@@ -91,7 +91,7 @@ def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
 def _cost(diagnosis: Diagnosis) -> str:
     """What the extension gains on unseen readings."""
     improvement = diagnosis.improvement
-    if improvement is None or not diagnosis.fits.extended.rig.effects:
+    if improvement is None or not diagnosis.fits.extended.rig.acting:
         return ""
     before, after = (scores.errors.vector_T for scores in (improvement.before, improvement.after))
     unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
@@ -105,6 +105,8 @@ def _next(diagnosis: Diagnosis) -> str:
     if diagnosis.left_open.next_measurements:
         best = diagnosis.left_open.next_measurements[0]
         return f"To tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})."
+    if (correction := diagnosis.fits.correction) is not None and correction.is_taken:
+        return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
     return ""

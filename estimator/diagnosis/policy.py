@@ -245,6 +245,19 @@ LEAST_LOSS_SE = 3.0
 """Standard errors from which on a loss in log predictive density turns the verdict into `unexplained`. Statistics: 0.1 % by chance, for a
 verdict hangs on it (docs/decisions/0008). Study: not tried yet."""
 
+# Corrections
+
+LEAST_LOG_EVIDENCE_CORRECTED = 2.0 * math.log(20.0)
+"""Log evidence that a correction needs. Odds of 20 to 1 with a prior of one in twenty, for so many kinds and degrees are asked; by
+judgement. Study: not tried yet."""
+
+MOST_CORRECTIONS = 6
+"""Kinds and places that one diagnosis corrects. Effort: each is a fit with tens of amplitudes. Study: not tried yet."""
+
+CORRECTION_STEP = 1e-3
+"""Share of their typical width by which amplitudes are stepped for their derivatives. Numerics: predictions are nearly linear in them.
+Study: not in it."""
+
 # Widening of intervals
 
 LEAST_SHARE_JUDGED = 1e-3

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+import torch
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.widening import Widening
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
+
+ROUNDING = 1e-12  # of a variance: leaves a correlation matrix positive definite
 
 
 def extended_posterior(
@@ -26,6 +33,9 @@ def extended_posterior(
 ) -> Calibration:
     """Calibrate the extended rig; widen the draws where something remains unexplained.
 
+    Amplitudes of corrections, of which there may be many, are not sampled by emcee: the readings are linear in them, so given the rest they
+    are normal. The rest is sampled beside their best values, and the widening gives both the width that they have together.
+
     Args:
         session: Readings; those marked as validation are kept out.
         rig: The extended rig.
@@ -34,9 +44,14 @@ def extended_posterior(
     Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation
         of each parameter grew.
     """
-    sampled = calibrate(session, rig, out=out, overwrite=True, seed=seed, settings=settings)
+    amplitudes = [] if widening is None else _amplitudes(rig)
+    held = rig.with_fixed(amplitudes) if amplitudes else rig
+    sampled = calibrate(session, held, out=out, overwrite=True, seed=seed, settings=settings)
     if widening is None:
         return sampled
+    if amplitudes:
+        drawn = drawn_beside(widening.fit, amplitudes, sampled.draws, seed)
+        sampled = replace(sampled, rig=rig, draws={**sampled.draws, **drawn})
     coordinates = Coordinates(rig, integer_counts=sampled.summary()["has_integer_counts"])
     wider = replace(sampled, draws=widening.spread(coordinates, sampled.draws))
     factors = {
@@ -47,3 +62,40 @@ def extended_posterior(
     if out is not None:
         wider.save(out)
     return wider
+
+
+def drawn_beside(
+    fit: Fit, amplitudes: Sequence[str], draws: Mapping[str, np.ndarray], seed: int
+) -> dict[str, np.ndarray]:
+    """Draws of amplitudes from their normal posterior given draws of all else.
+
+    Args:
+        fit: With all of them; its covariance says how amplitudes go along with the rest.
+        amplitudes: Names of the parameters to draw.
+        draws: Of the other free parameters, walker by step.
+        seed: Of the draws.
+    References: Bishop, Pattern Recognition and Machine Learning (2006), eq 2.81 and 2.82 (conditional normal).
+    """
+    names = fit.posterior.coordinates.names
+    own = [names.index(name) for name in amplitudes]
+    rest = [i for i in range(len(names)) if i not in own]
+    flat = {name: torch.from_numpy(array.reshape(-1)) for name, array in draws.items()}
+    away = (fit.posterior.coordinates.vector(flat) - fit.vector)[:, rest]
+    following = torch.linalg.solve(fit.covariance[rest][:, rest], fit.covariance[rest][:, own]).T
+    given = fit.covariance[own][:, own] - following @ fit.covariance[rest][:, own]
+    scale = torch.diagonal(given).clamp(min=1e-300).sqrt()
+    root = scale[:, None] * torch.linalg.cholesky(
+        given / (scale[:, None] * scale) + ROUNDING * torch.eye(len(own)).double()
+    )
+    noise = torch.randn(
+        len(away), len(own), generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
+    drawn = fit.vector[own] + away @ following.T + noise @ root.T
+    shape = next(iter(draws.values())).shape
+    return {name: drawn[:, i].reshape(shape).numpy() for i, name in enumerate(amplitudes)}
+
+
+def _amplitudes(rig: Rig) -> list[str]:
+    """Free parameters of the rig's corrections."""
+    labels = tuple(f"{correction.label}." for correction in rig.corrections)
+    return [p.name for p in rig.free if labels and p.name.startswith(labels)]

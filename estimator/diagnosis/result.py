@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from estimator.calibration.result import Calibration
+from estimator.diagnosis.correction import Correction
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
@@ -84,6 +85,7 @@ class Fits:
         final: The extended rig, fitted to more readings.
         before, after: Symptoms in the residuals of `plain` and `extended`.
         improvement: Of the predictions of unseen readings; None where there are none.
+        correction: Of what no cause explains; its terms are in `extended` and `final`. None where nothing is unexplained.
     """
 
     plain: Fit
@@ -92,6 +94,7 @@ class Fits:
     before: Symptoms
     after: Symptoms
     improvement: Improvement | None = None
+    correction: Correction | None = None
 
 
 @dataclass(frozen=True)
@@ -306,6 +309,7 @@ class Diagnosis:
                 "looks_like": remainder.family,
                 "rms_sigma": remainder.rms_sigma,
             },
+            "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
             "rig_parameters": _to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
             "steps": [self._step_to_json(step) for step in search.steps],
@@ -323,7 +327,7 @@ class Diagnosis:
     def save(self, folder: Path) -> None:
         """Write `diagnosis.json` and `rig_extended.yaml`."""
         write_text(folder / DIAGNOSIS, json.dumps(self.to_json(), indent=2, allow_nan=False) + "\n")
-        note = NOTE if self.extended_rig.effects else ""
+        note = NOTE if self.extended_rig.acting else ""
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
 
     def _interval(self, name: str) -> Interval:

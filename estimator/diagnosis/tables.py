@@ -8,6 +8,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.result import Diagnosis, Interval
+from estimator.diagnosis.validation import ValidationScores
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import Table
@@ -69,7 +70,7 @@ def appendix(diagnosis: Diagnosis) -> list[Table]:
 def _symptoms_table(diagnosis: Diagnosis) -> Table:
     """Tests of the residual before and after the extension."""
     rows = [["before", sentence] for sentence in diagnosis.fits.before.sentences()]
-    if diagnosis.fits.extended.rig.effects:
+    if diagnosis.fits.extended.rig.acting:
         rows += [["after", sentence] for sentence in diagnosis.fits.after.sentences()]
     return Table(
         "Symptoms", ["model", "residual"], rows, "Tests of the residual of the readings that were fitted."
@@ -105,7 +106,7 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
     improvement = diagnosis.improvement
     assert improvement is not None
     rows = []
-    for name, scores in (("before", improvement.before), ("after", improvement.after)):
+    for name, scores in rungs(diagnosis):
         angle = scores.errors.angular_deviation_rad
         rows.append(
             [
@@ -133,7 +134,22 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
         "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
     )
+    if (correction := diagnosis.fits.correction) is not None:
+        caption += f" {correction.words(diagnosis.label)}"
     return Table("Improvement on readings not used for fitting", header, rows, caption)
+
+
+def rungs(diagnosis: Diagnosis) -> list[tuple[str, ValidationScores]]:
+    """Scores before and after; where something is corrected, those with the causes alone between them."""
+    improvement, correction = diagnosis.improvement, diagnosis.fits.correction
+    assert improvement is not None
+    if correction is None or not correction.is_taken or correction.gain is None:
+        return [("before", improvement.before), ("after", improvement.after)]
+    return [
+        ("before", improvement.before),
+        ("explained: with the causes", correction.gain.before),
+        ("corrected too, the rest is left", improvement.after),
+    ]
 
 
 def _moved_table(diagnosis: Diagnosis) -> Table:

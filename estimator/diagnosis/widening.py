@@ -50,6 +50,27 @@ class Widening:
         others = (searched.covariance_beside(remainder.columns), jackknife_covariance(searched, block))
         return cls(fit, reduce(envelope, others, fit.covariance))
 
+    def carried_to(self, fit: Fit) -> Widening:
+        """The widening of a fit with further terms: of what both have it is nowhere surer than this one.
+
+        Given that, the further terms keep their posterior. So they go along with what is stretched, and the field that all predict
+        together grows no less sure where the terms can make up for it.
+
+        Args:
+            fit: With corrections.
+        """
+        names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
+        shared = [name for name in own if name in names]
+        rows, kept = [names.index(name) for name in shared], [own.index(name) for name in shared]
+        among = fit.covariance[rows][:, rows]
+        more = stretch(among, self.covariance[kept][:, kept]) - torch.eye(len(rows), dtype=among.dtype)
+        following = torch.linalg.solve(
+            among, fit.covariance[rows]
+        ).T  # of all that goes along with what both have
+        stretched = torch.eye(len(names), dtype=among.dtype)
+        stretched[:, rows] += following @ more
+        return Widening(fit, stretched @ fit.covariance @ stretched.T)
+
     @cached_property
     def factors(self) -> dict[str, float]:
         """Factor by which the standard deviation of each free parameter grows."""

@@ -1,4 +1,4 @@
-"""Every cause of a difference between simulation and measurement that coilcal knows.
+"""Every cause of a difference between simulation and measurement that coilcal knows, and the corrections for what has no known cause.
 
 Names are stable. Packages outside this repository add causes of their own by the entry-point group `coilcal.effects`, programs by
 `register_effect`; the contract is in `effects.base` and `effects.stages`.
@@ -13,6 +13,9 @@ from importlib.metadata import entry_points
 from estimator.effects.base import Effect
 from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
+from estimator.effects.drift_corrections import ResponseWanders, RoomWanders, ZeroWanders
+from estimator.effects.guide_correction import GuideErrors
+from estimator.effects.harmonic_corrections import CoilHarmonics, CoilMultipoles, RoomHarmonics
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.noise import Outliers, PositionJitter
 from estimator.effects.record import (
@@ -24,6 +27,7 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
+from estimator.effects.response_correction import SensorResponse
 from estimator.effects.robot import (
     Backlash,
     JointZeros,
@@ -148,6 +152,14 @@ EFFECTS: dict[str, Effect] = {
         NoiseMisstated(),
         Outliers(),
         PositionJitter(),
+        CoilHarmonics(),
+        CoilMultipoles(),
+        RoomHarmonics(),
+        RoomWanders(),
+        GuideErrors(),
+        SensorResponse(),
+        ResponseWanders(),
+        ZeroWanders(),
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
@@ -20,10 +21,12 @@ def with_effect(
         rig: Without that effect.
         cause: Name and place.
         observations: Of the session, whose extent sets the priors.
-        values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation.
+        values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation. Their keys tell the degree of
+            a correction.
         is_free: A fit may change them.
     """
     circumstances, effect = Circumstances(rig, observations), EFFECTS[cause.name]
+    extent = replace(circumstances.extent, degree=effect.extent_of(values).degree)
     unseen = effect.unseen(circumstances, cause.place)
     parameters = [
         Parameter(
@@ -33,6 +36,8 @@ def with_effect(
             None if quantity.is_fixed or quantity.key in unseen or not is_free else quantity.prior,
             is_positive=quantity.is_positive,
         )
-        for quantity in effect.quantities(circumstances.extent)
+        for quantity in effect.quantities(extent)
     ]
-    return rig.with_cause(cause, parameters)
+    return (
+        rig.with_correction(cause, parameters) if effect.is_correction else rig.with_cause(cause, parameters)
+    )

@@ -98,6 +98,7 @@ class Effect(ABC):
         idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
         is_structural: The source is built otherwise than described, which may do for causes of many kinds that have piled up.
         is_linear: The field stays proportional to the currents.
+        is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
     name: ClassVar[str]
@@ -108,10 +109,15 @@ class Effect(ABC):
     idealises: ClassVar[str | None] = None
     is_structural: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
+    is_correction: ClassVar[bool] = False
 
     @abstractmethod
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Its numbers, in a session like this."""
+
+    def extent_of(self, keys: Iterable[str]) -> Extent:
+        """An extent in which its quantities have these keys; the default where keys do not depend on it."""
+        return Extent()
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Shapes to start fits from; none needed where the effect has no shapes."""

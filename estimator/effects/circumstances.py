@@ -27,7 +27,8 @@ N_INSTANTS = 24  # at which something may have happened
 class Extent:
     """Duration, strength, width and middle of a session, the time between readings, and its segments.
 
-    The priors of some causes scale with them, and what was set up anew has quantities for each segment.
+    The priors of some causes scale with them, and what was set up anew has quantities for each segment. A correction has quantities up to a
+    degree, which is chosen for it.
     """
 
     duration_h: float = 1.0
@@ -37,6 +38,7 @@ class Extent:
     middle_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     interval_h: float = 0.01
     segments: tuple[int, ...] = (0, 1)
+    degree: int = 2
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,11 @@ WHICH = "which segment of a session"  # what quantities of one depend on
 KEY = re.compile(r"segment(?P<number>\d+)_(?P<rest>\w+)")
 
 
-def extent_of_keys(keys: Iterable[str]) -> Extent:
+def _extent_of_keys(keys: Iterable[str]) -> Extent:
     """An extent with the segments that keys of quantities tell of; where they tell of none, the default.
 
     Examples:
-        >>> extent_of_keys(("segment7_x_T", "segment3_x_T", "gap_m")).segments
+        >>> _extent_of_keys(("segment7_x_T", "segment3_x_T", "gap_m")).segments
         (3, 7)
     """
     numbers = _numbers(keys)
@@ -76,6 +76,10 @@ def _is_several(segments: tuple[int, ...]) -> bool:
 
 class SegmentReading(ReadingEffect):
     """A sensor says something else in each segment."""
+
+    def extent_of(self, keys: Iterable[str]) -> Extent:
+        """One with the segments that they tell of."""
+        return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """With several segments in which the sensor was read, and not more than can be asked."""
@@ -157,6 +161,10 @@ class SegmentMisplaced(MotionEffect):
             for suffixes, unit, sd in shift_and_turn
             for quantity in _each(Extent(segments=(n,)), suffixes, unit, sd)
         )
+
+    def extent_of(self, keys: Iterable[str]) -> Extent:
+        """One with the segments that they tell of."""
+        return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """With several segments, and not more than can be asked."""

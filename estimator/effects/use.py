@@ -62,7 +62,7 @@ def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[
     """Effects of a stage (and place), in the order in which they act."""
     return tuple(
         Use(use.effect, use.place)
-        for use in _uses(rig.effects)
+        for use in _uses(rig.acting)
         if isinstance(use.effect, stage) and (place is None or use.place == place)
     )
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -70,11 +69,11 @@ def cause_of(text: str, rig: Rig) -> Cause:
 
 def _read(text: str, rig: Rig) -> tuple[Cause, str]:
     cause = cause_of(text, rig)
-    if cause in rig.effects:
+    if cause in rig.acting:
         raise InvalidInput(f"{cause.label} must not be in the rig already to be hidden; received {text!r}")
     match = WRITTEN.match(text)
     given = match["key"] if match else None
-    extent = extent_of_keys((given,) if given else ())
+    extent = effect_of(cause.name).extent_of((given,) if given else ())
     keys = [quantity.key for quantity in effect_of(cause.name).quantities(extent)]
     key = given or keys[0]
     if key not in keys:

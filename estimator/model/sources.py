@@ -148,7 +148,10 @@ class Sources:
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
             theta = use.theta(values)
-            more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
+            if use.effect.is_correction:  # polynomials, whose second derivatives cost little
+                more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
+            else:
+                more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
             drive = use.effect.drive(current_A, theta)
             if drive is current_A:
                 field = field + more

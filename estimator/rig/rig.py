@@ -126,6 +126,7 @@ class Rig:
         parameters: Every number by its dotted name, in file order.
         effects: What is known or supposed to be wrong with it.
         devices: Settings of the instruments by the name of what they serve; no part of what identifies the rig.
+        corrections: What its predictions are corrected by without a known cause.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Rig:
     parameters: Mapping[str, Parameter]
     effects: tuple[Cause, ...] = ()
     devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    corrections: tuple[Cause, ...] = ()
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -142,9 +144,14 @@ class Rig:
         return tuple(p for p in self.parameters.values() if p.is_free)
 
     @property
+    def acting(self) -> tuple[Cause, ...]:
+        """Effects and corrections: all that changes what the bodies alone would do."""
+        return (*self.effects, *self.corrections)
+
+    @property
     def hash(self) -> str:
         """SHA-256 over the structure and every parameter, not over the devices."""
-        lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.effects))]
+        lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.acting))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -188,12 +195,24 @@ class Rig:
     def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
         """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
         quantities = {parameter.name: parameter for parameter in parameters}
-        return replace(self, parameters={**self.parameters, **quantities}, effects=(*self.effects, cause))
+        labels = tuple(f"{correction.label}." for correction in self.corrections)
+        last = {n: p for n, p in self.parameters.items() if n.startswith(labels)}  # as rig files have them
+        before = {n: p for n, p in self.parameters.items() if n not in last}
+        return replace(self, parameters={**before, **quantities, **last}, effects=(*self.effects, cause))
+
+    def with_correction(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
+        """The same rig with one more correction, whose parameters are named `correction[place].quantity`."""
+        quantities = {parameter.name: parameter for parameter in parameters}
+        corrections = (*self.corrections, cause)
+        return replace(self, parameters={**self.parameters, **quantities}, corrections=corrections)
 
     def without_cause(self, cause: Cause) -> Rig:
-        """The same rig without an effect."""
+        """The same rig without an effect or a correction."""
         parameters = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
-        return replace(self, parameters=parameters, effects=tuple(c for c in self.effects if c != cause))
+        effects, corrections = (
+            tuple(c for c in all_ if c != cause) for all_ in (self.effects, self.corrections)
+        )
+        return replace(self, parameters=parameters, effects=effects, corrections=corrections)
 
     def broken_rule(self) -> tuple[str, str, str] | None:
         """First impossible nominal value: parameter, broken rule and value; None where all are possible."""

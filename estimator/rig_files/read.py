@@ -9,7 +9,6 @@ from pathlib import Path
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
-from estimator.effects.segments import extent_of_keys
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
@@ -80,11 +79,14 @@ def _rig(top: Section) -> Rig:
             raise InvalidInput(f"{kind} must name at least one; received none ({top.where(kind)})")
     _check_names((mover_sections, coil_sections, sensor_sections))
     rig = Rig(name, coils, sensors, movers, numbers.parameters)
-    effect_sections = top.section("effects")
-    causes = tuple(
-        _cause(effect_sections.section(key), key, effect_sections, rig, numbers) for key in effect_sections
+    acting = [
+        tuple(_cause(sections.section(label), label, sections, name, rig, numbers) for label in sections)
+        for name in ("effects", "corrections")
+        for sections in (top.section(name),)
+    ]
+    rig = replace(
+        rig, effects=acting[0], corrections=acting[1], devices=read_devices(top.section(DEVICES), rig)
     )
-    rig = replace(rig, effects=causes, devices=read_devices(top.section(DEVICES), rig))
     top.finish()
     _check_ties(numbers)
     broken = rig.broken_rule()
@@ -95,8 +97,8 @@ def _rig(top: Section) -> Rig:
     return rig
 
 
-def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Numbers) -> Cause:
-    """One entry `cause[place]` with its numbers, by their SI keys."""
+def _cause(section: Section, label: str, above: Section, name: str, rig: Rig, numbers: _Numbers) -> Cause:
+    """One entry `cause[place]` of the section of that name, with its numbers, by their SI keys."""
     match = CAUSE.fullmatch(label)
     if match is None:
         above.refuse(label, "must be written as cause[place], such as axis_gain[hall]", repr(label))
@@ -104,18 +106,20 @@ def _cause(section: Section, label: str, above: Section, rig: Rig, numbers: _Num
         closest = " ".join(get_close_matches(match["name"], EFFECTS, n=1, cutoff=0.0))
         above.refuse(label, f"must be a cause that coilcal knows, such as {closest}", repr(match["name"]))
     effect = EFFECTS[match["name"]]
+    if (belongs := "corrections" if effect.is_correction else "effects") != name:
+        above.refuse(label, f"must stand under {belongs}", f"it under {name}")
     places = effect.places(rig)
     if match["place"] not in places:
         above.refuse(
             label, f"must name one of {', '.join(places) or 'none in this rig'}", repr(match["place"])
         )
-    quantities = effect.quantities(extent_of_keys(section))
+    quantities = effect.quantities(effect.extent_of(section))
     for quantity in quantities:
         if quantity.key not in section:
             _refuse_misspelt(section, quantity, {q.key for q in quantities})
             section.required(quantity.key)
-        name = f"{label}.{quantity.key}"
-        _store(section, quantity.key, name, quantity.unit, 1.0, numbers, quantity.is_positive)
+        parameter = f"{label}.{quantity.key}"
+        _store(section, quantity.key, parameter, quantity.unit, 1.0, numbers, quantity.is_positive)
     section.finish()
     values = {q.key: numbers.parameters[f"{label}.{q.key}"].value for q in quantities}
     broken = effect.broken_rule(values)

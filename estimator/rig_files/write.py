@@ -40,7 +40,7 @@ def rig_text(rig: Rig, note: str = "") -> str:
     r"""A rig as the text of a rig file.
 
     Args:
-        rig: All of it is written: structure, numbers with priors and ties, effects, devices.
+        rig: All of it is written: structure, numbers with priors and ties, effects, corrections, devices.
         note: Comment for the first line.
 
     Examples:
@@ -71,6 +71,7 @@ def rig_text(rig: Rig, note: str = "") -> str:
         {"coils": {coil.name: _coil(coil, rig) for coil in rig.coils}},
         {"sensors": {sensor.name: _sensor(sensor, rig) for sensor in rig.sensors}},
         {"effects": {cause.label: _numbers_of_cause(cause.label, rig) for cause in rig.effects}},
+        {"corrections": {cause.label: _numbers_of_cause(cause.label, rig) for cause in rig.corrections}},
         {DEVICES: {name: dict(settings) for name, settings in rig.devices.items()}},
     ]
     blocks = [_dumped(section) for section in sections if all(value != {} for value in section.values())]

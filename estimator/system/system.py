@@ -90,13 +90,17 @@ class System:
         for calibration in {id(c): c for c in self.calibrations.values()}.values():
             coils = tuple(c for c in calibration.rig.coils if self.calibrations.get(c.name) is calibration)
             left_out = {coil.name for coil in calibration.rig.coils} - {coil.name for coil in coils}
-            effects = [cause for cause in calibration.rig.effects if cause.place not in left_out]
+            acting = [cause for cause in calibration.rig.acting if cause.place not in left_out]
             background = [
                 use.cause for use in uses_of(calibration.rig, RoomEffect) if use.effect.is_background
             ]
             if has_background:
-                effects = [cause for cause in effects if cause not in background]
-            rig = replace(calibration.rig, coils=coils, effects=tuple(effects))
+                acting = [cause for cause in acting if cause not in background]
+            effects, corrections = (
+                tuple(cause for cause in all_ if cause in acting)
+                for all_ in (calibration.rig.effects, calibration.rig.corrections)
+            )
+            rig = replace(calibration.rig, coils=coils, effects=effects, corrections=corrections)
             has_background = has_background or bool(background)
             parts.append(replace(calibration, rig=rig))
         return tuple(parts)

@@ -84,7 +84,7 @@ def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
     return [
         cause
         for name, effect in EFFECTS.items()
-        if not effect.is_record_mistake and not isinstance(effect, NoiseEffect)
+        if not (effect.is_record_mistake or effect.is_correction or isinstance(effect, NoiseEffect))
         for place in effect.places(rig)
         if (cause := Cause(name, place)) not in present and effect.concerns(circumstances, place)
     ]

@@ -99,6 +99,7 @@ NOT_AT_THE_FIRST_MOMENT = {
     "position_lag",
     "backlash",
     "sensor_bumped",
+    "room_wanders",
 }
 
 

@@ -250,7 +250,8 @@ def test_every_cause_can_be_written_at_its_place(name):
     places = effect.places(rig_with(""))
     quantities = {q.key: q.prior.centre if q.is_positive else q.null for q in effect.quantities(Extent())}
     entries = ", ".join(f"{key}: {value!r}" for key, value in quantities.items())
-    rig = rig_with(f"effects:\n  {name}[{places[0]}]: {{{entries}}}")
-    assert rig.effects == (Cause(name, places[0]),)
+    section = "corrections" if effect.is_correction else "effects"
+    rig = rig_with(f"{section}:\n  {name}[{places[0]}]: {{{entries}}}")
+    assert getattr(rig, section) == (Cause(name, places[0]),)
     units = {key: rig.parameters[f"{name}[{places[0]}].{key}"].unit for key in quantities}
     assert units == {q.key: q.unit for q in effect.quantities(Extent())}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +175,7 @@ def rigs(draw: st.DrawFn) -> Rig:
         if draw(st.booleans())
         else {sensors[0].name: {"sensor": "x", **draw(st.dictionaries(st.just("more"), SETTINGS))}}
     )
-    return Rig(rig.name, rig.coils, rig.sensors, rig.movers, rig.parameters, rig.effects, devices)
+    return replace(rig, devices=devices)
 
 
 @st.composite
@@ -192,7 +193,8 @@ def with_cause(draw: st.DrawFn, rig: Rig, cause: Cause) -> Rig:
         parameters.append(Parameter(name, quantity.unit, value, prior, is_positive=quantity.is_positive))
     values = {p.name.rpartition(".")[2]: p.value for p in parameters}
     assume(EFFECTS[cause.name].broken_rule(values) is None)
-    return rig.with_cause(cause, parameters)
+    add = rig.with_correction if EFFECTS[cause.name].is_correction else rig.with_cause
+    return add(cause, parameters)
 
 
 def check_same(rig: Rig) -> None:

@@ -15,6 +15,7 @@ from estimator.model.bodies import winding_of
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.write import rig_text
 from estimator.system.system import System
 
 COIL = """
@@ -279,6 +280,32 @@ def test_a_field_of_the_room_counts_once(points_m: Tensor) -> None:
     system = System.of(calibrated(rig, on=[1.0, 0.0]), calibrated(rig, on=[0.0, 1.0]))
     field_T = system.at(points_m, {"arm1": JOINTS}).field_T(tensor([0.0, 0.0]))
     torch.testing.assert_close(field_T, tensor([4e-5, 0.0, -2e-5]).expand(7, 3))
+
+
+def test_a_correction_goes_with_its_coil_and_one_of_the_room_counts_once(points_m: Tensor) -> None:
+    middle = "middle_x_m: 0, middle_y_m: 0, middle_z_m: 0, reach_m: 0.1"
+    corrections = f"""
+corrections:
+  coil_harmonics[coil0]: {{{middle}, degree1_cos0_T_per_A: 1.0e-4, degree1_cos1_T_per_A: 0, degree1_sin1_T_per_A: 0}}
+  room_harmonics[room]: {{{middle}, degree1_cos0_T: 0, degree1_cos1_T: 3.0e-4, degree1_sin1_T: 0}}
+"""
+    text = rig_text(fixed_coils(n=2))
+    rigs = [rig_from_text(text + more) for more in ("", corrections)]
+    corrected, plain = (
+        System.of(*(calibrated(rig, on=on) for on in ([1.0, 0.0], [0.0, 1.0]))) for rig in reversed(rigs)
+    )
+    added_T = [
+        system.at(points_m).field_T(system.currents({"coil0": 2.0, "coil1": 1.0}))
+        for system in (corrected, plain)
+    ]
+    by_room_T, by_coil_T = 3.0e-4, 2.0e-4
+    norm_T = (added_T[0] - added_T[1]).norm(dim=-1)
+    assert float(norm_T.min()) > by_room_T - by_coil_T - 1e-12
+    assert float(norm_T.max()) < by_room_T + by_coil_T + 1e-12
+    alone_T = corrected.at(points_m).field_T(corrected.currents({})) - plain.at(points_m).field_T(
+        plain.currents({})
+    )
+    torch.testing.assert_close(alone_T[..., 0], torch.full_like(alone_T[..., 0], by_room_T))
 
 
 def test_inside_a_winding_nothing_is_known(magnet: System, points_m: Tensor) -> None:

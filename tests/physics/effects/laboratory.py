@@ -79,6 +79,20 @@ SOURCES = {
     "filament_magnetisation": {"susceptibility": 0.3, "axial_T": 0.02, "radial_T": 0.01, "fan_T": -0.03},
     "iron_body": {"volume_m3": 2e-6, "x_m": 0.05, "y_m": -0.06, "z_m": 0.03},
     "second_iron_body": {"volume_m3": 1e-6, "x_m": -0.05, "y_m": -0.07, "z_m": 0.04},
+    "coil_harmonics": {
+        "degree1_cos1_T_per_A": 1e-6,
+        "degree2_sin2_T_per_A": 2e-6,
+        "middle_z_m": 0.02,
+        "reach_m": 0.05,
+    },
+    "coil_multipoles": {
+        "degree2_cos0_T_per_A": 1e-6,
+        "degree2_sin1_T_per_A": 2e-6,
+        "middle_z_m": -0.01,
+        "reach_m": 0.05,
+    },
+    "room_harmonics": {"degree2_cos0_T": 1e-5, "degree2_cos2_T": 2e-5, "middle_x_m": 0.01, "reach_m": 0.05},
+    "room_wanders": {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "duration_h": 3.0},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years
 Field = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> flux density (n, 3)
@@ -138,13 +152,15 @@ def label_of(name: str) -> str:
 
 
 def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:
-    """`effects:` of a rig file; what is not given is at its null."""
-    entries = {}
+    """`effects:` and `corrections:` of a rig file; what is not given is at its null."""
+    entries: dict[str, dict[str, dict[str, float]]] = {}
     for label, given in effects.items():
-        nulls = {q.key: q.null for q in EFFECTS[label.partition("[")[0]].quantities(Extent())}
+        effect = EFFECTS[label.partition("[")[0]]
+        nulls = {q.key: q.null for q in effect.quantities(Extent())}
         assert set(given) <= set(nulls), (label, set(nulls))
-        entries[label] = {key: float(value) for key, value in {**nulls, **given}.items()}
-    return yaml.safe_dump({"effects": entries}, sort_keys=False)
+        section = entries.setdefault("corrections" if effect.is_correction else "effects", {})
+        section[label] = {key: float(value) for key, value in {**nulls, **given}.items()}
+    return yaml.safe_dump(entries, sort_keys=False)
 
 
 def readings(

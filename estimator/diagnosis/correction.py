@@ -1,0 +1,279 @@
+"""Corrections for what is left where no known cause explains it: which smooth fields and responses the readings support, and how well.
+
+Kinds and degrees are compared by their evidence in the linear model at a fit. The best is fitted in full, with its amplitudes among the
+parameters, and taken if blocks of places held out are predicted better. Then the rest is asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.linear import log_mean_exp
+from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
+from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
+from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.validation import Improvement, improvement_of
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.effects.correction import Correction as CorrectionEffect
+from estimator.effects.correction import Limit
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.observations import Observations
+from estimator.readings.split import pose_blocks
+from estimator.rig.parameters import Normal
+from estimator.rig.rig import Cause, Rig
+
+
+@dataclass(frozen=True)
+class Part:
+    """One kind of correction at one place, as it was taken.
+
+    Attributes:
+        degree: Highest degree of its terms.
+        n_amplitudes: Their number.
+        log_bayes_factor: Of the full fit, against none of this kind.
+        held_out: Gain in predicting blocks of places from the others.
+    """
+
+    cause: Cause
+    degree: int
+    n_amplitudes: int
+    log_bayes_factor: float
+    held_out: HeldOut
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What corrects predictions without a name.
+
+    Attributes:
+        fit: Of the readings of the search, with the corrections; as it was where none was taken.
+        parts: The corrections, as they were taken.
+        limits: By kind and place why no higher degree was asked, or none, and what to measure.
+        refusal: Why nothing is corrected; empty where something is.
+        final: The same, fitted to more readings.
+        gain: On unseen readings, over the causes alone; None where there are none, or nothing was taken.
+    """
+
+    fit: Fit
+    parts: tuple[Part, ...]
+    limits: dict[str, str]
+    refusal: str
+    final: Fit
+    gain: Improvement | None = None
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether predictions are corrected."""
+        return not self.refusal
+
+    def words(self, label: Callable[[Cause], str]) -> str:
+        """In one sentence, with the names that the diagnosis gives."""
+        if not self.is_taken:
+            return f"Nothing is corrected: {self.refusal}."
+        by = " and ".join(f"{label(part.cause)} to degree {part.degree}" for part in self.parts)
+        return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnosis.json` holds it."""
+        return {
+            "parts": [
+                {
+                    "name": part.cause.name,
+                    "place": part.cause.place,
+                    "degree": part.degree,
+                    "amplitudes": part.n_amplitudes,
+                    "log_bayes_factor": part.log_bayes_factor,
+                    "held_out": part.held_out.to_json(),
+                }
+                for part in self.parts
+            ],
+            "limits": self.limits,
+            "refusal": self.refusal,
+            "gain": None
+            if self.gain is None
+            else {
+                "with_causes": self.gain.before.to_json(),
+                "with_correction": self.gain.after.to_json(),
+                "elpd_difference": self.gain.elpd_difference,
+                "elpd_se": self.gain.elpd_se,
+            },
+        }
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of correction at one place that the readings may support.
+
+    Attributes:
+        effect, cause: What it is and where.
+        fixed: What its terms are functions of.
+        limit: How high a degree they determine.
+    """
+
+    effect: CorrectionEffect
+    cause: Cause
+    fixed: dict[str, float]
+    limit: Limit
+
+    def keys(self, degree: int) -> list[tuple[int, str]]:
+        """Degree and key of each amplitude up to a degree."""
+        degrees = range(self.effect.lowest, degree + 1)
+        return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
+
+    def rig(self, fit: Fit, widths: dict[str, float], is_free: bool = True) -> Rig:
+        """The rig with amplitudes at zero and priors of these widths."""
+        zeros = dict.fromkeys(widths, 0.0)
+        rig = with_effect(fit.rig, self.cause, fit.observations, {**self.fixed, **zeros}, is_free)
+        named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
+        return rig.with_parameters(
+            replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
+            for name, width in named.items()
+        )
+
+    def columns(self, fit: Fit) -> Float[Tensor, "component amplitude"]:
+        """Whitened change of the predictions per unit of each amplitude, which they are nearly linear in."""
+        step = policy.CORRECTION_STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
+        keys = [key for _, key in self.keys(self.limit.degree)]
+        rig = self.rig(fit, dict.fromkeys(keys, 1.0), is_free=False)
+        model = MeasurementModel.unruled(rig, fit.observations).with_rules(fit.posterior.model.rules)
+        each = step * torch.eye(len(keys), dtype=torch.float64)
+        values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
+        values |= fit.values | {f"{self.cause.label}.{key}": each[i] for i, key in enumerate(keys)}
+        with torch.no_grad():
+            reading_T = model.predict(values).expand(len(keys), len(fit.observations), 3)
+            change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
+        return (change_T * fit.whitening_per_T).T / step
+
+
+@dataclass(frozen=True)
+class _Option:
+    """One kind up to one degree, with the widths of its amplitudes that have most evidence."""
+
+    kind: _Kind
+    degree: int
+    widths: dict[str, float]
+    log_bayes_factor: float
+
+
+def best_corrected(
+    extended: Fit, searched: Fit, causes: Fit, unseen: Observations, tell: Callable[[str], None]
+) -> Correction:
+    """The correction of the extended rig, or of that with all causes that were taken where these are worth it; judged by unseen readings.
+
+    Args:
+        extended: With the named causes, fitted to the readings of the search.
+        searched: With all causes that were taken, named or not, fitted to the same.
+        causes: The extended rig, fitted to the readings that count.
+        unseen: Readings that no fit has seen; may be empty.
+        tell: Called with a message for each correction that is taken.
+    """
+    best = corrected(extended, tell)
+    if searched.rig.effects != extended.rig.effects:
+        other = corrected(searched, tell)
+        lead = other.fit.log_evidence - best.fit.log_evidence
+        if other.is_taken and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not best.is_taken):
+            best = other
+    if not best.is_taken:
+        return best
+    polished = _fitted(best.fit.rig, best.fit, policy.FINE_TOLERANCE)
+    best = replace(best, fit=polished, final=polished)
+    if causes.observations is not polished.observations:
+        rules = polished.posterior.model.rules
+        best = replace(best, final=fit_rig(polished.rig, causes.observations, polished.values, rules))
+    if not len(unseen):
+        return best
+    gain = improvement_of(causes, best.final, unseen)
+    if gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T:
+        return replace(best, gain=gain, refusal="unseen readings are predicted worse with what was tried")
+    return replace(best, gain=gain)
+
+
+def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
+    """Correct a fit by what has clear evidence and predicts blocks of places held out better, the best first; roughly fitted.
+
+    Args:
+        fit: With all causes.
+        tell: Called with a message for each correction that is taken.
+    """
+    block = pose_blocks(fit.observations, np.random.default_rng(0))
+    kinds = _kinds(fit)
+    limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
+    kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
+    columns = {kind.cause: kind.columns(fit) for kind in kinds}  # they hardly change as corrections are taken
+    start, parts = fit, list[Part]()
+    while kinds and len(parts) < policy.MOST_CORRECTIONS:
+        weight = fit.weight_over(start)
+        weighed = {cause: own * weight[:, None] for cause, own in columns.items()}
+        ranked = sorted(_options(fit, kinds, weighed), key=lambda option: -option.log_bayes_factor)
+        clear = [o for o in ranked if o.log_bayes_factor > policy.LEAST_LOG_EVIDENCE_CORRECTED]
+        if not clear:
+            break
+        best = clear[0]
+        kinds.remove(best.kind)
+        rig = best.kind.rig(fit, best.widths)
+        after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
+        gain = held_out(fit, after, block)
+        log_bayes_factor = after.log_evidence - fit.log_evidence
+        if gain.elpd_difference <= 0.0 or log_bayes_factor <= 0.0:
+            continue
+        label = best.kind.cause.label
+        tell(f"correcting by {label} to degree {best.degree} ({log_bayes_factor:+.1f} in log evidence)")
+        parts.append(Part(best.kind.cause, best.degree, len(best.widths), log_bayes_factor, gain))
+        fit = after
+    refusal = "" if parts else "no correction has clear evidence and predicts places held out better"
+    return Correction(fit, tuple(parts), limits, refusal, fit)
+
+
+def _fitted(rig: Rig, fit: Fit, tolerance: float) -> Fit:
+    rules = fit.posterior.model.rules
+    return fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=tolerance)
+
+
+def _kinds(fit: Fit) -> list[_Kind]:
+    """Corrections that concern the session and that the rig does not have yet."""
+    circumstances = fit.posterior.model.circumstances
+    return [
+        _Kind(effect, cause, effect.starts(circumstances, place)[0], effect.limit(circumstances, place))
+        for effect in EFFECTS.values()
+        if isinstance(effect, CorrectionEffect)
+        for place in effect.places(fit.rig)
+        if (cause := Cause(effect.name, place)) not in fit.rig.corrections
+        and effect.concerns(circumstances, place)
+    ]
+
+
+def _options(
+    fit: Fit, kinds: Sequence[_Kind], columns: Mapping[Cause, Float[Tensor, "component amplitude"]]
+) -> list[_Option]:
+    """Of each kind the degree with most evidence, averaged over the widths of its amplitudes.
+
+    Widths go over the rms that the terms have together, from less than the noise to many times as much; the best of them becomes the
+    prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
+    """
+    best = []
+    for kind in kinds:
+        families, by_degree = [], []
+        for degree in range(kind.effect.lowest, kind.limit.degree + 1):
+            keys = kind.keys(degree)
+            relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
+            own = columns[kind.cause][:, : len(keys)] * relative
+            scale = float(own.square().sum(1).mean().sqrt())
+            families.append(Family.of(kind.cause.label, own))
+            by_degree.append((degree, keys, relative / max(scale, 1e-300)))
+        evidence = evidence_by_amplitude(fit, families)
+        top = int(torch.tensor([log_mean_exp(row) for row in evidence]).argmax())
+        degree, keys, per_rms = by_degree[top]
+        rms = policy.AMPLITUDES[int(evidence[top].argmax())]
+        widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
+        best.append(_Option(kind, degree, widths, log_mean_exp(evidence[top])))
+    return best

@@ -1,0 +1,130 @@
+"""Corrections that are smooth functions of time: of a sensor's zero, of its response, and of the room's field."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.effects.base import WHEN, Quantity, Theta, shape
+from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.stages import ReadingEffect, RoomEffect
+
+
+class _Drift(Correction):
+    """Cosines of half waves over the session. Their amplitudes fall with the number, as of what wanders."""
+
+    highest: ClassVar[int] = 20
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """Components."""
+        return ("x", "y", "z")
+
+    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Duration of the session, from its first reading on."""
+        return (shape("duration_h", "h", 0.0, 2.0 * extent.duration_h, is_fixed=True),)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """That of this session."""
+        return ({"duration_h": float(f"{circumstances.duration_h:.6g}")},)
+
+    def relative_width(self, degree: int) -> float:
+        """One over the number of half waves, as of a random walk."""
+        return 1.0 / degree
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """A moment has no time."""
+        return WHEN
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """In a session that lasts."""
+        return not circumstances.is_moment
+
+    def limit(self, circumstances: Circumstances, place: str) -> Limit:
+        """By the number of times at which there are readings."""
+        sensors = [sensor.name for sensor in circumstances.rig.sensors]
+        time_s = circumstances.observations.time_s
+        if place in sensors:
+            time_s = time_s[circumstances.sensor == sensors.index(place)]
+        return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
+
+    @staticmethod
+    def _wave(theta: Theta, circumstances: Circumstances, degree: int) -> Float[Tensor, " reading"]:
+        """Zero where a single moment stands for a session, as in predictions."""
+        if circumstances.is_moment:
+            return torch.zeros(len(circumstances), dtype=torch.float64)
+        return torch.cos(math.pi * degree * circumstances.hours / theta["duration_h"].flatten()[0])
+
+    def _wandering(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading term"]:
+        """Sum over the degrees of their waves times their amplitudes."""
+        amplitudes = self.amplitudes(theta)
+        waves = torch.stack([self._wave(theta, circumstances, degree) for degree in amplitudes], dim=-1)
+        total: Tensor = waves @ torch.stack(list(amplitudes.values()), dim=-2)
+        return total
+
+
+class ZeroWanders(_Drift, ReadingEffect):
+    """The zero of a sensor wanders smoothly."""
+
+    name: ClassVar[str] = "zero_wanders"
+    words: ClassVar[str] = "what the sensor shows in no field wanders with time"
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        return field_sensor_T + self._wandering(theta, circumstances)
+
+
+class RoomWanders(_Drift, RoomEffect):
+    """The field of the room wanders smoothly, everywhere alike."""
+
+    name: ClassVar[str] = "room_wanders"
+    words: ClassVar[str] = "the field of the room wanders with time"
+
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
+        """In the world frame."""
+        return self._wandering(theta, circumstances)
+
+
+class ResponseWanders(_Drift, ReadingEffect):
+    """The response of a sensor wanders smoothly: its gains, its axes or how it is turned."""
+
+    name: ClassVar[str] = "response_wanders"
+    words: ClassVar[str] = "gains and axes of the sensor, or how it is turned, wander with time"
+    highest: ClassVar[int] = 6
+
+    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Duration of the session, and the field in units of which components are taken."""
+        range_T = shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True)
+        return (*super().shapes(extent), range_T)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Those of this session."""
+        range_T = float(f"{circumstances.largest_of_sensor_T(place):.6g}")
+        return tuple({**start, "range_T": range_T} for start in super().starts(circumstances, place))
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """For each component those that it is proportional to."""
+        return tuple(f"{axis}_{other}" for axis in "xyz" for other in "xyz")
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        parts = field_sensor_T / theta["range_T"].flatten()[0]
+        matrix = self._wandering(theta, circumstances).unflatten(-1, (3, 3))
+        added_T: Tensor = (matrix @ parts[..., None])[..., 0]
+        return field_sensor_T + added_T
