@@ -35,7 +35,7 @@ class Loader(yaml.SafeLoader):
         self._n_values = self._level = 0
         self._n_behind: dict[str, int] = {}
 
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+    def compose_node(self, parent: yaml.Node | None, index: int | yaml.Node | None) -> yaml.Node | None:
         """Compose a value with all that it holds; refuse one beyond the limits."""
         event, n_before = self.peek_event(), self._n_values  # type: ignore[no-untyped-call]
         is_alias = isinstance(event, yaml.AliasEvent)
@@ -49,7 +49,7 @@ class Loader(yaml.SafeLoader):
             self._refuse("must hold whole characters; there is half a one")
         if self._level > MOST_LEVELS:
             self._refuse(f"must have at most {MOST_LEVELS} levels; there are more")
-        node: yaml.Node | None = super().compose_node(parent, index)
+        node: yaml.Node | None = super().compose_node(parent, index)  # type: ignore[arg-type]  # the top has no index
         self._level -= 1
         if event.anchor is not None and not is_alias:
             self._n_behind[event.anchor] = self._n_values - n_before

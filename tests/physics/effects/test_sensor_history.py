@@ -89,12 +89,6 @@ def test_lag_knows_the_reading_before_a_chosen_one():
     )
 
 
-def test_lag_of_a_sensor_that_was_not_read_changes_nothing():
-    two = RIG.replace("sensors:\n", "sensors:\n  spare: {noise_uT: 1, carried_by: mapper}\n")
-    blank = READINGS.with_field(torch.full((N, 3), torch.nan, dtype=torch.float64))
-    assert_same_field(predicted_T(blank, LAG, two), predicted_T(blank, {}, two), 1e-15)
-
-
 def test_lag_needs_readings_one_after_another():
     effect, rig = EFFECTS["sensor_lag"], rig_from_text(RIG)
     assert effect.concerns(Circumstances(rig, READINGS), "probe")
