@@ -160,7 +160,7 @@ def effects_text(effects: Mapping[str, Mapping[str, float]]) -> str:
         assert set(given) <= set(nulls), (label, set(nulls))
         section = entries.setdefault("corrections" if effect.is_correction else "effects", {})
         section[label] = {key: float(value) for key, value in {**nulls, **given}.items()}
-    return yaml.safe_dump(entries, sort_keys=False)
+    return yaml.safe_dump(entries, sort_keys=False) if entries else ""
 
 
 def readings(
