@@ -148,13 +148,8 @@ def coilcal(environment: dict[str, str], folder: Path, *arguments: str) -> str:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(
-    "hidden",
-    [
-        "field_gradient.vertical_T_per_m",
-        *(pytest.param(h, marks=pytest.mark.slow) for h in HIDDEN if not h.startswith("field_gradient")),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", HIDDEN)
 def test_commands_know_the_causes_of_an_installed_package(files: Path, hidden: str) -> None:
     """From the simulation to a predicted field, each command in a process of its own."""
     environment, name = installed(files), hidden.partition(".")[0]

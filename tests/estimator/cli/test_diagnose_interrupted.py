@@ -55,6 +55,7 @@ def await_fits(running: subprocess.Popen[str], out: Path, n: int) -> None:
         time.sleep(0.005)
 
 
+@pytest.mark.slow  # test_fit_journal kills one by the API
 def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbed: dict[str, Any]) -> None:
     out = session.parent / "killed"
     running = start(session, out)
