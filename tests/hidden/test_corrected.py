@@ -19,7 +19,7 @@ from tests.hidden.handed_in import HiddenSession
 from tests.hidden.study import draw_case
 
 pytestmark = pytest.mark.whole
-TRAM_WALK = 62002  # the room's field wanders with time, at 30 sigma
+TRAM_WALK = 63002  # the room's field wanders with time, at 30 sigma; the first such seed after those that rules were tuned on
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,10 @@ def test_unknown_cause_is_not_named_and_unseen_readings_are_predicted_better(hid
     )
     noise_T = np.sqrt(3.0) * float(hidden.scene.noise_T[0])
     assert before_T > 2.0 * noise_T
-    assert after_T < 1.4 * noise_T
+    excess_after_T, excess_before_T = (np.sqrt(error_T**2 - noise_T**2) for error_T in (after_T, before_T))
+    assert (
+        excess_after_T < 0.5 * excess_before_T
+    )  # of what the noise does not explain, less than half is left
     assert diagnosis.improvement.is_significant
 
 
@@ -60,7 +63,7 @@ def test_files_and_report_keep_explained_corrected_and_left_apart(folder, diagno
     assert [part["name"] for part in told["parts"]] == [part.cause.name for part in correction.parts]
     assert told["refusal"] == ""
     assert told["gain"]["with_correction"]["vector_T"] < told["gain"]["with_causes"]["vector_T"]
-    assert told["limits"] == {"room_harmonics[room]": "all readings are at one place; move the sensor"}
+    assert told["limits"]["room_harmonics[room]"] == "all readings are at one place; move the sensor"
     rig = load_rig(folder / "out/rig_extended.yaml")
     assert rig == diagnosis.extended_rig
     assert rig.corrections == tuple(part.cause for part in correction.parts)
