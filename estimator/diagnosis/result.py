@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,8 @@ from estimator.diagnosis.hypotheses.search import Addition, Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.search_json import search_to_json
+from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
@@ -112,64 +113,6 @@ class LeftOpen:
     twins: tuple[tuple[Cause, ...], ...] = ()
     next_measurements: tuple[Proposal, ...] = ()
     widening: Widening | None = None
-
-
-@dataclass(frozen=True)
-class Interval:
-    """One number of the extended rig: its median, standard deviation and 90 % credible interval."""
-
-    median: float
-    sd: float
-    ci90: tuple[float, float]
-    unit: str
-
-    def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
-        return {"median": self.median, "sd": self.sd, "ci90": list(self.ci90), "unit": self.unit}
-
-
-@dataclass(frozen=True)
-class SizedCause:
-    """A cause of the verdict, or a mistake of the record, with the sizes of its quantities.
-
-    Attributes:
-        cause: Name and place.
-        name: Of the cause, with its place where the rig has several for it.
-        probability: Posterior probability, beside its alternatives and what no list holds.
-        p_not_in_library: Probability that it is something else which no list holds.
-        alternatives: The other causes that it could be.
-        alternative_names: Their names, written like `name`.
-        log_bayes_factor: Against nothing, when it was taken.
-        quantities: Those that the session can see, by SI key.
-        is_record_mistake: Whether it is a mistake of the record.
-    """
-
-    cause: Cause
-    name: str
-    probability: float
-    p_not_in_library: float
-    alternatives: tuple[Alternative, ...]
-    alternative_names: tuple[str, ...]
-    log_bayes_factor: float
-    quantities: Mapping[str, Interval]
-    is_record_mistake: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it; mistakes of the record have no expected log evidence."""
-        alternatives = [
-            {"name": name, "probability": alternative.probability}
-            | ({} if self.is_record_mistake else {"expected_log_evidence": alternative.expected_log_evidence})
-            for name, alternative in zip(self.alternative_names, self.alternatives, strict=True)
-        ]
-        return {
-            "name": self.name,
-            "place": self.cause.place,
-            "probability": self.probability,
-            "p_not_in_library": self.p_not_in_library,
-            "alternatives": alternatives,
-            "log_bayes_factor": self.log_bayes_factor,
-            "parameters": _to_json(self.quantities),
-        }
 
 
 @dataclass(frozen=True)
@@ -284,7 +227,7 @@ class Diagnosis:
             "ended_early": search.ended_early,
             "causes": [cause.to_json() for cause in self.sized_causes],
             "stand_ins": [
-                {"name": self.label(c), "place": c.place, "parameters": _to_json(self.quantities(c))}
+                {"name": self.label(c), "place": c.place, "parameters": intervals_to_json(self.quantities(c))}
                 for c in self.findings.stand_ins
             ],
             "indistinguishable": [[self.label(cause) for cause in group] for group in left_open.twins],
@@ -310,11 +253,9 @@ class Diagnosis:
                 "rms_sigma": remainder.rms_sigma,
             },
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
-            "rig_parameters": _to_json(self.rig_numbers()),
+            "rig_parameters": intervals_to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
-            "steps": [self._step_to_json(step) for step in search.steps],
-            "source_model": self._source_model_to_json(),
-            "dropped": [self.label(cause) for cause in search.dropped],
+            **search_to_json(search, self.label),
             "seed": self.question.seed,
         }
         if improvement is not None:
@@ -362,40 +303,3 @@ class Diagnosis:
         alternatives = tuple(Alternative(cause, probability, None) for cause, probability in twins)
         named = NamedCause(mistake.cause, weights[0], alternatives, mistake.log_bayes_factor)
         return replace(self._sized(named), is_record_mistake=True)
-
-    def _source_model_to_json(self) -> dict[str, Any] | None:
-        search = self.findings.search
-        others = search.other_structures
-        if others is None:
-            return None
-        return {
-            "seems_wrong": search.source_seems_wrong,
-            "pile": [self.label(cause) for cause in others.pile],
-            "log_bayes_factor": others.log_bayes_factor,
-            "asked": [
-                {
-                    "name": self.label(one.cause),
-                    "log_bayes_factor": one.log_bayes_factor,
-                    "needed": [self.label(cause) for cause in one.needed],
-                }
-                for one in others.asked
-            ],
-        }
-
-    def _step_to_json(self, step: Step) -> dict[str, Any]:
-        return {
-            "taken": None if step.taken is None else self.label(step.taken),
-            "considered": [
-                {
-                    "name": self.label_of_hypothesis(hypothesis),
-                    "log_bayes_factor": hypothesis.log_bayes_factor,
-                    "probability": hypothesis.probability,
-                    "held_out": None if hypothesis.held_out is None else hypothesis.held_out.to_json(),
-                }
-                for hypothesis in step.hypotheses
-            ],
-        }
-
-
-def _to_json(intervals: Mapping[str, Interval]) -> dict[str, Any]:
-    return {key: interval.to_json() for key, interval in intervals.items()}

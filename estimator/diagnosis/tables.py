@@ -7,7 +7,8 @@ import math
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.impact import impact_sd
-from estimator.diagnosis.result import Diagnosis, Interval
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd

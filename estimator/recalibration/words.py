@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from estimator.diagnosis.result import Diagnosis, Interval, SizedCause
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.sizes import Interval, SizedCause
 from estimator.diagnosis.validation import Improvement
 from estimator.reporting.numbers import displays, with_sd
 

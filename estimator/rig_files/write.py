@@ -24,7 +24,8 @@ from estimator.rig.rig import (
     Sensor,
 )
 from estimator.rig_files.devices import DEVICES
-from estimator.rig_files.read import SCHEMA_VERSION, SI_SYMBOL
+from estimator.rig_files.numbers import SI_SYMBOL
+from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
 from estimator.yaml_section import Loader
 

@@ -28,7 +28,8 @@ from estimator.rig.rig import (
     Rig,
     Sensor,
 )
-from estimator.rig_files.read import SI_SYMBOL, load_rig, rig_from_text
+from estimator.rig_files.numbers import SI_SYMBOL
+from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text
 
 CONFIGS = sorted((Path(__file__).resolve().parents[3] / "configs").glob("*.yaml"))
