@@ -175,8 +175,8 @@ N_INSTANTS = 11
 1 case."""
 
 MOST_PERIODS = 320
-"""Periods that are looked for in time, from twice the session down in steps of half a cycle per session. Effort: sessions with fewer
-readings have fewer. Study: not tried yet."""
+"""Periods that are looked for in time, from twice the session down in steps of half a cycle per session, and in the reading, from its
+range down. Effort: sessions with fewer readings have fewer. Study: not tried yet."""
 
 MOST_PERIODS_ALONG_AXIS = 24
 """The same along each axis of a mover, whose grids are coarser. By judgement: a screw has a turn every few millimetres. Study: not tried

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
+from estimator.effects.circumstances import Circumstances
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,16 @@ class Collection:
         is_nonzero = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
         if bool(is_nonzero.any()):
             self.families.append(Family.of(name, whitened[:, is_nonzero], detail))
+
+
+def by_sensor(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:
+    """Each sensor that was read, and 1 at its readings."""
+    seen = [(circumstances.sensor == i).to(torch.float64) for i in range(len(circumstances.rig.sensors))]
+    named = zip((sensor.name for sensor in circumstances.rig.sensors), seen, strict=True)
+    return [(name, its) for name, its in named if bool(its.any())]
+
+
+def subsets(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:
+    """All readings, without a name, and those of each sensor where the rig has several."""
+    everything = ("", torch.ones(len(circumstances), dtype=torch.float64))
+    return [everything, *(by_sensor(circumstances) if len(circumstances.rig.sensors) > 1 else [])]

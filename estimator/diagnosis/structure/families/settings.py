@@ -9,7 +9,7 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.structure.covariates import covariates
-from estimator.diagnosis.structure.families.collection import Collection
+from estimator.diagnosis.structure.families.collection import Collection, subsets
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.geometry.motion import base_from_motion
@@ -23,9 +23,22 @@ def add_settings(collection: Collection) -> None:
         polynomials(unit_interval(collection.field), 2, policy.SMOOTH_DEGREE),
         collection.axes,
     )
+    _add_ripples(collection)
     _add_currents(collection)
     _add_mover_positions(collection)
     _add_circumstances(collection)
+
+
+def _add_ripples(collection: Collection) -> None:
+    """Errors of a converter that repeat over its range: waves in what each channel reads, of one period in field for all three."""
+    largest_T = float(collection.predicted_T.abs().max())
+    for sensor, seen in subsets(collection.fit.posterior.model.circumstances):
+        for half_cycles in range(2, min(len(seen), policy.MOST_PERIODS) + 1):
+            phase = 0.5 * math.pi * half_cycles * collection.field
+            waves = torch.stack((torch.cos(phase), torch.sin(phase))) * seen[:, None]
+            fields = torch.diag_embed(waves).movedim(0, 1).flatten(1, 2)
+            detail = ", ".join(filter(None, (f"about every {4e3 * largest_T / half_cycles:.2g} mT", sensor)))
+            collection.add_fields("a ripple in the reading", fields, detail)
 
 
 def _add_currents(collection: Collection) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import combinations
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.structure.families.collection import Collection
+from estimator.diagnosis.structure.families.collection import Collection, by_sensor, subsets
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances
 
@@ -24,22 +22,12 @@ def add_time(collection: Collection) -> None:
     collection.add("time", clock[:, 1:], collection.axes)
     collection.add("field and time", clock, collection.along_field)
     instants = torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]
-    for sensor, seen in _by_sensor(circumstances):
+    for sensor, seen in by_sensor(circumstances):
         _add_changes(collection, time, instants, seen, sensor)
-    for sensor, seen in [("", torch.ones(len(time), dtype=torch.float64)), *_by_sensor(circumstances)]:
+    for sensor, seen in subsets(circumstances):
         _add_spells(collection, time, instants, seen, sensor)
         _add_periods(collection, circumstances, seen, sensor)
         _add_wandering(collection, circumstances, seen, sensor)
-        if len(collection.fit.rig.sensors) == 1:
-            break
-
-
-def _by_sensor(circumstances: Circumstances) -> Iterator[tuple[str, Float[Tensor, " reading"]]]:
-    """Each sensor that was read, and 1 at its readings."""
-    for i, sensor in enumerate(circumstances.rig.sensors):
-        seen = (circumstances.sensor == i).to(torch.float64)
-        if bool(seen.any()):
-            yield sensor.name, seen
 
 
 def _add_changes(

@@ -54,6 +54,11 @@ def rectified(fit: Fit) -> Tensor:
     return (fit.observations.current_A < 0.0) * fit.observations.field_sensor_T
 
 
+def ripple(fit: Fit) -> Tensor:
+    phase = 2.0 * math.pi * fit.observations.field_sensor_T / 0.9e-3 + torch.tensor([0.3, 1.9, -2.0])
+    return torch.sin(phase)
+
+
 def sag(fit: Fit) -> Tensor:
     x_m = fit.observations.motion["arm1"][:, 0]
     return x_m[:, None] ** 2 * fit.observations.field_sensor_T.flip(1)
@@ -68,6 +73,7 @@ DISTURBANCES = {
     "remanence": (remanence, "before"),
     "current in the reading": (current_in_the_reading, "current"),
     "current in one direction": (rectified, "current"),
+    "ripple of the converter": (ripple, "ripple"),
     "sag": (sag, ""),
 }
 
