@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out policy real diagnose-real mice-filaments storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -50,6 +50,9 @@ open-world: $(INSTALLED)  # causes of the library and others at natural sizes, o
 
 leave-one-out: $(INSTALLED)   # each cause taken out of the library, hidden and diagnosed; hours, continues where it was interrupted
 	$(RUN) scripts.studies.leave_one_out --sigma 30 --out out/leave_one_out_30.jsonl
+
+one-map: $(INSTALLED)     # ten diagnoses of one large map, each with other readings for its search; half an hour
+	$(RUN) scripts.studies.one_map --out out/one_map.jsonl
 
 policy: $(INSTALLED)      # every rule with a number halved and doubled, and what changes; hours, continues where it was interrupted
 	$(RUN) scripts.studies.policy --out out/policy.jsonl
