@@ -55,7 +55,8 @@ one-map: $(INSTALLED)     # ten diagnoses of one large map, each with other read
 	$(RUN) scripts.studies.one_map --out out/one_map.jsonl
 
 policy: $(INSTALLED)      # every rule with a number halved and doubled, and what changes; hours, continues where it was interrupted
-	$(RUN) scripts.studies.policy --out out/policy.jsonl
+	$(RUN) scripts.studies.policy --cases 1 --out out/policy.jsonl
+	$(RUN) scripts.studies.policy_sentences --rows out/policy.jsonl
 
 real: $(INSTALLED)        # measured coils below COILCAL_DATA
 	$(RUN) scripts.studies.real_data --out out/real
