@@ -1,4 +1,4 @@
-"""Write what the study of the policies found behind each rule, and its table into docs/studies; `make policy` runs it after the study."""
+"""Write what the study of the policies found behind each rule, and its table into docs/notebook; `make policy` runs it after the study."""
 
 from __future__ import annotations
 
@@ -22,14 +22,8 @@ from scripts.studies.policy import (
 )
 
 WIDTH = 140
-TABLE = Path(__file__).resolve().parents[2] / "docs/studies/policy.md"
-HEAD = """# How much each rule with a number matters
-
-Each rule of `estimator/diagnosis/policy.py` and `estimator/recalibration/policy.py` was halved and doubled (`make policy`). The columns
-count the cases that read the rule, and those whose verdict or names changed. The last one holds the largest change of anything else: of a
-log evidence, of a standard deviation, or what was said differently.
-
-"""
+PAGE = Path(__file__).resolve().parents[2] / "docs/notebook/policy.md"
+MARK = "<!-- table -->\n"  # what stands below it on the page is written anew
 NOT_STUDIED = "not in it"  # rules that no diagnosis and no judgement reads, such as limits of time
 
 
@@ -43,7 +37,9 @@ def main() -> None:
     table = io.StringIO()
     with contextlib.redirect_stdout(table):
         show(rows)
-    TABLE.write_text(HEAD + table.getvalue(), encoding="utf-8")
+    above = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
+    tried = (line for line in table.getvalue().splitlines(keepends=True) if "| none |" not in line)
+    PAGE.write_text(f"{above}{MARK}\n{''.join(tried)}", encoding="utf-8")
 
 
 def rewritten(text: str, policy: ModuleType, rows: list[Row]) -> str:
