@@ -178,7 +178,7 @@ def show_unseen(rows: list[Row]) -> None:
     errors = {
         when: [row["gain"][when]["vector_T"] / noise_T(row) for row in rows] for when in ("before", "after")
     }
-    corrected = [row for row in rows if row["correction"] and row["correction"]["parts"]]
+    corrected = [row for row in rows if row["correction"] and not row["correction"]["refusal"]]
     print(
         f"  error on unseen readings over the noise, median: {median(errors['before']):.2f} before, {median(errors['after']):.2f} after"
     )
