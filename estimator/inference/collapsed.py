@@ -252,7 +252,9 @@ class CollapsedPosterior:
         return gain
 
     def _sigma_T(self, vector: Tensor) -> Float[Tensor, "row sensor"]:
-        return self.full.sigma_T(self._with_centre(vector))
+        values = self.coordinates.values(vector)
+        noises = (values[f"{sensor.name}.noise_T"] for sensor in self.full.model.rig.sensors)
+        return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
 
     def _whitened(self, vector: Float[Tensor, " coordinate"]) -> tuple[Tensor, Tensor, Tensor]:
         """Design matrix and residuals in units of the noise, and the logarithm of the noise, by component."""
@@ -289,9 +291,14 @@ class CollapsedPosterior:
     def _with_centre(self, vector: Tensor) -> Tensor:
         """Coordinates of the full density, with amplitudes at the centre of their priors."""
         own = [self.full.coordinates.names.index(name) for name in self.coordinates.names]
-        start = self.full.coordinates.start().expand(*vector.shape[:-1], -1).clone()
-        start[..., own] = vector
-        return start
+        there = self._at_centre.expand(*vector.shape[:-1], -1).clone()
+        there[..., own] = vector
+        return there
+
+    @cached_property
+    def _at_centre(self) -> Float[Tensor, " coordinate"]:
+        """Coordinates of the full density at the nominal values, with amplitudes at the centre of their priors."""
+        return self.full.coordinates.vector(dict(zip(self.amplitudes, self._centre, strict=True)))
 
 
 def free_amplitudes(rig: Rig) -> tuple[str, ...]:

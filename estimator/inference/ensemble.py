@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import emcee
 import numpy as np
 import torch
 from emcee.backends import Backend
-from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
+from estimator.inference.likelihood import LogPosterior
 from estimator.inference.moves import (
     LatticeDifferenceMove,
     MixtureProposal,
@@ -23,17 +22,6 @@ from estimator.inference.moves import (
     independence_move,
 )
 from estimator.rig.coordinates import Coordinates
-
-
-class Density(Protocol):
-    """What is sampled: a log density over coordinates, batched over walkers."""
-
-    coordinates: Coordinates
-
-    def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log density up to a constant; -inf where there is none."""
-        ...
-
 
 INDEPENDENCE_SHARE, AUTOREGRESSIVE_SHARE = 0.7, 0.15  # the rest is differential evolution
 BURN_IN_SHARE = 0.1
@@ -116,7 +104,7 @@ class Samples:
 
 
 def sample(
-    posterior: Density,
+    posterior: LogPosterior | CollapsedPosterior,
     mixture: CountMixture,
     settings: SamplerSettings,
     backend: Backend | None = None,
