@@ -154,7 +154,7 @@ def calibrate(
         "sampling": _sampling(samples),
         "point_estimate": _point_estimate(rig, found),
         "undetermined": [asdict(direction) for direction in found.undetermined],
-        **({"amplitudes": amplitudes} if (amplitudes := found.amplitudes()) else {}),
+        **found.summary(observations),
         "seed": seed,
         "versions": versions(),
     }

@@ -19,6 +19,7 @@ from estimator.reporting.page import Picture
 from estimator.rig.rig import AnyCoil, Coil
 
 MOST_CORNER_PARAMETERS = 12
+MOST_INTERVALS = 60
 MOST_COILS = 3
 PLANE_POINTS = 61
 PLANE_DRAWS = 100
@@ -105,10 +106,16 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
         if name in calibration.summary()["truth"]
     }
     priors = {p.name: p.prior for p in calibration.rig.free if p.prior is not None}
+    shown = {name: draws[name] for name in names[:MOST_INTERVALS]}
+    which = (
+        "every parameter"
+        if len(shown) == len(names)
+        else f"the first {len(shown)} of {len(names)} parameters"
+    )
     yield Picture(
         "What the data taught",
-        "Posterior interval of every parameter in units of its prior; a narrow one is determined by the data.",
-        _figure(plots.interval_summary(draws, priors, calibration.summary()["truth"] or None, title=title)),
+        f"Posterior interval of {which} in units of its prior; a narrow one is determined by the data.",
+        _figure(plots.interval_summary(shown, priors, calibration.summary()["truth"] or None, title=title)),
     )
     if len(moving) > 1:
         point = {name: calibration.best[name] for name in moving}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from estimator.calibration.next_degree import next_degree_gain
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.collapsed_estimate import collapsed_estimate
 from estimator.inference.convergence import Convergence
@@ -57,12 +59,16 @@ class Found:
             draws |= self.posterior.drawn(chain, seed)
         return {name: np.ascontiguousarray(array.T) for name, array in draws.items()}
 
-    def amplitudes(self) -> dict[str, dict[str, int]]:
-        """By coil without a winding, how many amplitudes are free and how many of their combinations the readings determine."""
+    def summary(self, observations: Observations) -> dict[str, Any]:
+        """What is said of coils without a winding: amplitudes by coil, free and determined, and the evidence for a degree more."""
         if not isinstance(self.posterior, CollapsedPosterior):
             return {}
-        counts = self.posterior.determined(self.mixture.mean[0])
-        return {coil: {"free": n, "determined": told} for coil, (n, told) in counts.items()}
+        vector = self.mixture.mean[0]
+        counts = self.posterior.determined(vector)
+        return {
+            "amplitudes": {coil: {"free": n, "determined": told} for coil, (n, told) in counts.items()},
+            "next_degree_log_evidence": next_degree_gain(self.posterior, observations, vector),
+        }
 
 
 def is_collapsible(posterior: LogPosterior) -> bool:

@@ -96,6 +96,8 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
+    from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
+
     lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
     for name, parameter in summary["parameters"].items():
         low, high = parameter["ci90"]
@@ -115,6 +117,14 @@ def _text(summary: Any, out: Path) -> str:
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
         for name, distance in summary["prior_tension"].items()
     ]
+    lines += [
+        f"{coil}: readings determine {told['determined']} of {told['free']} amplitudes"
+        for coil, told in summary.get("amplitudes", {}).items()
+    ]
+    if (gain := summary.get("next_degree_log_evidence") or 0.0) > CLEAR_LOG_EVIDENCE:
+        lines.append(
+            f"readings ask for harmonics of a higher degree ({gain:+.3g} in log evidence): raise `degree`"
+        )
     lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

@@ -187,7 +187,6 @@ class CollapsedPosterior:
         """
         steps, walkers = chain.shape[:2]
         rows = torch.from_numpy(chain.reshape(steps * walkers, -1))
-        distinct, row_of = torch.unique(rows, dim=0, return_inverse=True)
         n = len(self.amplitudes)
         generator = torch.Generator().manual_seed(seed)
         normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64)
@@ -199,8 +198,11 @@ class CollapsedPosterior:
             standard = (mean + normal / grown.sqrt()) @ vectors.T
         else:
             standard = torch.empty_like(normal)
+            row_of = torch.zeros(len(rows), dtype=torch.int64)
+            if rows.shape[1]:  # walkers stay where they are now and then
+                row_of = torch.unique(rows, dim=0, return_inverse=True)[1]
             order = torch.argsort(row_of)
-            for own in torch.split(order, torch.bincount(row_of, minlength=len(distinct)).tolist()):
+            for own in torch.split(order, torch.bincount(row_of).tolist()):
                 given = self.given(rows[own[0]])
                 root = torch.linalg.cholesky(given.precision)
                 off = torch.linalg.solve_triangular(root.mT, normal[own].T, upper=True)

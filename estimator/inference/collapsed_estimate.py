@@ -36,9 +36,8 @@ def collapsed_estimate(posterior: CollapsedPosterior, observations: Observations
     """
     coordinates = posterior.coordinates
     if not coordinates.n:
-        nothing = torch.zeros(1, 0, 0, dtype=torch.float64)
-        at_centre = posterior(torch.zeros(1, 0, dtype=torch.float64))
-        fit = Optimum(nothing[:, 0], at_centre, nothing, nothing, torch.ones(1, dtype=torch.bool), 0)
+        vector, matrix = torch.zeros(1, 0, dtype=torch.float64), torch.zeros(1, 0, 0, dtype=torch.float64)
+        fit = Optimum(vector, posterior(vector), matrix, matrix, torch.ones(1, dtype=torch.bool), 0)
         return PointEstimate(fit, 0, 1, 1)
     rng = np.random.default_rng(seed)
     rough = CollapsedPosterior(thinned_posterior(posterior.full, observations, rng))
