@@ -48,7 +48,7 @@ class Conditional(NamedTuple):
 
 @dataclass(frozen=True)
 class _Sums:
-    """Design matrix and residuals of readings, summed over the components of each sensor, at the centre of the amplitudes' priors.
+    """Design matrix and residuals of readings, summed over the components of each sensor, with the amplitudes at `_about`.
 
     Attributes:
         gram: D^T D, with D the change of the components per prior standard deviation of each amplitude, in T.
@@ -106,19 +106,21 @@ class CollapsedPosterior:
         if self._is_only_noise:
             sums, sigma_T = self._sums, self._sigma_T(vector)
             variance = sigma_T**2
+            constant += 0.5 * float(self._about.square().sum())
             total = -0.5 * (sums.square / variance).sum(-1) - (sums.n * torch.log(sigma_T)).sum(-1) - constant
             if len(sums.n) == 1:
                 size, vectors = sums.principal
                 grown = size / variance
-                square = (vectors.T @ sums.score[0]) ** 2 / variance**2
+                square = ((vectors.T @ sums.score[0]) / variance - vectors.T @ self._about) ** 2
                 return total + 0.5 * (square / (1.0 + grown) - torch.log1p(grown)).sum(-1)
             return total + self._gain(*self._normal_equations(vector))
         terms = []
         for row in vector:
             design, residual, log_sigma = self._whitened(row)
             precision = _unit_plus(design.mT @ design)
-            gain = self._gain(precision, design.mT @ residual)
-            terms.append(gain - 0.5 * residual.square().sum() - log_sigma.sum() - constant)
+            gain = self._gain(precision, design.mT @ residual - self._about)
+            squares = residual.square().sum() + self._about.square().sum()
+            terms.append(gain - 0.5 * squares - log_sigma.sum() - constant)
         return torch.stack(terms) if terms else torch.zeros(0, dtype=vector.dtype)
 
     def given(self, vector: Float[Tensor, " coordinate"]) -> Conditional:
@@ -127,8 +129,8 @@ class CollapsedPosterior:
             precision, score = (each[0] for each in self._normal_equations(vector[None]))
         else:
             design, residual, _ = self._whitened(vector)
-            precision, score = _unit_plus(design.mT @ design), design.mT @ residual
-        return Conditional(_solved(precision, score), precision)
+            precision, score = _unit_plus(design.mT @ design), design.mT @ residual - self._about
+        return Conditional(self._about + _solved(precision, score), precision)
 
     def values(self, vector: Float[Tensor, " coordinate"]) -> dict[str, Tensor]:
         """Every parameter of the rig, with the most probable amplitudes."""
@@ -194,8 +196,8 @@ class CollapsedPosterior:
             size, vectors = self._sums.principal
             variance = self._sigma_T(rows) ** 2
             grown = 1.0 + size / variance
-            mean = (vectors.T @ self._sums.score[0]) / variance / grown
-            standard = (mean + normal / grown.sqrt()) @ vectors.T
+            mean = ((vectors.T @ self._sums.score[0]) / variance - vectors.T @ self._about) / grown
+            standard = self._about + (mean + normal / grown.sqrt()) @ vectors.T
         else:
             standard = torch.empty_like(normal)
             row_of = torch.zeros(len(rows), dtype=torch.int64)
@@ -226,11 +228,27 @@ class CollapsedPosterior:
         return bool(misfit_T <= LINEAR_TO * both_T.abs().max())
 
     @cached_property
+    def _about(self) -> Float[Tensor, " amplitude"]:
+        """Amplitudes about which squares are taken, in the units of `Conditional`: those of the nominal values.
+
+        About zero the squares of readings a million times their noise would leave no digit for differences of log densities.
+        """
+        design_T, residual_T = self._at_start
+        with torch.no_grad():
+            sigma_T = self.full.component_sigma_T(self._with_centre(self.coordinates.start()))
+        design = design_T / sigma_T[:, None]
+        return _solved(_unit_plus(design.mT @ design), design.mT @ (residual_T / sigma_T))
+
+    @cached_property
+    def _at_start(self) -> tuple[Tensor, Tensor]:
+        with torch.no_grad():
+            return self._design(self.coordinates.values(self.coordinates.start()))
+
+    @cached_property
     def _sums(self) -> _Sums:
         """Sums over the readings, which stay the same where nothing but the noise is free."""
-        values = self.coordinates.values(self.coordinates.start())
-        with torch.no_grad():
-            design_T, residual_T = self._design(values)
+        design_T, residual_T = self._at_start
+        residual_T = residual_T - design_T @ self._about
         own = [self.full.sensor == i for i in range(len(self.full.n_by_sensor))]
         return _Sums(
             torch.stack([design_T[rows].mT @ design_T[rows] for rows in own]),
@@ -243,10 +261,10 @@ class CollapsedPosterior:
         """Precision of the amplitudes and right-hand side of their normal equations, where only the noise is free."""
         per_variance = self._sigma_T(vector) ** -2
         gram = torch.einsum("...s,sij->...ij", per_variance, self._sums.gram)
-        return _unit_plus(gram), per_variance @ self._sums.score
+        return _unit_plus(gram), per_variance @ self._sums.score - self._about
 
     def _gain(self, precision: Tensor, score: Tensor) -> Tensor:
-        """What the amplitudes add to the log density of readings at the centre of their priors."""
+        """What the spread of the amplitudes adds to the log density at `_about`."""
         root = torch.linalg.cholesky(precision)
         off = torch.linalg.solve_triangular(root, score[..., None], upper=False)[..., 0]
         log_determinant = 2.0 * torch.log(torch.diagonal(root, dim1=-2, dim2=-1)).sum(-1)
@@ -259,10 +277,11 @@ class CollapsedPosterior:
         return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
 
     def _whitened(self, vector: Float[Tensor, " coordinate"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Design matrix and residuals in units of the noise, and the logarithm of the noise, by component."""
+        """Design matrix and residuals about `_about` in units of the noise, and the logarithm of the noise, by component."""
         with torch.no_grad():
             design_T, residual_T = self._design(self.coordinates.values(vector))
             sigma_T = self.full.component_sigma_T(self._with_centre(vector))
+        residual_T = residual_T - design_T @ self._about
         return design_T / sigma_T[:, None], residual_T / sigma_T, torch.log(sigma_T)
 
     def _design(self, values: Values) -> tuple[Float[Tensor, "component amplitude"], Tensor]:

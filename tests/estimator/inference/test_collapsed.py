@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -71,8 +73,7 @@ def problem(text: str, n: int = 25, seed: int = 0) -> tuple[Rig, Observations]:
     field_T = MeasurementModel.build(rig, observations).predict(values)
     readings_T = field_T + torch.from_numpy(rng.normal(0.0, NOISE_T, (n, 3)))
     readings_T[0, 1] = torch.nan  # a component that was not measured
-    arguments = {**vars(observations), "field_sensor_T": readings_T}
-    return rig, Observations(**{k: v for k, v in arguments.items() if k in Observations.__dataclass_fields__})
+    return rig, replace(observations, field_sensor_T=readings_T)
 
 
 def full_posterior(rig: Rig, observations: Observations) -> LogPosterior:
@@ -151,6 +152,21 @@ def test_everything_sampled_by_emcee_has_the_same_posterior() -> None:
         expected, received = everything[:, :, i], drawn[name]
         assert received.mean() == pytest.approx(expected.mean(), abs=0.15 * expected.std()), name
         assert received.std() == pytest.approx(expected.std(), rel=0.12), name
+
+
+def test_a_millionth_of_noise_leaves_digits_for_the_density() -> None:
+    """Readings of 1 mT with noise of 1 nT: about zero their squares would be 1e12."""
+    rig, observations = problem(TEXT.replace("median: 10", "median: 0.001"))
+    exact = CollapsedPosterior(full_posterior(rig, observations))
+    fit_T = exact.full.model.predict(exact.values(exact.coordinates.start()))
+    quiet = torch.from_numpy(np.random.default_rng(0).normal(0.0, 1e-9, (25, 3)))
+    observations = replace(observations, field_sensor_T=fit_T.detach() + quiet)
+    collapsed = CollapsedPosterior(full_posterior(rig, observations))
+    vector = collapsed.coordinates.vector({"hall.noise_T": 1e-9})
+    around = vector + 1e-5 * torch.arange(-5.0, 6.0, dtype=torch.float64)[:, None]
+    values = collapsed(around)
+    curved = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    assert float(curved.abs().max()) < 1e-6  # a smooth curve; rounding would show as scatter
 
 
 def test_the_maximum_is_no_lower_than_any_point_about_it() -> None:
