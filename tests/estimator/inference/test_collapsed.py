@@ -90,6 +90,12 @@ def design(rig: Rig, observations: Observations) -> np.ndarray:
     return (field * observations.current_A[:, :1]).flatten(1).T.numpy()
 
 
+def marginal_of(columns: np.ndarray, sd: np.ndarray) -> stats.rv_continuous:
+    """Normal distribution of the readings, averaged over the amplitudes' priors."""
+    covariance = NOISE_T**2 * np.eye(len(columns)) + (columns * sd**2) @ columns.T
+    return stats.multivariate_normal(np.zeros(len(columns)), covariance)
+
+
 def test_amplitudes_and_evidence_are_those_of_ridge_regression() -> None:
     rig, observations = problem(TEXT)
     measured_T, columns = observations.field_sensor_T.numpy().ravel(), design(rig, observations)
@@ -102,10 +108,19 @@ def test_amplitudes_and_evidence_are_those_of_ridge_regression() -> None:
     at = collapsed.coordinates.vector({"hall.noise_T": NOISE_T})
     best = collapsed.values(at)
     np.testing.assert_allclose([float(best[name]) for name in collapsed.amplitudes], mean, rtol=1e-9)
+    prior = rig.parameters["hall.noise_T"].prior
+    assert prior is not None
+    expected = (
+        marginal_of(x, sd).logpdf(y)
+        + float(prior.log_density(torch.tensor(NOISE_T).double()))
+        + np.log(NOISE_T)
+    )
+    assert float(collapsed(at[None])[0]) == pytest.approx(expected, rel=1e-10)
     given = torch.linalg.inv(collapsed.given(at).precision).numpy() * sd[:, None] * sd
     np.testing.assert_allclose(given, covariance, rtol=1e-8, atol=1e-25)
-    marginal = stats.multivariate_normal(np.zeros(len(y)), NOISE_T**2 * np.eye(len(y)) + (x * sd**2) @ x.T)
-    assert float(collapsed.log_evidence(at[None])[0]) == pytest.approx(marginal.logpdf(y), rel=1e-10)
+    assert float(collapsed.log_evidence(at[None])[0]) == pytest.approx(
+        marginal_of(x, sd).logpdf(y), rel=1e-10
+    )
     draws = collapsed.drawn(at.expand(4000, 5, 1).numpy(), seed=1)
     drawn = np.stack([draws[name].ravel() for name in collapsed.amplitudes])
     np.testing.assert_allclose(drawn.mean(1), mean, atol=4 * np.sqrt(np.diag(covariance) / 20_000).max())
