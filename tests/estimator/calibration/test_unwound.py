@@ -115,11 +115,11 @@ def test_too_low_a_degree_is_said(rig: Rig) -> None:
     one = calibrate(session_at(low, in_ball(240, 1)), low, seed=1, settings=SETTINGS)
     assert one.summary()["next_degree_log_evidence"] > 50.0
     assert "Raise `degree`" in html.unescape(calibration_report(one, "coilcal calibrate"))
-    wide = rig_from_text(TEXT.replace("degree: 10", "degree: 7").replace("5e-3, falloff: 0.5", "1"))
+    wide = rig_from_text(TEXT.replace("degree: 10", "degree: 8"))
     hidden_by_width = calibrate(session_at(wide, in_ball(240, 1)), wide, seed=1, settings=SETTINGS)
     assert (
         hidden_by_width.summary()["next_degree_log_evidence"] > 10.0
-    )  # priors of 1 T/A speak against any degree
+    )  # a prior as wide as the next one has would say no
     found = with_next_degree(rig)
     assert found is not None
     assert found.unwound[0].degree == 11
