@@ -46,7 +46,7 @@ hidden: $(INSTALLED)      # effects hidden by independent code: found, named, mi
 	$(RUN) scripts.studies.hidden --cases 300 --out out/hidden.jsonl
 
 open-world: $(INSTALLED)  # causes of the library and others at natural sizes, on rigs described in several ways; hours, continues where it was interrupted
-	$(RUN) scripts.studies.open_world --cases 100 --out out/open_world.jsonl
+	$(RUN) scripts.studies.open_world --cases 60 --first-seed 80000 --out out/open_world.jsonl
 
 leave-one-out: $(INSTALLED)   # each cause taken out of the library, hidden and diagnosed; hours, continues where it was interrupted
 	$(RUN) scripts.studies.leave_one_out --sigma 30 --out out/leave_one_out_30.jsonl
@@ -55,7 +55,8 @@ one-map: $(INSTALLED)     # ten diagnoses of one large map, each with other read
 	$(RUN) scripts.studies.one_map --out out/one_map.jsonl
 
 policy: $(INSTALLED)      # every rule with a number halved and doubled, and what changes; hours, continues where it was interrupted
-	$(RUN) scripts.studies.policy --out out/policy.jsonl
+	$(RUN) scripts.studies.policy --cases 1 --out out/policy.jsonl
+	$(RUN) scripts.studies.policy_sentences --rows out/policy.jsonl
 
 real: $(INSTALLED)        # measured coils below COILCAL_DATA
 	$(RUN) scripts.studies.real_data --out out/real

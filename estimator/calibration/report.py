@@ -9,8 +9,8 @@ import numpy as np
 
 from estimator.calibration.figures import pictures
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
+from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
-from estimator.readings.observations import Observations
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.units import split_unit
@@ -52,10 +52,15 @@ def _verdict(calibration: Calibration) -> list[str]:
         if role == "validation"
         else "readings of the fit itself (none were kept out)"
     )
+    quality = summary["quality"]
+    first, *others = quality["reasons"]
     sentences = [
+        f"{quality['verdict'].capitalize()}: {first}",
+        *others,
+        quality["next"],
         f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
         f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
-        _noise_share(calibration, observations.rows(observations.is_validation == (role == "validation"))),
+        _noise_share(calibration, role),
         f"Its 90 % intervals hold {summary['coverage90'][role]:.1%} of the components of these readings.",
     ]
     for entry in _most_probable(summary["loop_counts"]):
@@ -72,17 +77,14 @@ def _verdict(calibration: Calibration) -> list[str]:
     return sentences
 
 
-def _noise_share(calibration: Calibration, judged: Observations) -> str:
-    """The rms of the vector from noise alone: no model predicts its readings better than that."""
+def _noise_share(calibration: Calibration, role: str) -> str:
+    """The rms of the vector from noise alone, as large as it was found."""
     sensors = calibration.rig.sensors
-    variance = np.array([calibration.best[f"{sensor.name}.noise_T"] ** 2 for sensor in sensors])
-    is_measured = judged.is_measured.numpy()
-    n_components = is_measured.sum(axis=1)
-    squared = (n_components * variance[judged.sensor.numpy()])[n_components > 0].mean()
+    noise_T = noise_rms_T(calibration.observations, calibration.rig, calibration.best, role)
     is_fitted = any(f"{sensor.name}.noise_T" in calibration.draws for sensor in sensors)
     return (
         f"Noise as large as {'the fit found' if is_fitted else 'the rig file says'} would by itself leave "
-        f"{_microtesla(float(np.sqrt(squared)))}."
+        f"{_microtesla(noise_T)}."
     )
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from estimator.calibration import policy
+from estimator.calibration.quality import assessment
 from estimator.calibration.result import Calibration
 from estimator.inference.convergence import convergence
 from estimator.model.measurement_model import MeasurementModel
@@ -17,26 +19,26 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-TENSION_SD = 2.5  # in standard deviations of the prior: with ten parameters and right priors, one session in ten shows a tension
 COVERAGE_DRAWS = 200
 COVERAGE_ROWS = 10_000  # readings at once, to bound memory
 
 
 def summary(session: Session, calibration: Calibration) -> dict[str, Any]:
-    """Parameters with credible intervals, loop counts, errors, coverage and the origin of the readings.
+    """Whether it can be used, parameters with credible intervals, loop counts, errors, coverage and the origin of the readings.
 
     Args:
         session: Origin of the readings.
         calibration: Readings, draws and best values.
     Returns: Numbers and words as JSON holds them; None stands for 'does not apply'.
     """
-    rig = calibration.rig
+    rig, errors = calibration.rig, _errors(calibration)
     return {
+        "quality": assessment(calibration, errors).to_json(),
         "parameters": _parameters(rig, calibration.draws),
         "prior_tension": _prior_tension(rig, calibration.draws),
         "loop_counts": _loop_counts(rig, calibration.draws),
         "best": dict(calibration.best),
-        **_errors(calibration),
+        **errors,
         "session_hash": session.hash,
         "session_source": session.source,
         "session_created": session.created,
@@ -71,7 +73,7 @@ def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float
     distance_sd = {
         p.name: p.prior.distance(float(np.median(draws[p.name]))) for p in rig.free if p.prior is not None
     }
-    return {name: value for name, value in distance_sd.items() if abs(value) > TENSION_SD}
+    return {name: value for name, value in distance_sd.items() if abs(value) > policy.TENSION_SD}
 
 
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from estimator.cli.options import ess_option, json_option, other_rig_option, overwrite_option, seed_option
-from estimator.cli.output import EXIT_NOT_CONVERGED, CoilcalCommand, show
+from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
 
 
 @click.command("calibrate", cls=CoilcalCommand)
@@ -92,13 +92,22 @@ def calibrate_command(
             "(the same command with more --max-steps continues)",
             err=True,
         )
+    if calibration.summary()["quality"]["verdict"] == "unusable":
+        sys.exit(EXIT_UNUSABLE)
+    if not calibration.summary()["is_converged"]:
         sys.exit(EXIT_NOT_CONVERGED)
 
 
 def _text(summary: Any, out: Path) -> str:
     from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 
-    lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
+    quality = summary["quality"]
+    lines = [
+        f"{quality['verdict']}: {' '.join(quality['reasons'])}",
+        quality["next"],
+        "",
+    ]
+    lines += [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
     for name, parameter in summary["parameters"].items():
         low, high = parameter["ci90"]
         lines.append(f"{name:38} {parameter['median']:12.6g} {low:13.6g} {high:13.6g}  {parameter['unit']}")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from estimator.diagnosis.next_readings.design import Design
 
 MOST_PRINTED = 8
+MOST_STOPS = 500
 
 
 @click.command("design", cls=CoilcalCommand)
@@ -30,9 +31,22 @@ MOST_PRINTED = 8
     help="Instead of --split: parameter of the rig whose interval shall shrink.",
 )
 @click.option(
+    "--map",
+    "correction",
+    metavar="CORRECTION",
+    help="Instead of --split: correction, such as coil_harmonics[coil1], that a map shall determine.",
+)
+@click.option(
+    "--degree",
+    type=click.IntRange(1, 5),
+    default=3,
+    show_default=True,
+    help="With --map: highest degree of its terms.",
+)
+@click.option(
     "--readings",
     "n_readings",
-    type=click.IntRange(1, 500),
+    type=click.IntRange(1, MOST_STOPS),
     default=20,
     show_default=True,
     help="Number of readings to propose.",
@@ -49,6 +63,8 @@ def design_command(
     session_path: Path,
     split: tuple[str, ...],
     shrink: str | None,
+    correction: str | None,
+    degree: int,
     n_readings: int,
     out: Path | None,
     rig_path: Path | None,
@@ -57,9 +73,10 @@ def design_command(
 ) -> None:
     """Propose which readings to take after SESSION.
 
-    The aim is to tell causes apart (--split) or to know a parameter better (--shrink). Stops are chosen one after another from the poses
-    of the session and a few currents. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that
-    they are expected to add.
+    The aim is to tell causes apart (--split), to know a parameter better (--shrink), or to determine a smooth correction (--map). Stops
+    are chosen one after another, from the poses of the session at a few currents; those of a map from places that fill the ball about
+    all places so far. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that they are expected
+    to add.
     """
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
@@ -69,11 +86,20 @@ def design_command(
     if out is not None:
         refuse_existing(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
-    proposal = design(load_session(session_path), split=split, shrink=shrink, n_readings=n_readings, rig=rig)
+    proposal = design(
+        load_session(session_path),
+        split=split,
+        shrink=shrink,
+        correction=correction,
+        degree=degree,
+        n_readings=n_readings,
+        rig=rig,
+    )
     if out is not None:
         write_text(out, proposal.plan)
     result = {
         "goal": proposal.goal,
+        "unit": proposal.unit,
         "programmes": [
             {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
             for programme in proposal.actions
@@ -82,18 +108,17 @@ def design_command(
         "reached": list(proposal.reached),
         "plan": None if out is None else str(out),
     }
-    show(result, _text(proposal, out, shrink), as_json)
+    show(result, _text(proposal, out), as_json)
 
 
-def _text(proposal: Design, out: Path | None, shrink: str | None) -> str:
-    from estimator.reporting.numbers import displays
+def _text(proposal: Design, out: Path | None) -> str:
+    from estimator.reporting.numbers import size_with_unit
 
     lines = [f"goal: {proposal.goal}"]
-    unit = displays([shrink])[shrink] if shrink else None
-    merit = "standard deviation" if shrink else "expected log evidence (3 is 20 to 1)"
+    merit = "standard deviation" if proposal.unit else "expected log evidence (3 is 20 to 1)"
 
     def in_unit(value: float) -> str:
-        return f"{value:.3g}" if unit is None else f"{unit.factor * value:.3g} {unit.unit}".rstrip()
+        return size_with_unit(value, proposal.unit, 3) if proposal.unit else f"{value:.3g}"
 
     lines.append(f"{merit} of the readings so far: {in_unit(proposal.so_far)}")
     if proposal.actions:
@@ -103,5 +128,23 @@ def _text(proposal: Design, out: Path | None, shrink: str | None) -> str:
             for programme in proposal.actions[:MOST_PRINTED]
         ]
     lines.append(f"with the {len(proposal.reached)} chosen stops added: {in_unit(proposal.reached[-1])}")
+    if not proposal.unit:
+        lines.append(_when_clear(proposal))
     lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
     return "\n".join(lines)
+
+
+def _when_clear(proposal: Design) -> str:
+    """How many of the stops reach odds of 20 to 1."""
+    from estimator.diagnosis.policy import CLEAR_LOG_EVIDENCE
+
+    enough = [
+        n for n, value in enumerate((proposal.so_far, *proposal.reached)) if value >= CLEAR_LOG_EVIDENCE
+    ]
+    if enough:
+        return f"stops that reach odds of 20 to 1: {enough[0]}"
+    gain = (proposal.reached[-1] - proposal.so_far) / len(proposal.reached)
+    more = (CLEAR_LOG_EVIDENCE - proposal.so_far) / gain if gain > 0.0 else float("inf")
+    if more > MOST_STOPS:
+        return "odds of 20 to 1 are out of reach by such stops; see the programmes"
+    return f"odds of 20 to 1 would take about {more:.0f} such stops; give --readings {more:.0f} to see"

@@ -32,6 +32,8 @@ from estimator.readings.split import pose_blocks
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
+STEP = 1e-3  # of the typical width of an amplitude, for derivatives; predictions are nearly linear in it
+
 
 @dataclass(frozen=True)
 class Part:
@@ -82,6 +84,17 @@ class Correction:
             return f"Nothing is corrected: {self.refusal}."
         by = " and ".join(f"{label(part.cause)} to degree {part.degree}" for part in self.parts)
         return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+
+    @property
+    def limit_words(self) -> str:
+        """What stands in the way of a better correction, and what to measure; empty where nothing does."""
+        kinds: dict[str, list[str]] = {}
+        for label, words in self.limits.items():
+            kinds.setdefault(words, []).append(label)
+        if not kinds:
+            return ""
+        each = "; ".join(f"{' and '.join(labels)}: {words}" for words, labels in kinds.items())
+        return f"Other readings would allow more. {each}. `coilcal design --map` proposes places."
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
@@ -142,7 +155,7 @@ class _Kind:
 
     def columns(self, fit: Fit) -> Float[Tensor, "component amplitude"]:
         """Whitened change of the predictions per unit of each amplitude, which they are nearly linear in."""
-        step = policy.CORRECTION_STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
+        step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
         keys = [key for _, key in self.keys(self.limit.degree)]
         rig = self.rig(fit, dict.fromkeys(keys, 1.0), is_free=False)
         model = MeasurementModel.unruled(rig, fit.observations).with_rules(fit.posterior.model.rules)

@@ -162,9 +162,21 @@ def _judged(
         if len(shown) < len(named) or improvement.is_loss:
             verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
             named = shown
+        if (
+            improvement.is_loss and not named
+        ):  # nor does a rig that predicts worse than the one described replace it
+            extended = search_result.base
+            after = (
+                before
+                if extended is plain
+                else fit_rig(extended.rig, before.observations, extended.values, rules)
+            )
+            improvement = improvement_of(before, after, unseen)
     correction, widening = None, None
     if verdict is Verdict.UNEXPLAINED:
-        widening = Widening.of(extended, after, search_result.steps[-1].discrepancy)
+        is_base = extended is search_result.base
+        left = search_result.base_discrepancy if is_base else search_result.steps[-1].discrepancy
+        widening = Widening.of(extended, after, left)
         tell("correcting what is left, without a name")
         correction = best_corrected(extended, search_result.final, after, unseen, tell)
         if correction.is_taken:

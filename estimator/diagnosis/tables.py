@@ -136,7 +136,7 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
         "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
     )
     if (correction := diagnosis.fits.correction) is not None:
-        caption += f" {correction.words(diagnosis.label)}"
+        caption += f" {correction.words(diagnosis.label)} {correction.limit_words}".rstrip()
     return Table("Improvement on readings not used for fitting", header, rows, caption)
 
 

@@ -151,6 +151,19 @@ class MeasurementModel:
                 rules[coil.name] = choose_rule(winding, points_m, tolerance)
         return self.with_rules(rules)
 
+    def clearance_m(self) -> Float[Tensor, " reading"]:
+        """Distance of each reading's sensor from the nearest winding, at nominal values; 0 inside, infinite where no coil has one."""
+        values, rows = nominal_tensors(self.rig), torch.arange(len(self.sensor))
+        distances_m = [torch.full((1,), torch.inf, dtype=torch.float64)]
+        distances_m += [
+            distance_to_winding(
+                self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
+            )
+            for coil in self.rig.wound
+        ]
+        nearest_m = torch.stack([each_m.expand(len(rows)) for each_m in distances_m]).amin(0)
+        return nearest_m.clamp(min=0.0)[self.pose_row]
+
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field components each reading should show, in the frame of its sensor, in tesla.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,8 +30,8 @@ from estimator.recalibration.successor import (
 )
 from estimator.recalibration.together import named_together
 from estimator.recalibration.words import mistake_in, sizes_of, words_of
-from estimator.reporting.numbers import displays, with_sd
-from estimator.rig.rig import Rig
+from estimator.reporting.numbers import displays, size_with_unit, with_sd
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from estimator.units import split_unit
 
@@ -78,10 +79,14 @@ class Comparison:
     ) -> Judgement:
         """Conclusion where other values or a cause explain the readings: the current version is replaced or stays."""
         improvement = self._improvement(diagnosis)
-        stays = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UNCHANGED
+        grown = None if diagnosis.causes or not improvement.is_significant else self._grown(improvement)
+        drifts = bool(diagnosis.causes) or grown is not None
+        stays = Conclusion.DRIFTED if drifts else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
         if diagnosis.causes:
             what = sizes_of(diagnosis)
+        elif grown is not None:
+            what = self._corrected_otherwise(diagnosis, grown)
         elif improvement.is_significant:
             what = self._moved(diagnosis, improvement)
         reason = f"{what}; {words_of(improvement)}"
@@ -91,7 +96,7 @@ class Comparison:
         is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_improvement(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:
-            replaced = Conclusion.DRIFTED if diagnosis.causes else Conclusion.UPDATED
+            replaced = Conclusion.DRIFTED if drifts else Conclusion.UPDATED
             return self._judgement(replaced, reason, diagnosis, improvement, successor, sampled)
         doubt = (
             f"its sampled posterior predicts them worse (log density {stored:+.1f})"
@@ -184,6 +189,25 @@ class Comparison:
         return (
             f"disagrees with the current version ({self._p_value()}): residuals are {self.agreement.rms_sigma:.3g} times the noise; "
             f"neither a refit nor a cause that can be named explains them ({like})"
+        )
+
+    def _grown(self, improvement: Improvement) -> Cause | None:
+        """The correction whose amplitude moved most of all parameters; None where something else did."""
+        name = max(improvement.moved_sd, key=lambda name: abs(improvement.moved_sd[name]))
+        label = name.rpartition(".")[0]
+        return next((cause for cause in self.current.rig.corrections if cause.label == label), None)
+
+    def _corrected_otherwise(self, diagnosis: Diagnosis, correction: Cause) -> str:
+        """What is corrected without a name and changed, with the rms of its amplitudes."""
+        names = [p.name for p in self.current.rig.free if p.name.startswith(f"{correction.label}.")]
+        unit = self.current.rig.parameters[names[0]].unit
+        before, after = (
+            math.sqrt(sum(float(values[name]) ** 2 for name in names) / len(names))
+            for values in (self.current.best, diagnosis.fits.final.values)
+        )
+        return (
+            f"what {correction.label} corrects without a name has changed ({self._p_value()}): its amplitudes from "
+            f"{size_with_unit(before, unit)} to {size_with_unit(after, unit)} rms"
         )
 
     def _moved(self, diagnosis: Diagnosis, improvement: Improvement) -> str:

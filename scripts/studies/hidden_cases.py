@@ -98,6 +98,7 @@ def row_of(kind: str, hidden: HiddenSession, diagnosis: Diagnosis, seconds: floa
         "noise_T": {name: value for name, value in truth["values"].items() if name.endswith("noise_T")},
         **{key: record[key] for key in ("verdict", "causes", "unexplained")},
         "gain": record.get("gain"),
+        "correction": record["correction"],
         "p_not_in_library": record.get("p_not_in_library"),
         "n_unseen": None if diagnosis.improvement is None else len(diagnosis.improvement.after.log_density),
         "seconds": seconds,

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
@@ -33,6 +34,7 @@ ABSENT = "not in the library"
 ANOTHER = "another of the library"
 LEAST_OF_A_SET = 0.05  # a 95 % credible set names what is as probable as this
 LEAST_SCORED = 1e-3  # probabilities below count as this: reports state no smaller ones
+NEAR_NOISE = 1.1  # error on unseen readings over the noise up to which a model is as good as the readings
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
 THRESHOLDS = (0.5, 0.8, 0.95)
 
@@ -166,14 +168,29 @@ def show_kind(kind: str, rows: list[Row]) -> None:
         print(f"  {words:20} {share_and_interval(sum(bool(one[place]) for one in lone), n)}")
     strict = sum(is_named_wrongly(row) for row in rows)
     print(f"  named, not the truth {share_and_interval(strict, n)}")
-    unseen = [row["gain"] for row in rows if row["gain"]]
-    if unseen:
-        middle = len(unseen) // 2
-        before, after = (
-            sorted(row["gain"][when]["vector_T"] / noise_T(row) for row in rows if row["gain"])[middle]
-            for when in ("before", "after")
+    show_unseen([row for row in rows if row["gain"]])
+
+
+def show_unseen(rows: list[Row]) -> None:
+    """Errors on unseen readings over the noise, and what corrections did to them."""
+    if not rows:
+        return
+    errors = {
+        when: [row["gain"][when]["vector_T"] / noise_T(row) for row in rows] for when in ("before", "after")
+    }
+    corrected = [row for row in rows if row["correction"] and not row["correction"]["refusal"]]
+    print(
+        f"  error on unseen readings over the noise, median: {median(errors['before']):.2f} before, {median(errors['after']):.2f} after"
+    )
+    within = sum(error <= NEAR_NOISE for error in errors["after"])
+    print(f"  within {NEAR_NOISE} of the noise after: {share_and_interval(within, len(rows))}")
+    print(f"  corrected            {share_and_interval(len(corrected), len(rows))}")
+    gains = [row["correction"]["gain"] for row in corrected if row["correction"]["gain"]]
+    if gains:
+        ratios = [gain["with_correction"]["vector_T"] / gain["with_causes"]["vector_T"] for gain in gains]
+        print(
+            f"  their error on unseen readings, with the correction over without: median {median(ratios):.2f}, largest {max(ratios):.2f}"
         )
-        print(f"  error on unseen readings over the noise, median: {before:.2f} before, {after:.2f} after")
 
 
 def show_reliability(stated_ones: list[Statement]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from estimator.calibration.calibrate import calibrate
@@ -9,6 +11,7 @@ from estimator.calibration.result import Calibration
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan, load_plan
+from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
@@ -59,6 +62,15 @@ sensors:
     noise_G: {prior: {log_normal: {median: 0.2, relative_sd: 0.5}}}
 """
 
+CORRECTION = """
+corrections:
+  coil_harmonics[coil1]:
+    {middle_x_m: 0, middle_y_m: 0, middle_z_m: 0.04, reach_m: 0.06, degree1_cos0_T_per_A: 0, degree1_cos1_T_per_A: 0,
+     degree1_sin1_T_per_A: 0}
+"""
+AMPLITUDE_WIDTH_T_PER_A = 2e-5
+SIDEWAYS = "coil_harmonics[coil1].degree1_cos1_T_per_A"
+
 PLAN = """\
 schema_version: 1
 name: small grid
@@ -98,6 +110,15 @@ def plan_text() -> str:
 @pytest.fixture(scope="session")
 def small_rig() -> Rig:
     return rig_from_text(RIG, "rig.yaml")
+
+
+@pytest.fixture(scope="session")
+def corrected_rig() -> Rig:
+    """The small rig with a uniform field of the coil beside its loops, whose three amplitudes are free."""
+    rig = rig_from_text(RIG + CORRECTION)
+    amplitudes = [p for p in rig.parameters.values() if p.name.endswith("_T_per_A")]
+    prior = Normal(0.0, AMPLITUDE_WIDTH_T_PER_A)
+    return rig.with_parameters(replace(amplitude, prior=prior) for amplitude in amplitudes)
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ from tests.hidden.causes import (
     sensor,
     supply,
     surroundings,
+    unforeseen,
     visitors,
     winding,
     wiring,
@@ -31,8 +32,10 @@ def _by_name(modules: Iterable[tuple[Cause, ...]]) -> dict[str, Cause]:
 FIRST = _by_name(module.CAUSES for module in (supply, winding, surroundings, robot, sensor, record, outside))
 OUTSIDE = tuple(cause.name for cause in outside.CAUSES)
 CAUSES = FIRST | _by_name(
-    module.CAUSES for module in (over_time, misstated, build, bending, wiring, visitors, electronics)
-)
+    module.CAUSES
+    for module in (over_time, misstated, build, bending, wiring, visitors, electronics, unforeseen)
+)  # new ones at the end: seeds count them
+UNFORESEEN = tuple(cause.name for cause in unforeseen.CAUSES)
 
 
 def names(protocol: str, *, is_known: bool = True, is_pattern: bool = True) -> tuple[str, ...]:

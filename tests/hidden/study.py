@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.hidden.handed_in import HiddenSession
-from tests.hidden.library import names
+from tests.hidden.library import UNFORESEEN, names
 from tests.hidden.open_session import draw_open_session, within
 from tests.hidden.session import draw_session
 
@@ -20,6 +20,8 @@ OPEN_KINDS = (
     "unknown8",
     "unknown12",
     "unknown30",
+    "unforeseen30",
+    "unforeseen12",
 )  # new ones at the end: seeds count them
 KNOWN_SHARE, NATURAL_SIGMA = 0.7, (4.0, 40.0)  # of kind `open`
 PROTOCOLS = ("paper", "recommended")
@@ -64,8 +66,10 @@ def _draw_open(kind: str, seed: int, library: Collection[str]) -> HiddenSession:
     if kind == "open":
         is_known = bool(rng.random() < KNOWN_SHARE)
     elif kind != "clean_open":
-        sigma = float(kind.removeprefix("unknown"))
+        sigma = float(kind.removeprefix("unknown").removeprefix("unforeseen"))
     choice = None if kind == "clean_open" else within(library, is_known=is_known)
+    if kind.startswith("unforeseen"):  # each of them as often, whatever the library has learnt
+        choice = within((str(rng.choice(UNFORESEEN)),), is_known=True)
     return draw_open_session([993, number], choice, sigma, seed)
 
 
@@ -147,6 +151,11 @@ RELATIVES: dict[str, tuple[str, ...]] = {
     "late_trigger": ("sensor_lag",),
     "offset_memory": ("sensor_offset",),
     "directional_gain": ("planar_hall", "cubic_response", "axis_gain", "cross_axis"),
+    "warped_former": ("coil_ovality",),
+    "coiled_cable": ("neighbour_coil",),
+    "rocking_mount": ("backlash",),
+    "coarse_range": ("cubic_response",),
+    "clocks_apart": ("sensor_lag",),
 }
 
 TRANSLATED: dict[str, Translation] = {

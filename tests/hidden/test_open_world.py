@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.hidden.causes import bending, build, electronics, misstated, over_time, visitors, wiring
+from tests.hidden.causes import (
+    bending,
+    build,
+    electronics,
+    misstated,
+    over_time,
+    unforeseen,
+    visitors,
+    wiring,
+)
 from tests.hidden.causes.over_time import last_extreme
 from tests.hidden.flaw import Cause, Flaw
-from tests.hidden.library import CAUSES, FIRST, OUTSIDE, names
+from tests.hidden.library import CAUSES, FIRST, OUTSIDE, UNFORESEEN, names
 from tests.hidden.open_session import adjustable_of, draw_open_scene, draw_open_session, within
 from tests.hidden.protocols import DWELL_S, MOTIONS, PROTOCOLS, draw_schedule
 from tests.hidden.rivals import left_beside, rival_of
@@ -25,10 +34,10 @@ from tests.hidden.visible_size import Adjustable, effect_T
 
 NEW = [
     cause
-    for module in (over_time, misstated, build, bending, wiring, visitors, electronics)
+    for module in (over_time, misstated, build, bending, wiring, visitors, electronics, unforeseen)
     for cause in module.CAUSES
 ]
-UNKNOWN = [c for module in (bending, wiring, visitors, electronics) for c in module.CAUSES]
+UNKNOWN = [c for module in (bending, wiring, visitors, electronics, unforeseen) for c in module.CAUSES]
 # A step of the size decides which readings are hit, or a fourth power meets a wave.
 UNEVEN = {"sensor_lag"}
 Sessions = dict[tuple[str, str], tuple[StatedRig, Scene]]
@@ -434,6 +443,9 @@ def test_kinds_of_the_open_world_hold_what_they_say(kind: str, tmp_path: Path) -
     if kind.startswith("unknown"):
         assert one.flaws[0].cause.name not in library
         assert one.visible[0].sigma == pytest.approx(float(kind.removeprefix("unknown")), rel=5e-3)
+    elif kind.startswith("unforeseen"):
+        assert one.flaws[0].cause.name in UNFORESEEN
+        assert one.visible[0].sigma == pytest.approx(float(kind.removeprefix("unforeseen")), rel=5e-3)
     else:
         assert 3.9 < one.visible[0].sigma < 41.0
 

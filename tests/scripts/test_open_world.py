@@ -42,6 +42,7 @@ def row(truth: str, verdict: str, *causes: Row, is_known: bool = True, unknown: 
         "noise_T": {"hall.noise_T": 1e-5},
         "verdict": verdict,
         "causes": list(causes),
+        "correction": None,
         "gain": {"before": {"vector_T": 3e-5}, "after": {"vector_T": 2e-5}},
         "p_not_in_library": unknown,
         "seconds": 1.0,

@@ -44,7 +44,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """
     absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
     n_places = Counter(cause.name for cause in {candidate.cause for candidate in absent})
-    if max(n_places.values(), default=0) < policy.FEWEST_PLACES:
+    if max(n_places.values(), default=0) < 2:
         return None
     screened = screening(fit, absent)
     best_alone = max(highest for _, highest, _ in screened.values())
@@ -52,7 +52,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     starts_by_name = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
         for name, n in n_places.items()
-        if n >= policy.FEWEST_PLACES and not _is_event(name, fit)
+        if n > 1 and not _is_event(name, fit)
     ]
     if not starts_by_name:
         return None
@@ -67,7 +67,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     )
     n_new = len(wider.rig.effects) - len(fit.rig.effects)
     is_better = wider.log_evidence - fit.log_evidence > least
-    return wider if n_new >= policy.FEWEST_PLACES and is_better else None
+    return wider if n_new > 1 and is_better else None
 
 
 def _is_event(name: str, fit: Fit) -> bool:

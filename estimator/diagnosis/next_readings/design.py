@@ -1,4 +1,4 @@
-"""Design of the next readings: to tell causes apart, or to shrink the interval of a parameter."""
+"""Design of the next readings: to tell causes apart, to shrink the interval of a parameter, or to map a field for a correction."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from estimator.diagnosis.next_readings.expected_evidence import (
     Proposal,
     actions,
     proposals,
-    rows_seen,
-    separation,
 )
+from estimator.diagnosis.next_readings.map_places import map_stops, with_correction
 from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -34,14 +33,17 @@ class Design:
 
     Attributes:
         goal: In words.
-        actions: Whole programmes with their expected log evidence, best first; empty where a parameter is to be shrunk.
+        unit: Of the value that is to be reached; empty for a log evidence.
+        actions: Whole programmes with their expected log evidence, best first; empty where causes are not to be told apart.
         readings: Chosen stops, in order.
-        so_far: Value that the session has reached: expected log evidence, or standard deviation of the parameter in its SI unit.
-        reached: The same value after each of the stops.
+        so_far: Value that the session has reached: expected log evidence; standard deviation of the parameter; or rms of those of a
+            correction's amplitudes; in SI.
+        reached: The same value after each of the stops, by the same formula.
         plan: The stops as a plan file.
     """
 
     goal: str
+    unit: str
     actions: tuple[Proposal, ...]
     readings: Observations
     so_far: float
@@ -54,6 +56,8 @@ def design(
     *,
     split: Sequence[str] = (),
     shrink: str | None = None,
+    correction: str | None = None,
+    degree: int = 3,
     n_readings: int = 20,
     rig: Rig | None = None,
 ) -> Design:
@@ -64,40 +68,49 @@ def design(
         split: Two or more causes, as `cause` or `cause[place]`, to be told apart. Each has its fitted size where the session shows it,
             else a size of eight standard deviations.
         shrink: A parameter of the rig whose interval is to shrink.
+        correction: A correction, as `coil_harmonics[coil1]`, whose amplitudes are to be determined by a map.
+        degree: Highest degree of its terms.
         n_readings: How many stops to choose.
         rig: Another description of the session's rig.
     Raises:
-        InvalidInput: Neither or both of the goals are given, or they name something that the rig does not have.
+        InvalidInput: Not one goal is given, or it names something that the rig does not have.
     """
-    if bool(split) == (shrink is not None) or len(split) == 1:
+    if [bool(split), shrink is not None, correction is not None].count(True) != 1 or len(split) == 1:
         raise InvalidInput(
-            f"a design must split two or more causes, or shrink one parameter; received split {list(split)}, shrink {shrink!r}"
+            "a design must split two or more causes, or shrink one parameter, or map one correction; "
+            f"received split {list(split)}, shrink {shrink!r}, map {correction!r}"
         )
     rig = rig or session.rig
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, policy.MORE_STARTS)
-    stops = candidate_stops(observations)
-    if shrink is not None:
+    programmes: list[Proposal] = []
+    unit = ""
+    if correction is not None:
+        stops = map_stops(observations, rig)
+        corrected, amplitudes = with_correction(base, correction, degree)
+        rows, values = best_to_shrink(corrected, amplitudes, stops, n_readings)
+        goal, unit = f"map {correction} to degree {degree}", corrected.rig.parameters[amplitudes[0]].unit
+    elif shrink is not None:
         if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
             raise InvalidInput(f"shrink must name a parameter that the fit may change; received {shrink!r}")
-        rows, reached = best_to_shrink(base, shrink, stops, n_readings)
-        goal, programmes, so_far = f"shrink {shrink}", [], base.value_sd(shrink)
+        stops = candidate_stops(observations)
+        rows, values = best_to_shrink(base, [shrink], stops, n_readings)
+        goal, unit = f"shrink {shrink}", rig.parameters[shrink].unit
     else:
         causes = [cause_of(text, rig) for text in split]
         hypotheses = {cause.label: _fit_with(base, cause) for cause in causes}
-        rows, reached = best_to_split(hypotheses, stops, n_readings)
+        stops = candidate_stops(observations)
+        rows, values = best_to_split(hypotheses, stops, n_readings)
         programmes = proposals(hypotheses, actions(observations, rig))
-        goal, so_far = (
-            f"tell {' from '.join(hypotheses)}",
-            float(separation(hypotheses, rows_seen(hypotheses)).min()),
-        )
+        goal = f"tell {' from '.join(hypotheses)}"
     readings = stops.rows(rows)
     time_s = observations.history.time_s
     pace_s = float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0
     text = plan_text(goal, rig, readings, pace_s)
-    return Design(goal, tuple(programmes), readings, so_far, tuple(reached.tolist()), text)
+    so_far, *reached = values.tolist()
+    return Design(goal, unit, tuple(programmes), readings, so_far, tuple(reached), text)
 
 
 def _fit_with(base: Fit, cause: Cause) -> Fit:

@@ -180,8 +180,18 @@ def _some_stops(session: Observations) -> Tensor:
     return first[order[: policy.N_STOPS]]
 
 
-def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observations:
-    """Readings at the poses of some rows, taken after the session at its pace; their history includes the session."""
+def continued(
+    session: Observations, rows: Tensor, current_A: Tensor, motion: Mapping[str, Tensor] | None = None
+) -> Observations:
+    """Readings taken after the session at its pace; their history includes the session.
+
+    Args:
+        session: Readings so far.
+        rows: Of the session, whose sensors and poses the new readings have.
+        current_A: New reading by coil.
+        motion: Columns of movers that stand elsewhere than at those rows.
+    """
+    elsewhere = motion or {}
     history = session.history
     pace_s = float((history.time_s[-1] - history.time_s[0]) / max(len(history) - 1, 1)) or 1.0
     n = len(rows)
@@ -194,7 +204,10 @@ def continued(session: Observations, rows: Tensor, current_A: Tensor) -> Observa
         joined(history.time_s, time_s),
         joined(history.sensor, session.sensor[rows]),
         joined(history.current_A, current_A),
-        {name: joined(motion, session.motion[name][rows]) for name, motion in history.motion.items()},
+        {
+            name: joined(columns, elsewhere.get(name, session.motion[name][rows]))
+            for name, columns in history.motion.items()
+        },
         joined(history.field_sensor_T, torch.zeros(n, 3, dtype=torch.float64)),
         joined(history.is_validation, torch.zeros(n, dtype=torch.bool)),
         joined(history.repeat, torch.zeros(n, dtype=history.repeat.dtype)),

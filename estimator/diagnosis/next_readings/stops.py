@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float, Int
@@ -23,34 +23,36 @@ def candidate_stops(session: Observations) -> Observations:
     first = first.scatter_reduce(0, pose, torch.arange(len(pose)), "amin")
     generator = torch.Generator().manual_seed(0)
     poses = first[torch.randperm(len(first), generator=generator)[: policy.MOST_POSES]]
-    largest_A = session.current_A.abs().max()
-    settings = []
-    for coil in range(session.current_A.shape[1]):
-        for share in policy.CURRENT_SHARES:
-            setting = torch.zeros(session.current_A.shape[1], dtype=torch.float64)
-            setting[coil] = share * largest_A
-            settings.append(setting)
-    distinct = torch.unique(torch.stack(settings), dim=0)
-    rows = poses.repeat_interleave(len(distinct))
+    rows, current_A = at_currents(session, poses, policy.CURRENT_SHARES)
     order = torch.randperm(len(rows), generator=generator)
-    return continued(session, rows[order], distinct.repeat(len(poses), 1)[order])
+    return continued(session, rows[order], current_A[order])
+
+
+def at_currents(
+    session: Observations, poses: Int[Tensor, " pose"], shares: Sequence[float]
+) -> tuple[Int[Tensor, " stop"], Float[Tensor, "stop coil"]]:
+    """Every pose at every current: rows of the poses, and one coil after another at shares of the session's largest current."""
+    n_coils = session.current_A.shape[1]
+    each = torch.eye(n_coils, dtype=torch.float64) * session.current_A.abs().max()
+    distinct = torch.unique(torch.cat([share * each for share in shares]), dim=0)
+    return poses.repeat_interleave(len(distinct)), distinct.repeat(len(poses), 1)
 
 
 def best_to_split(
     hypotheses: Mapping[str, Fit], stops: Observations, n: int
-) -> tuple[Int[Tensor, " stop"], Float[Tensor, " stop"]]:
+) -> tuple[Int[Tensor, " stop"], Float[Tensor, " value"]]:
     """Choose stops one by one, each to raise the expected log evidence of the worst pair of hypotheses most.
 
     Args:
         hypotheses: Fits of the same readings, two or more.
         stops: Candidates; each is chosen at most once.
         n: Number of stops.
-    Returns: Rows of `stops` in the order of choice, and the expected log evidence after each.
+    Returns: Rows of `stops` in the order of choice, and the expected log evidence before the first and after each.
     """
     fits = list(hypotheses.values())
     pairs = [_Pair.of(truth, rival, stops) for truth in fits for rival in fits if truth is not rival]
     chosen: list[int] = []
-    evidence: list[Tensor] = []
+    evidence = [torch.stack([pair.so_far for pair in pairs]).min()]
     for _ in range(min(n, len(stops))):
         expected = torch.stack([pair.with_each() for pair in pairs]).amin(0)
         expected[chosen] = -torch.inf
@@ -63,32 +65,50 @@ def best_to_split(
 
 
 def best_to_shrink(
-    fit: Fit, parameter: str, stops: Observations, n: int
-) -> tuple[Int[Tensor, " stop"], Float[Tensor, " stop"]]:
-    """Choose stops one by one, each to lower the standard deviation of a parameter most.
+    fit: Fit, parameters: Sequence[str], stops: Observations, n: int
+) -> tuple[Int[Tensor, " stop"], Float[Tensor, " value"]]:
+    """Choose stops one by one, each to lower the standard deviation of a parameter most, or the rms of several of one unit.
 
     Args:
         fit: Of the readings so far.
-        parameter: A free parameter of its rig, or one that depends on free ones.
+        parameters: Free parameters of its rig, or such as depend on free ones.
         stops: Candidates.
         n: Number of stops.
-    Returns: Rows of `stops` in the order of choice, and the parameter's standard deviation after each, in its SI unit.
+    Returns: Rows of `stops` in the order of choice, and the standard deviation before the first and after each, in the SI unit.
     """
     rows = Rows.of(fit, stops, fit.rig)
     columns = (rows.jacobian_T / rows.sigma_T[:, None]).unflatten(0, (len(stops), 3))
-    gradient = jacobian_of(lambda vector: fit.posterior.coordinates.values(vector)[parameter], fit.vector)
-    precision = fit.optimum.precision[0]
+
+    def wanted(vector: Tensor) -> Tensor:
+        values = fit.posterior.coordinates.values(vector)
+        return torch.stack([values[name] for name in parameters], dim=-1)
+
+    gradients = jacobian_of(wanted, fit.vector).reshape(len(parameters), -1)
+    covariance = torch.linalg.inv(fit.optimum.precision[0])
+    variance = (gradients @ covariance * gradients).sum(-1).mean()
     chosen: list[int] = []
-    sds: list[Tensor] = []
+    sds = [variance.sqrt()]
     for _ in range(min(n, len(stops))):
-        with_each = precision + columns.mT @ columns
-        sd = torch.sqrt((gradient * torch.linalg.solve(with_each, gradient.expand(len(stops), -1))).sum(-1))
-        sd[chosen] = torch.inf
-        best = int(sd.argmin())
+        lowered = _lowered(covariance, columns, gradients)
+        lowered[chosen] = -torch.inf
+        best = int(lowered.argmax())
         chosen.append(best)
-        sds.append(sd[best])
-        precision = with_each[best]
+        covariance = torch.linalg.inv(torch.linalg.inv(covariance) + columns[best].T @ columns[best])
+        sds.append((gradients @ covariance * gradients).sum(-1).mean().sqrt())
     return torch.tensor(chosen), torch.stack(sds)
+
+
+def _lowered(
+    covariance: Float[Tensor, "coordinate coordinate"],
+    columns: Float[Tensor, "stop 3 coordinate"],
+    gradients: Float[Tensor, "parameter coordinate"],
+) -> Float[Tensor, " stop"]:
+    """By how much each stop would lower the mean variance of the parameters: Woodbury's identity with three rows a stop."""
+    spread = columns @ covariance
+    inner = torch.eye(3, dtype=columns.dtype) + spread @ columns.mT
+    seen = spread @ gradients.T
+    lowered: Tensor = (seen * torch.linalg.solve(inner, seen)).sum((-1, -2)) / len(gradients)
+    return lowered
 
 
 class _Pair:
@@ -110,6 +130,12 @@ class _Pair:
         prior = (rival.optimum.precision - rival.optimum.information)[0]
         by_stop = (part.unflatten(0, (len(stops), 3)) for part in _whitened(*further))
         return cls(columns.T @ columns + prior, columns.T @ change, change @ change, *by_stop)
+
+    @property
+    def so_far(self) -> Float[Tensor, ""]:
+        """Expected log evidence of the readings so far."""
+        distance2: Tensor = self.square - self.score @ torch.linalg.solve(self.precision, self.score)
+        return 0.5 * distance2
 
     def with_each(self) -> Float[Tensor, " stop"]:
         """Expected log evidence after each of the stops, were it next."""

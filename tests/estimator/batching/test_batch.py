@@ -25,7 +25,7 @@ from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
-from tests.estimator.conftest import TWO_COILS
+from tests.estimator.conftest import SIDEWAYS, TWO_COILS
 
 HYPOTHESES = ("plain", "axis_gain")
 
@@ -73,6 +73,18 @@ def test_all_sessions_are_fitted_under_all_hypotheses_and_the_bad_one_is_told(fi
 def test_clean_sessions_prefer_the_plain_rig(fitted):
     table = fitted.table()
     assert (table[table["hypothesis"] == "plain"]["probability"] > 0.5).all()
+
+
+def test_a_correction_of_the_rig_is_fitted_in_each_session(
+    corrected_rig, small_plan, small_truth, address, tmp_path
+):
+    sizes_T_per_A = (5e-6, 25e-6)
+    for i, size in enumerate(sizes_T_per_A):
+        readings = simulate(corrected_rig, small_plan, {**small_truth, SIDEWAYS: size}, seed=i)
+        Session(corrected_rig, readings, f"day {i}").save(tmp_path / f"day{i}.zarr")
+    paths = [tmp_path / f"day{i}.zarr" for i in range(2)]
+    table = batch(paths, out=tmp_path / "out", has_posterior=False, scheduler=address).table()
+    assert table[SIDEWAYS].to_numpy() == pytest.approx(np.array(sizes_T_per_A), abs=1.5e-6)
 
 
 def test_leaders_are_sampled_and_their_posterior_is_what_the_table_shows(sessions, address, tmp_path):

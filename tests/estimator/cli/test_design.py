@@ -38,6 +38,23 @@ def test_the_plan_can_be_simulated(workspace: Path, run: Run, tmp_path: Path) ->
     assert len(load_session(tmp_path / "more.zarr").observations) == 4
 
 
+def test_a_map_is_planned(workspace: Path, run: Run, tmp_path: Path) -> None:
+    plan = tmp_path / "map.yaml"
+    goal = ("--map", "coil_harmonics[coil1]", "--degree", 2, "--readings", 5)
+    result = run("design", workspace / "session.zarr", *goal, "--out", plan)
+    assert result.exit_code == 0
+    assert "T/A" in result.stdout
+    again = run("simulate", "--rig", workspace / "rig.yaml", "--plan", plan, "--out", tmp_path / "more.zarr")
+    assert again.exit_code == 0
+
+
+def test_odds_of_twenty_to_one_are_counted_or_out_of_reach(workspace: Path, run: Run) -> None:
+    reached = run("design", workspace / "session.zarr", "--split", "axis_gain", "--split", "current_offset")
+    assert "stops that reach odds of 20 to 1: " in reached.stdout
+    twins = run("design", workspace / "session.zarr", *TWINS, "--readings", 3)
+    assert "out of reach" in twins.stdout
+
+
 def test_an_existing_plan_is_kept(workspace: Path, run: Run, refused: Callable[[Result], str]) -> None:
     result = run("design", workspace / "session.zarr", *TWINS, "--out", workspace / "plan.yaml")
     assert "plan.yaml" in refused(result)

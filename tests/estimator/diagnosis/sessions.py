@@ -5,9 +5,12 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+import torch
+
 from estimator import Session, load_plan, load_rig, simulate
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.observations import Observations
 
 RIG = load_rig("configs/paper_simulation.yaml")
 TRUTH = {
@@ -49,6 +52,24 @@ def plain_fit(
     """Fit of the rig without the hidden cause."""
     observations = session_with(hidden, currents_A, seed).observations
     return fit_rig(RIG, observations, TRUTH, MeasurementModel.build(RIG, observations).rules)
+
+
+def together(first: Observations, more: Observations) -> Observations:
+    """One session and, hours later, another."""
+
+    def both(name: str) -> torch.Tensor:
+        return torch.cat((getattr(first, name), getattr(more, name)))
+
+    return Observations(
+        torch.cat((first.time_s, 1e4 + more.time_s)),
+        both("sensor"),
+        both("current_A"),
+        {"arm1": torch.cat((first.motion["arm1"], more.motion["arm1"]))},
+        both("field_sensor_T"),
+        both("is_validation"),
+        both("repeat"),
+        {},
+    )
 
 
 @lru_cache

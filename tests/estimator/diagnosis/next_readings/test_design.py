@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from estimator import InvalidInput, design, load_plan
-from tests.estimator.diagnosis.sessions import RIG, session_with
+from tests.estimator.diagnosis.sessions import RIG, session_with, together
 
 OFFSET = (("sensor_offset.z_T", 60e-6), ("sensor_offset.x_T", 50e-6))
 TWINS = ("background_field", "sensor_offset")
@@ -44,7 +44,6 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
     from estimator import Session, simulate
     from estimator.diagnosis.fitting import fit_rig
     from estimator.model.measurement_model import MeasurementModel
-    from estimator.readings.observations import Observations
     from tests.estimator.diagnosis.sessions import TRUTH
 
     session = session_with((), (3.0,), 1)
@@ -54,23 +53,11 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
     more = simulate(RIG, load_plan(path, RIG), TRUTH, 5)
     assert len(more) == 20
 
-    def both(name: str) -> torch.Tensor:
-        return torch.cat((getattr(session.observations, name), getattr(more, name)))
-
-    together = Observations(
-        torch.cat((session.observations.time_s, 1e4 + more.time_s)),
-        both("sensor"),
-        both("current_A"),
-        {"arm1": torch.cat((session.observations.motion["arm1"], more.motion["arm1"]))},
-        both("field_sensor_T"),
-        both("is_validation"),
-        both("repeat"),
-        {},
-    )
-    fit = fit_rig(RIG, together, TRUTH, MeasurementModel.build(RIG, together).rules)
+    both = together(session.observations, more)
+    fit = fit_rig(RIG, both, TRUTH, MeasurementModel.build(RIG, both).rules)
     assert proposed.reached[-1] < 0.97 * proposed.so_far
     assert fit.value_sd("coil1.radius_m") == pytest.approx(proposed.reached[-1], rel=0.15)
-    assert Session(RIG, together, "both").observations.time_s.max() > 1e4
+    assert Session(RIG, both, "both").observations.time_s.max() > 1e4
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,27 @@
+"""Every rule with a number by which a calibration is judged: what it decides and where its value comes from."""
+
+from __future__ import annotations
+
+TENSION_SD = 2.5
+"""Distance of a fitted number from the middle of its prior, in the prior's standard deviations, from which on the report lists it.
+Statistics: with ten parameters and right priors, one session in ten lists one."""
+
+MISSED_SHARE = 0.2
+"""Error over the field from which on a calibration is unusable. By judgement: wrong signs, units and frames leave more, and a model that
+misses a fifth of the field predicts nothing."""
+
+MISSED_NOISE = 3.0
+"""The same error over what the expected noise leaves: weak fields drown in noise without any fault."""
+
+LARGER_THAN_NOISE = 1.5
+"""Error over what a known noise leaves from which on something is suspect. Statistics: six standard deviations for twenty readings."""
+
+LARGE_NOISE_SD = 2.0
+"""Fitted noise above the middle of its prior, in the prior's standard deviations, that is suspect. Statistics: 2 % of right priors."""
+
+FAR_SD = 3.5
+"""The same for any other number, in both directions. Statistics: 0.05 % of right priors, since there are a dozen of them."""
+
+LEAST_COVERAGE90 = 0.75
+"""Share of the components of unseen readings inside their 90 % intervals below which these are suspect. Statistics: four standard
+deviations for twenty readings."""

@@ -1,0 +1,149 @@
+"""Whether a calibration can be used: good, suspect or unusable, with the reasons and what to do next.
+
+It compares what the fit leaves with the noise that the rig file expects, and fitted numbers with their priors. A fit follows what it can,
+so a good calibration may still hide something; `coilcal diagnose` looks closer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration import policy
+from estimator.calibration.result import Calibration
+from estimator.readings.observations import Observations
+from estimator.reporting.numbers import displays, size_with_unit
+from estimator.rig.rig import Rig
+
+
+class Quality(StrEnum):
+    """Whether a calibration can be used; the words are stable (docs/file-formats.md)."""
+
+    GOOD = "good"
+    SUSPECT = "suspect"
+    UNUSABLE = "unusable"
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Whether a calibration can be used.
+
+    Attributes:
+        reasons: Sentences, the weightiest first.
+        next_step: What to do, in a sentence.
+    """
+
+    quality: Quality
+    reasons: tuple[str, ...]
+    next_step: str
+
+    def to_json(self) -> dict[str, Any]:
+        """As `summary.json` holds it."""
+        return {"verdict": str(self.quality), "reasons": list(self.reasons), "next": self.next_step}
+
+
+def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessment:
+    """Judge a calibration by its errors, its noise and its priors.
+
+    Args:
+        calibration: Readings, draws and best values.
+        errors: `rmse` and `coverage90` of its summary, by role; unseen readings count where there are any.
+    """
+    role = "validation" if errors["rmse"]["validation"] else "calibration"
+    error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
+    expected_T = noise_rms_T(
+        calibration.observations, calibration.rig, calibration.rig.nominal_values(), role
+    )
+    missed = error["relative"]
+    if (
+        missed is not None
+        and missed > policy.MISSED_SHARE
+        and error["vector_T"] > policy.MISSED_NOISE * expected_T
+    ):
+        return Assessment(
+            Quality.UNUSABLE,
+            (
+                f"the model misses {missed:.0%} of the field, {_size(error['vector_T'])} where the expected noise leaves "
+                f"{_size(expected_T)}.",
+            ),
+            "Do not use it. `coilcal diagnose` asks for wrong signs, units and frames first, and then for what else is wrong.",
+        )
+    reasons = [*_tensions(calibration), *_misfit(calibration.rig, error["vector_T"], expected_T)]
+    if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
+        reasons.append(f"only {coverage90:.0%} of the readings' components lie in their 90 % intervals.")
+    if reasons:
+        return Assessment(
+            Quality.SUSPECT,
+            tuple(reasons),
+            "Something in the rig file or in the model may be wrong. `coilcal diagnose` names it, or says that it cannot.",
+        )
+    return Assessment(
+        Quality.GOOD,
+        (
+            f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
+            "and no number lies far from its prior.",
+        ),
+        "`coilcal diagnose` looks closer for what a fit may have followed.",
+    )
+
+
+def noise_rms_T(observations: Observations, rig: Rig, values: Mapping[str, float], role: str) -> float:
+    """The rms length of an error by noise alone: no model predicts readings better than that.
+
+    Args:
+        observations: Of the session.
+        rig: Whose sensors read them.
+        values: Noise of each sensor, by name.
+        role: `validation` or `calibration`: which of the readings.
+    """
+    judged = observations.rows(observations.is_validation == (role == "validation"))
+    variance = np.array([values[f"{sensor.name}.noise_T"] ** 2 for sensor in rig.sensors])
+    n_components = judged.is_measured.numpy().sum(axis=1)
+    squared = (n_components * variance[judged.sensor.numpy()])[n_components > 0].mean()
+    return float(np.sqrt(squared))
+
+
+def _tensions(calibration: Calibration) -> list[str]:
+    """Numbers far from their priors, the farthest first; noise counts where it is too large."""
+    found = []
+    shown = displays([parameter.name for parameter in calibration.rig.free])
+    for parameter in calibration.rig.free:
+        assert parameter.prior is not None
+        median = float(np.median(calibration.draws[parameter.name]))
+        distance_sd = parameter.prior.distance(median)
+        is_noise = parameter.name.endswith(".noise_T")
+        if (is_noise and distance_sd > policy.LARGE_NOISE_SD) or (
+            not is_noise and abs(distance_sd) > policy.FAR_SD
+        ):
+            show = shown[parameter.name]
+            value, middle = (f"{number * show.factor:.4g}" for number in (median, parameter.prior.centre))
+            words = f"{show.words} is {value} {show.unit}".rstrip()
+            found.append(
+                (
+                    abs(distance_sd),
+                    f"{words} where {middle} is expected, {distance_sd:+.1f} widths of its prior.",
+                )
+            )
+    return [words for _, words in sorted(found, reverse=True)]
+
+
+def _misfit(rig: Rig, error_T: float, expected_T: float) -> list[str]:
+    """An error that known noise does not explain; a free noise follows it and shows in its own tension."""
+    is_known = not any(rig.parameters[f"{sensor.name}.noise_T"].is_free for sensor in rig.sensors)
+    if not is_known or error_T <= policy.LARGER_THAN_NOISE * expected_T:
+        return []
+    ratio = math.inf if expected_T == 0.0 else error_T / expected_T
+    return [f"the error is {_size(error_T)}, {ratio:.2g} times what the stated noise leaves."]
+
+
+def _size(field_T: float) -> str:
+    return size_with_unit(field_T, "T", 3)
+
+
+def _share(share: float | None) -> str:
+    return "an unknown share" if share is None else f"{share:.2%}"

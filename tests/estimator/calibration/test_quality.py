@@ -1,0 +1,94 @@
+"""A calibration says first whether it can be used: good, suspect or unusable, why, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.report import calibration_report
+from estimator.cli.main import main
+from estimator.inference.ensemble import SamplerSettings
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
+from estimator.store.session import Session
+from tests.estimator.conftest import RIG
+
+QUICK = SamplerSettings(n_walkers=16, target_ess=50.0, largest_rhat=1.5)
+FREE_NOISE = RIG.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}")
+
+
+def quality(session: Session) -> dict[str, object]:
+    verdict = calibrate(session, settings=QUICK, seed=1).summary()["quality"]
+    assert isinstance(verdict, dict)
+    return verdict
+
+
+def shifted(rig: Rig, plan: Plan, truth: dict[str, float], shift_m: float) -> Session:
+    """The sensor is somewhere else than the rig file says."""
+    readings = simulate(rig, plan, {**truth, "hall.world_from_sensor.x_m": shift_m}, seed=1)
+    return Session(rig, readings, "shifted")
+
+
+def test_a_session_of_its_own_rig_is_good(small_calibration) -> None:
+    verdict = small_calibration.summary()["quality"]
+    assert verdict["verdict"] == "good"
+    assert "8.66 µT" in verdict["reasons"][0]  # sqrt(3) times 5 uT
+    assert "Good: it misses" in calibration_report(small_calibration, "test")
+
+
+def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
+    small_session: Session, tmp_path: Path
+) -> None:
+    readings = small_session.observations
+    turned = replace(small_session, observations=readings.with_field(-readings.field_sensor_T))
+    turned.save(tmp_path / "turned.zarr")
+    arguments = [
+        "calibrate",
+        str(tmp_path / "turned.zarr"),
+        "--out",
+        str(tmp_path / "out"),
+        "--ess",
+        "50",
+        "--max-steps",
+        "300",
+    ]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 6
+    assert result.stdout.startswith("unusable: the model misses ")
+    assert "coilcal diagnose" in result.stdout.splitlines()[1]
+    assert (tmp_path / "out/summary.json").exists()
+
+
+def test_a_wrong_place_of_the_sensor_is_suspect_by_what_known_noise_leaves(
+    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    verdict = quality(shifted(small_rig, small_plan, small_truth, 2e-3))
+    assert verdict["verdict"] == "suspect"
+    assert "times what the stated noise leaves" in str(verdict["reasons"])
+
+
+def test_noise_that_swallows_the_error_is_suspect_itself(
+    small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    rig = rig_from_text(FREE_NOISE)
+    truth = {**small_truth, "hall.noise_T": 5e-6}
+    assert quality(shifted(rig, small_plan, truth, 0.0))["verdict"] == "good"
+    verdict = quality(shifted(rig, small_plan, truth, 8e-3))
+    assert verdict["verdict"] == "suspect"
+    assert "noise is " in str(verdict["reasons"])
+
+
+def test_a_number_far_from_its_prior_is_suspect_first(
+    small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    rig = rig_from_text(RIG)
+    truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.054}
+    verdict = quality(Session(rig, simulate(rig, small_plan, truth, seed=1), "far"))
+    assert verdict["verdict"] == "suspect"
+    assert str(verdict["reasons"][0]).startswith("z is -5")  # type: ignore[index]
+    assert "widths of its prior" in str(verdict["reasons"])
