@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -68,6 +68,9 @@ diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 
 mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet do to its maps, everything fitted at once
 	$(RUN) scripts.studies.mice_filaments
+
+harmonic-coils: $(INSTALLED)  # eight coils with iron cores by harmonics, on places held out; minutes
+	$(RUN) scripts.studies.harmonic_coils
 
 storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
 	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py tests/estimator/cli/test_recalibrate_storm.py

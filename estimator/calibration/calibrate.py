@@ -13,18 +13,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from emcee.backends import Backend
 
+from estimator.calibration.found import (
+    Found,
+    found_collapsed,
+    found_with_counts,
+    independent,
+    is_collapsible,
+)
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
 from estimator.field.node_sum import SumMode
-from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported_parameters, sample
-from estimator.inference.laplace import OpenDirection, open_directions
-from estimator.inference.lattice import CountMixture, count_mixture
+from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
+from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
+from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.point_estimate import PointEstimate, point_estimate
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings, check_units
 from estimator.rig.coordinates import Coordinates
@@ -66,7 +71,8 @@ def calibrate(
     """Calibrate a rig from a session: point estimate, posterior, model.
 
     Nelder-Mead from many starts, Levenberg-Marquardt, Laplace approximation, then emcee over every free parameter of the rig, loop
-    counts as whole numbers.
+    counts as whole numbers. Amplitudes of coils without a winding are integrated out in closed form and drawn given the rest, where the
+    readings are linear in them; loop counts of other coils of the rig are then real numbers.
 
     Args:
         session: Readings; those marked as validation are kept out of the fit.
@@ -89,7 +95,8 @@ def calibrate(
     rig = rig or session.rig
     session.check_rig(rig)
     _check_free(rig, has_integer_counts)
-    settings = replace(settings or SamplerSettings(), seed=seed).for_rig(len(rig.free))
+    settings = replace(settings or SamplerSettings(), seed=seed)
+    wanted, settings = settings, settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
     backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
@@ -102,47 +109,52 @@ def calibrate(
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     model = MeasurementModel.build(rig, observations)
-    coordinates = Coordinates(rig)
-    posterior = LogPosterior(coordinates, model, observations)
-    estimate = point_estimate(posterior, observations, seed)
-    model = model.choose_rules(_values(coordinates, estimate.vector))
-    posterior = LogPosterior(coordinates, model, observations)
-    undetermined = tuple(open_directions(coordinates, estimate.fit))
-
-    tell(Stage("Laplace approximation over loop counts", open_directions=undetermined))
-    rng = np.random.default_rng(seed)
-    lattice = LogPosterior(Coordinates(rig, has_integer_counts), model, observations)
-    mixture = count_mixture(posterior, lattice, estimate.fit, rng)
-    if mixture is None:
-        tell(Stage("loop counts are hardly determined and are sampled as real numbers"))
-        lattice = LogPosterior(coordinates, model, observations)
-        mixture = count_mixture(posterior, lattice, estimate.fit, rng)
-        assert mixture is not None
-    if model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE:
-        lattice = LogPosterior(lattice.coordinates, model.with_mode(SumMode.COMPILED), observations)
+    posterior = LogPosterior(Coordinates(rig), model, observations)
+    if is_collapsible(posterior):
+        found = found_collapsed(posterior, observations, seed)
+        tell(Stage("amplitudes in closed form", open_directions=found.undetermined))
+    else:
+        settings = wanted.for_rig(len(rig.free))
+        found = found_with_counts(
+            posterior,
+            observations,
+            seed,
+            lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, observations),
+            lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
+        )
+    lattice = found.posterior
+    if isinstance(lattice, LogPosterior) and (
+        lattice.model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE
+    ):
+        lattice = LogPosterior(lattice.coordinates, lattice.model.with_mode(SumMode.COMPILED), observations)
 
     tell(Stage("posterior sampling with emcee"))
-    if backend is None:
-        backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
-    samples = sample(
-        lattice,
-        mixture,
-        settings,
-        backend,
-        lambda progress: tell(Stage("posterior sampling with emcee", progress)),
-    )
+    if isinstance(lattice, CollapsedPosterior) and not lattice.coordinates.n:
+        samples = independent(lattice, settings)
+    else:
+        if backend is None:
+            backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
+        samples = sample(
+            lattice,
+            found.mixture,
+            settings,
+            backend,
+            lambda progress: tell(Stage("posterior sampling with emcee", progress)),
+        )
     if isinstance(backend, ZarrBackend):
         backend.flush()
 
     tell(Stage("errors, coverage and summary"))
-    calibration = _calibration(session, rig, lattice.coordinates, mixture, samples)
+    draws, log_prob = found.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
+    calibration = Calibration(rig, session.observations, found.best(), draws, log_prob, {})
     summary_json = {
         **summary(session, calibration),
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
-        "point_estimate": _point_estimate(coordinates, estimate),
-        "undetermined": [asdict(direction) for direction in undetermined],
+        "point_estimate": _point_estimate(rig, found),
+        "undetermined": [asdict(direction) for direction in found.undetermined],
+        **found.summary(observations),
         "seed": seed,
         "versions": versions(),
     }
@@ -161,11 +173,6 @@ def _check_free(rig: Rig, has_integer_counts: bool) -> None:
             "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts must be continuous; "
             f"rig {rig.name!r} has none"
         )
-
-
-def _values(coordinates: Coordinates, vector: torch.Tensor) -> dict[str, torch.Tensor]:
-    with torch.no_grad():
-        return coordinates.values(vector)
 
 
 def _unfinished_chain(folder: Path, fingerprint: str) -> Backend | None:
@@ -247,17 +254,6 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
-def _calibration(
-    session: Session, rig: Rig, coordinates: Coordinates, mixture: CountMixture, samples: Samples
-) -> Calibration:
-    chain = reported_parameters(coordinates, samples.chain)
-    draws = {name: np.ascontiguousarray(chain[:, :, i].T) for i, name in enumerate(coordinates.names)}
-    most_probable = int(mixture.weight.argmax())
-    best_vector = torch.cat((mixture.mean[most_probable], mixture.counts[most_probable]))
-    best = {name: float(value) for name, value in coordinates.values(best_vector).items()}
-    return Calibration(rig, session.observations, best, draws, np.ascontiguousarray(samples.log_prob.T), {})
-
-
 def _sampling(samples: Samples) -> dict[str, Any]:
     return {
         "steps": samples.n_steps,
@@ -268,10 +264,10 @@ def _sampling(samples: Samples) -> dict[str, Any]:
     }
 
 
-def _point_estimate(coordinates: Coordinates, estimate: PointEstimate) -> dict[str, Any]:
-    values = _values(coordinates, estimate.vector)
+def _point_estimate(rig: Rig, found: Found) -> dict[str, Any]:
+    estimate = found.estimate
     return {
-        "values": {name: float(values[name]) for name in coordinates.names},
+        "values": {parameter.name: float(found.values[parameter.name]) for parameter in rig.free},
         "nelder_mead_evaluations": estimate.n_evaluations,
         "starts": estimate.n_starts,
         "starts_agreeing": estimate.n_agreeing,

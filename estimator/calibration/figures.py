@@ -16,9 +16,10 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
-from estimator.rig.rig import Coil
+from estimator.rig.rig import AnyCoil, Coil
 
 MOST_CORNER_PARAMETERS = 12
+MOST_INTERVALS = 60
 MOST_COILS = 3
 PLANE_POINTS = 61
 PLANE_DRAWS = 100
@@ -66,9 +67,9 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
 
 
 def _maps(
-    coil: Coil,
+    coil: AnyCoil,
     positions_m: np.ndarray,
-    winding: Winding,
+    winding: Winding | None,
     measured_T: np.ndarray,
     predicted_T: np.ndarray,
     sigma_T: float | np.ndarray,
@@ -105,10 +106,16 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
         if name in calibration.summary()["truth"]
     }
     priors = {p.name: p.prior for p in calibration.rig.free if p.prior is not None}
+    shown = {name: draws[name] for name in names[:MOST_INTERVALS]}
+    which = (
+        "every parameter"
+        if len(shown) == len(names)
+        else f"the first {len(shown)} of {len(names)} parameters"
+    )
     yield Picture(
         "What the data taught",
-        "Posterior interval of every parameter in units of its prior; a narrow one is determined by the data.",
-        _figure(plots.interval_summary(draws, priors, calibration.summary()["truth"] or None, title=title)),
+        f"Posterior interval of {which} in units of its prior; a narrow one is determined by the data.",
+        _figure(plots.interval_summary(shown, priors, calibration.summary()["truth"] or None, title=title)),
     )
     if len(moving) > 1:
         point = {name: calibration.best[name] for name in moving}
@@ -126,7 +133,7 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
 
 def _sensor_positions(
     calibration: Calibration, model: MeasurementModel, best: Mapping[str, torch.Tensor]
-) -> Iterator[tuple[Coil, np.ndarray, Winding]]:
+) -> Iterator[tuple[AnyCoil, np.ndarray, Winding | None]]:
     """Position of the sensor in the frame of each coil that carried current, reading by reading; NaN while the coil was off."""
     for coil in calibration.rig.coils[:MOST_COILS]:
         rows = model.powered[coil.name]
@@ -135,25 +142,31 @@ def _sensor_positions(
         points, _ = model.sensor_in_coil(coil, rows, best)
         everywhere = np.full((len(model.sensor), 3), np.nan)
         everywhere[rows.numpy()] = points.numpy()
-        yield coil, everywhere[model.pose_row.numpy()], winding_of(calibration.rig, coil, best)
+        winding = winding_of(calibration.rig, coil, best) if isinstance(coil, Coil) else None
+        yield coil, everywhere[model.pose_row.numpy()], winding
 
 
 def _plane(
     calibration: Calibration,
-    coil: Coil,
+    coil: AnyCoil,
     positions_m: np.ndarray,
     best: Mapping[str, torch.Tensor],
-    winding: Winding,
+    winding: Winding | None,
     title: str,
 ) -> Iterator[Picture]:
     """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
 
     The plane reaches as far as the readings, but at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
     """
-    reach = 1.2 * max(float(winding.radius_m), np.nanmax(np.abs(positions_m[:, :2])))
-    length_m = float(winding.length_m)
-    low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
-    high = max(0.5 * float(winding.radius_m), min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
+    reach = 1.2 * np.nanmax(np.abs(positions_m[:, :2]))
+    if winding is None:
+        reach = max(reach, 1.2 * float(np.nanmax(np.abs(positions_m))))
+        low, high = -reach, reach
+    else:
+        radius_m, length_m = float(winding.radius_m), float(winding.length_m)
+        reach = max(reach, 1.2 * radius_m)
+        low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
+        high = max(0.5 * radius_m, min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
     x_m, z_m = np.linspace(-reach, reach, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
     points_m = torch.from_numpy(grid.reshape(-1, 3))
@@ -175,7 +188,7 @@ def _plane(
 
 
 def _field_in_coil_frame(
-    calibration: Calibration, coil: Coil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
+    calibration: Calibration, coil: AnyCoil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its magnitude."""
     rig = calibration.rig

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.figures import pictures
+from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
@@ -66,6 +67,11 @@ def _verdict(calibration: Calibration) -> list[str]:
         sentences.append(
             f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.2f}."
         )
+    for coil, told in summary.get("amplitudes", {}).items():
+        sentences.append(
+            f"The readings determine {told['determined']} of {told['free']} amplitudes of {coil}, which has no winding; along the others, "
+            "and away from the readings, the width of the prior is left."
+        )
     n_fit = len(observations.calibration)
     sentences.append(f"{n_fit} readings determined {len(summary['point_estimate']['values'])} parameters.")
     return sentences
@@ -90,6 +96,11 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
         warnings.append(
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
             f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
+        )
+    if (gain := summary.get("next_degree_log_evidence") or 0.0) > CLEAR_LOG_EVIDENCE:
+        warnings.append(
+            f"The readings ask for harmonics of a higher degree ({gain:+.3g} in log evidence): a coil without a winding has a finer field "
+            "than its degree allows, so the intervals are too narrow. Raise `degree` in the rig file until this is not said any more."
         )
     for direction in summary["undetermined"]:
         warnings.append(

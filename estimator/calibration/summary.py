@@ -79,7 +79,7 @@ def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Turns, length, thickness and rms loop radius of every coil with a free winding: the data determine these best."""
     derived = {}
-    for coil in rig.coils:
+    for coil in rig.wound:
         if any(
             f"{coil.name}.{key}" in draws
             for key in ("radius_m", "wire_radius_m", "axial_loops", "radial_loops")
@@ -113,7 +113,7 @@ def _resolved(rig: Rig, name: str, draws: Mapping[str, np.ndarray]) -> np.ndarra
 
 def _loop_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
     entries = []
-    for coil in rig.coils:
+    for coil in rig.wound:
         counts = [_resolved(rig, f"{coil.name}.{key}", draws) for key in ("axial_loops", "radial_loops")]
         is_free = any(isinstance(count, np.ndarray) for count in counts)
         if not is_free or not all((np.asarray(count) == np.round(count)).all() for count in counts):

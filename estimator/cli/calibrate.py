@@ -99,6 +99,8 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
+    from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
+
     quality = summary["quality"]
     lines = [
         f"{quality['verdict']}: {' '.join(quality['reasons'])}",
@@ -124,6 +126,14 @@ def _text(summary: Any, out: Path) -> str:
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
         for name, distance in summary["prior_tension"].items()
     ]
+    lines += [
+        f"{coil}: readings determine {told['determined']} of {told['free']} amplitudes"
+        for coil, told in summary.get("amplitudes", {}).items()
+    ]
+    if (gain := summary.get("next_degree_log_evidence") or 0.0) > CLEAR_LOG_EVIDENCE:
+        lines.append(
+            f"readings ask for harmonics of a higher degree ({gain:+.3g} in log evidence): raise `degree`"
+        )
     lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

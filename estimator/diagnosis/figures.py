@@ -16,7 +16,7 @@ from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.reporting.page import Picture
-from estimator.rig.rig import Cause
+from estimator.rig.rig import Cause, Coil
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
@@ -39,7 +39,8 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
     powered = [(i, coil) for i, coil in coils if is_powered[:, i].any()]
     for i, (name, position_m) in powered[:MOST_COILS]:
         is_on = is_powered[:, i]
-        winding = winding_of(after.rig, after.rig.coils[i], after.values)
+        coil = after.rig.coils[i]
+        winding = winding_of(after.rig, coil, after.values) if isinstance(coil, Coil) else None
         sigma_T = _sigma_T(after)
         one_sigma = float(sigma_T.max()) if np.ptp(sigma_T) < 1e-12 else None
         powered_m = position_m.numpy()[is_on]

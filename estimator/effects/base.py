@@ -98,6 +98,7 @@ class Effect(ABC):
         idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
         is_structural: The source is built otherwise than described, which may do for causes of many kinds that have piled up.
         is_linear: The field stays proportional to the currents.
+        needs_winding: It says something of a winding, or has a place beside one; coils without one cannot have it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -109,6 +110,7 @@ class Effect(ABC):
     idealises: ClassVar[str | None] = None
     is_structural: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
+    needs_winding: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
 
     @abstractmethod
@@ -128,7 +130,7 @@ class Effect(ABC):
         if self.kind in (Kind.ROOM, Kind.RECORD):
             return (str(self.kind),)
         bodies: dict[Kind, tuple[Body | Mover, ...]] = {
-            Kind.COIL: rig.coils,
+            Kind.COIL: rig.wound if self.needs_winding else rig.coils,
             Kind.SENSOR: rig.sensors,
             Kind.MOVER: rig.movers,
         }

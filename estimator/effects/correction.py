@@ -21,7 +21,7 @@ from estimator.effects.base import Effect, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
-from estimator.rig.rig import Coil
+from estimator.rig.rig import Body
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
 TYPICAL_SHARE = 1e-3  # of the largest field, or of the reach: the width until a diagnosis sets it
@@ -109,7 +109,7 @@ class Correction(Effect):
         }
 
 
-def positions_m(circumstances: Circumstances, coil: Coil | None = None) -> Float[Tensor, "reading 3"]:
+def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:
     """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
     rig, observations = circumstances.rig, circumstances.observations
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}

@@ -14,6 +14,7 @@ from estimator.effects.correction import Correction, Limit, limit_of_places, pos
 from estimator.effects.stages import RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.winding import Rule, Winding
+from estimator.rig.harmonic_terms import terms
 
 LEAST_REACH_M = 1e-6
 NEAREST = 0.5  # of the mean distance of the readings from a coil: nearer to it multipoles grow beyond what the others tell
@@ -24,7 +25,7 @@ class _Harmonics(Correction):
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Cosines and sines about the z axis."""
-        return harmonics.terms(degree)
+        return terms(degree)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
         """Middle and radius of the ball of reference, in the frame of the field."""

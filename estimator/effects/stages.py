@@ -50,6 +50,7 @@ class WindingEffect(Effect):
     """Changes the geometry of a winding."""
 
     kind = Kind.COIL
+    needs_winding: ClassVar[bool] = True
 
     @abstractmethod
     def apply(self, winding: Winding, theta: Theta) -> Winding:
@@ -64,6 +65,7 @@ class SourceEffect(Effect):
     """
 
     kind = Kind.COIL
+    needs_winding: ClassVar[bool] = True
     is_permanent: ClassVar[bool] = False
 
     @abstractmethod
@@ -83,6 +85,7 @@ class WindingMagnetisation(Effect):
     """Magnetises a winding in some patterns, each driven by currents or always there."""
 
     kind = Kind.COIL
+    needs_winding: ClassVar[bool] = True
 
     @abstractmethod
     def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:

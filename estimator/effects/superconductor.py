@@ -54,7 +54,7 @@ class FilamentMagnetisation(WindingMagnetisation):
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Coils that the rig file calls superconducting."""
-        return tuple(coil.name for coil in rig.coils if coil.is_superconducting)
+        return tuple(coil.name for coil in rig.wound if coil.is_superconducting)
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """Without any current nothing is screened."""
@@ -62,10 +62,13 @@ class FilamentMagnetisation(WindingMagnetisation):
         return frozenset() if has_current else frozenset({"susceptibility"})
 
     def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
-        """Patterns: against one ampere in each coil, along the axis, outwards, and fanned out."""
+        """Patterns: against one ampere in each coil that has a winding, along the axis, outwards, and fanned out."""
         target = _described(rig, coil)
         sources = tuple(
-            _described(rig, source) if source.carried_by == coil.carried_by else None for source in rig.coils
+            _described(rig, source)
+            if isinstance(source, Coil) and source.carried_by == coil.carried_by
+            else None
+            for source in rig.coils
         )
         return _rings(target, sources)
 

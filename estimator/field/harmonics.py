@@ -18,16 +18,6 @@ Exponents = tuple[int, int, int]
 Polynomial = dict[Exponents, float]  # coefficient by powers of x, y and z
 
 
-def terms(degree: int) -> tuple[str, ...]:
-    """Names of the 2 l + 1 terms of a degree: cosines and sines of m times the angle about z.
-
-    Examples:
-        >>> terms(2)
-        ('cos0', 'cos1', 'sin1', 'cos2', 'sin2')
-    """
-    return ("cos0", *(f"{wave}{m}" for m in range(1, degree + 1) for wave in ("cos", "sin")))
-
-
 def interior_field(
     points: Float[Tensor, "*#batch point 3"], amplitudes: Mapping[int, Float[Tensor, "*#batch term"]]
 ) -> Float[Tensor, "*batch point 3"]:

@@ -11,6 +11,7 @@ import torch
 from emcee.backends import Backend
 
 from estimator.errors import InvalidInput
+from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
@@ -103,7 +104,7 @@ class Samples:
 
 
 def sample(
-    posterior: LogPosterior,
+    posterior: LogPosterior | CollapsedPosterior,
     mixture: CountMixture,
     settings: SamplerSettings,
     backend: Backend | None = None,

@@ -55,7 +55,7 @@ def count_mixture(
     """
     n_counts = integer.coordinates.n_counts
     if n_counts == 0:
-        return _mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
+        return laplace_mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
     sample = fit.vector[0] + normal @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
@@ -81,7 +81,7 @@ def count_mixture(
                 if neighbour not in fits and neighbour not in pending:
                     start_of[neighbour] = _with_counts(fits[key], neighbour, n_counts)
                     pending.append(neighbour)
-    return _mixture(Optimum.concatenated([fits[key] for key in sorted(plausible)]), n_counts)
+    return laplace_mixture(Optimum.concatenated([fits[key] for key in sorted(plausible)]), n_counts)
 
 
 def _starts(
@@ -134,7 +134,8 @@ def _weights(fits: dict[tuple[int, ...], Optimum]) -> dict[tuple[int, ...], floa
     )
 
 
-def _mixture(fit: Optimum, n_counts: int) -> CountMixture:
+def laplace_mixture(fit: Optimum, n_counts: int) -> CountMixture:
+    """One normal component for each maximum, weighted by its evidence; the last coordinates are counts."""
     n = fit.vector.shape[1] - n_counts
     weight = torch.softmax(log_evidence(fit), dim=0)
     return CountMixture(fit.vector[:, n:], weight, fit.vector[:, :n], covariance(fit.precision))

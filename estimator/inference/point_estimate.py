@@ -57,7 +57,7 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
     """
     rng = np.random.default_rng(seed)
     coordinates = posterior.coordinates
-    thinned = _thinned(posterior, observations, rng)
+    thinned = thinned_posterior(posterior, observations, rng)
     starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(rng, N_STARTS - 1)))
     starts = starts[torch.isfinite(thinned(starts))]
     simplexes = minimise(
@@ -72,14 +72,17 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
     best = thinned_fits.log_posterior.max()
     n_agreeing = int((thinned_fits.log_posterior > best - 1.0).sum())
     is_candidate = thinned_fits.log_posterior > best - 30.0
-    candidates = _distinct(thinned_fits.vector[is_candidate], coordinates.scale)
+    candidates = distinct(thinned_fits.vector[is_candidate], coordinates.scale)
     fits = levenberg_marquardt(posterior, candidates)
     top = int(fits.log_posterior.argmax())
     fit = fits.rows(slice(top, top + 1))
     return PointEstimate(fit, int(simplexes.n_evaluations.sum()), n_agreeing, len(starts))
 
 
-def _thinned(posterior: LogPosterior, observations: Observations, rng: np.random.Generator) -> LogPosterior:
+def thinned_posterior(
+    posterior: LogPosterior, observations: Observations, rng: np.random.Generator
+) -> LogPosterior:
+    """The density of a random part of the readings."""
     if len(observations) <= THIN_TO:
         return posterior
     rows = torch.from_numpy(np.sort(rng.choice(len(observations), THIN_TO, replace=False)))
@@ -88,10 +91,12 @@ def _thinned(posterior: LogPosterior, observations: Observations, rng: np.random
     return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, selected), selected)
 
 
-def _distinct(vectors: Tensor, scale: Tensor, most: int = 3) -> Tensor:
+def distinct(
+    vectors: Float[Tensor, "start coordinate"], scale: Float[Tensor, " coordinate"], most: int = 3
+) -> Float[Tensor, "few coordinate"]:
     """The first vectors that differ from each other by more than a thousandth of the prior's width."""
-    distinct: list[Tensor] = []
+    apart: list[Tensor] = []
     for vector in vectors:
-        if all(((vector - earlier).abs() > 1e-3 * scale).any() for earlier in distinct):
-            distinct.append(vector)
-    return torch.stack(distinct[:most])
+        if all(((vector - earlier).abs() > 1e-3 * scale).any() for earlier in apart):
+            apart.append(vector)
+    return torch.stack(apart[:most])

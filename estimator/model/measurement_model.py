@@ -33,9 +33,12 @@ from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
+from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, Rig
+from estimator.rig.rig import AnyCoil, Coil, HarmonicCoil, Region, Rig
+
+MOST_RADII = 3.0  # farther out a term of degree 8 is beyond 2000 times its amplitude, whose prior then says nothing: likely another unit
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class MeasurementModel:
         """Set the model up, with quadrature rules for the rig's nominal values.
 
         Raises:
-            InvalidInput: A sensor would stand inside a winding.
+            InvalidInput: A sensor would stand inside a winding, or where the harmonics of a coil have no meaning.
         """
         return cls.unruled(rig, observations).choose_rules(nominal_tensors(rig), tolerance)
 
@@ -135,6 +138,10 @@ class MeasurementModel:
             is_idle = not len(rows)  # until an effect makes it carry current
             rows = torch.arange(len(self.sensor)) if is_idle else rows
             points_m = self._in_coil(coil, rows, values).translation_m
+            if isinstance(coil, HarmonicCoil):
+                if not is_idle:
+                    self._refuse_outside(coil, rows, points_m, values)
+                continue
             winding = winding_of(self.rig, coil, values)
             if is_idle:
                 points_m = points_m[distance_to_winding(points_m, winding) > 0.0]
@@ -145,13 +152,14 @@ class MeasurementModel:
         return self.with_rules(rules)
 
     def clearance_m(self) -> Float[Tensor, " reading"]:
-        """Distance of each reading's sensor from the nearest winding, at nominal values; 0 inside."""
+        """Distance of each reading's sensor from the nearest winding, at nominal values; 0 inside, infinite where no coil has one."""
         values, rows = nominal_tensors(self.rig), torch.arange(len(self.sensor))
-        distances_m = [
+        distances_m = [torch.full((1,), torch.inf, dtype=torch.float64)]
+        distances_m += [
             distance_to_winding(
                 self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
             )
-            for coil in self.rig.coils
+            for coil in self.rig.wound
         ]
         nearest_m = torch.stack([each_m.expand(len(rows)) for each_m in distances_m]).amin(0)
         return nearest_m.clamp(min=0.0)[self.pose_row]
@@ -176,7 +184,7 @@ class MeasurementModel:
         return sum(len(self.powered[n]) * r.axial_nodes * r.radial_nodes for n, r in self.rules.items())
 
     def sensor_in_coil(
-        self, coil: Coil, rows: Int[Tensor, " rows"], values: Values
+        self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values
     ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:
         """Sensor position in the coil frame and the rotation sensor_from_coil, at distinct poses."""
         coil_from_sensor = self._in_coil(coil, rows, values)
@@ -241,17 +249,31 @@ class MeasurementModel:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
         return torch.stack(gains, dim=-1)[..., self.sensor[self.pose_row]]
 
-    def _in_coil(self, coil: Coil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+    def _in_coil(self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """coil_from_sensor at distinct poses; one row where both stay where they are."""
         world_from_coil = self.sources.world_from_body(coil, "coil", rows, values)
         return world_from_coil.inverse() @ self.world_from_sensor(rows, values)
 
     def _refuse_inside(self, coil: Coil, rows: Tensor, points_m: Tensor, winding: Winding) -> None:
-        inside = (distance_to_winding(points_m, winding) <= 0.0).nonzero().flatten()
-        if len(inside):
-            reading = int(torch.isin(self.pose_row, rows[inside]).nonzero().flatten()[0])
+        inside = distance_to_winding(points_m, winding) <= 0.0
+        self._refuse(f"outside the winding of {coil.name}", rows, inside)
+
+    def _refuse_outside(self, coil: HarmonicCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:
+        """Refuse readings where the harmonics of a coil have no meaning: among its sources, or far beyond the sphere of reference."""
+        radius_m = values[f"{coil.name}.reference_radius_m"]
+        where = f"of {coil.name}, {float(radius_m) * 1e3:.6g} mm"
+        among = is_among_sources(coil, points_m, values)
+        self._refuse(f"outside the reference_radius {where}, which holds all its sources", rows, among)
+        if coil.region is Region.INTERIOR:
+            is_far = points_m.norm(dim=-1) > MOST_RADII * radius_m
+            self._refuse(f"within {MOST_RADII:g} times the reference_radius {where}", rows, is_far)
+
+    def _refuse(self, rule: str, rows: Tensor, is_refused: Tensor) -> None:
+        refused = is_refused.nonzero().flatten()
+        if len(refused):
+            reading = int(torch.isin(self.pose_row, rows[refused]).nonzero().flatten()[0])
             raise InvalidInput(
-                f"sensors must lie outside the winding of {coil.name}; at the rig's nominal values {len(inside)} of "
+                f"sensors must lie {rule}; at the rig's nominal values {len(refused)} of "
                 f"{len(rows)} poses do not, the first at reading {reading} (rig {self.rig.name!r})"
             )
 

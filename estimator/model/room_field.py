@@ -19,9 +19,10 @@ from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
+from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Rig
+from estimator.rig.rig import HarmonicCoil, Rig
 
 
 class RoomField:
@@ -68,6 +69,9 @@ class RoomField:
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
+            if isinstance(coil, HarmonicCoil):
+                inside |= is_among_sources(coil, points_coil_m, values)
+                continue
             winding = winding_of(rig, coil, values)
             within = distance_to_winding(points_coil_m, winding) <= 0.0
             inside |= within
@@ -82,7 +86,7 @@ class RoomField:
         current_A: Float[Tensor, "*#batch coil"],
         points_m: Float[Tensor, "point 3"] | None = None,
     ) -> Float[Tensor, "*batch point 3"]:
-        """Flux density in the world frame; NaN at points that lie inside a winding (`is_inside` says which)."""
+        """Flux density in the world frame; NaN at points inside a winding or among other sources (`is_inside` says which)."""
         points_m = self.points_m if points_m is None else points_m
         world_from_point = Transform(torch.eye(3, dtype=points_m.dtype)[None], points_m)
         delivered_A = self.sources.delivered_A(current_A[..., None, :], values)

@@ -33,8 +33,9 @@ from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
+from estimator.model.unwound import harmonic_field_per_ampere
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Body, Coil, Rig
+from estimator.rig.rig import AnyCoil, Body, Coil, HarmonicCoil, Rig
 
 # Of points in a coil's frame, as `SourceEffect.apply`.
 SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
@@ -55,7 +56,7 @@ class Sources:
         flange: Per mover base_from_flange (or the displacement) by row; one row, or one rotation, may stand for all.
         columns: Per effect that moves bodies, what else it depends on, by row; one row may stand for all.
         powered: Per coil the rows where it ever carries current, or has a field without.
-        rules: Per coil the quadrature rule; coils without one are left out.
+        rules: Per winding the quadrature rule; windings without one are left out.
         mode: How loops are summed: compiled for long sampling, to first order for fits.
     """
 
@@ -123,7 +124,8 @@ class Sources:
             total = total + self._magnetised(magnetised, values, world_from_point, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
-            if coil.name not in self.rules or not len(rows):
+            is_ready = isinstance(coil, HarmonicCoil) or coil.name in self.rules
+            if not is_ready or not len(rows):
                 continue
             points = world_from_point.rows(rows)
             for per_unit, drive in self._driven(coil, values, points, delivered_A[..., i]):
@@ -137,17 +139,18 @@ class Sources:
         return world_from_body(self.rig, body, kind, flange, values, columns)
 
     def _driven(
-        self, coil: Coil, values: Values, world_from_point: Transform, current_A: Tensor
+        self, coil: AnyCoil, values: Values, world_from_point: Transform, current_A: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
         """Field of a powered coil in the points' frames per unit of drive, and the drive."""
         world_from_coil = self.world_from_body(coil, "coil", self.powered[coil.name], values)
         coil_from_point = world_from_coil.inverse() @ world_from_point
         points_m = coil_from_point.translation_m
-        winding = winding_of(self.rig, coil, values)
-        field = self._coil_field(coil, points_m, winding)
+        own = self._own_field(coil, values)
+        field = own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
-            theta = use.theta(values)
+            assert isinstance(coil, Coil)  # the others are no place of such effects
+            winding, theta = winding_of(self.rig, coil, values), use.theta(values)
             if use.effect.is_correction:  # polynomials, whose second derivatives cost little
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
             else:
@@ -158,7 +161,7 @@ class Sources:
             else:
                 driven.append((coil_from_point.unrotate(more), drive))
         field = coil_from_point.unrotate(field)
-        per_ampere = CoilInRoom(world_from_coil, lambda at_m: self._coil_field(coil, at_m, winding))
+        per_ampere = CoilInRoom(world_from_coil, own)
         # Either may stand still.
         points_m, _ = torch.broadcast_tensors(world_from_point.translation_m, points_m)
         for answering in uses_of(self.rig, RoomEffect):
@@ -175,7 +178,7 @@ class Sources:
         delivered_A: Float[Tensor, "*#batch #reading coil"],
     ) -> Float[Tensor, "*batch reading 3"]:
         """Field of a magnetised winding in the frames of the points."""
-        coil = self.rig.coils[use.index(self.rig.coils)]
+        coil = self.rig.wound[use.index(self.rig.wound)]
         world_from_coil = self.world_from_body(coil, "coil", self._every_row, values)
         coil_from_point = world_from_coil.inverse() @ world_from_point
         rings, patterns = use.effect.rings(self.rig, coil)
@@ -212,11 +215,12 @@ class Sources:
         turned: Tensor = (rotation.mT @ vectors[..., None])[..., 0]
         return turned
 
-    def _coil_field(
-        self, coil: Coil, points_coil_m: Float[Tensor, "*#batch point 3"], winding: Winding
-    ) -> Float[Tensor, "*batch point 3"]:
-        """Field of one ampere in the coil frame, by the coil's rule."""
-        return coil_field_per_ampere(coil, points_coil_m, winding, self.rules[coil.name], self.mode)
+    def _own_field(self, coil: AnyCoil, values: Values) -> Callable[[Tensor], Tensor]:
+        """Field of one ampere at points of the coil frame: of the winding by the coil's rule, or of the harmonics."""
+        if isinstance(coil, HarmonicCoil):
+            return lambda points_m: harmonic_field_per_ampere(coil, points_m, values)
+        winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
+        return lambda points_m: coil_field_per_ampere(coil, points_m, winding, rule, self.mode)
 
     @property
     def _is_first_order(self) -> bool:

@@ -221,7 +221,7 @@ class Coordinates:
         """Component of the nominal axis along each free position coordinate, for coils whose length may change."""
         nominal = self.rig.nominal_values()
         axes: dict[str, float] = {}
-        for coil in self.rig.coils:
+        for coil in self.rig.wound:
             if not any(
                 self.rig.depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
             ):
@@ -248,7 +248,7 @@ class Coordinates:
         mix = np.eye(self.n)
         if self.integer_counts:
             return mix
-        for coil in self.rig.coils:
+        for coil in self.rig.wound:
             names = [f"{coil.name}.{key}" for key in ("wire_radius_m", "axial_loops", "radial_loops")]
             ties = [self.rig.parameters[f"{coil.name}.{pitch}_pitch_m"].tie for pitch in ("axial", "radial")]
             if all(name in self._column for name in names) and all(

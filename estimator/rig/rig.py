@@ -15,6 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimator.errors import InvalidInput
+from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
 MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
@@ -99,6 +100,39 @@ class Coil(Body):
     is_superconducting: bool = False
 
 
+class Region(StrEnum):
+    """Where the field of a coil without a winding is described, about the origin of its frame."""
+
+    INTERIOR = "interior"  # in and around a ball that holds the readings; the sources are outside
+    EXTERIOR = "exterior"  # outside a ball that holds all sources: multipoles
+
+
+@dataclass(frozen=True)
+class HarmonicCoil(Body):
+    """A coil whose winding is not known: per ampere its field is a sum of solid harmonics about the origin of its frame.
+
+    Amplitudes are parameters `name.degree1_cos0_T_per_A`, each the rms of its term on the sphere of radius `name.reference_radius_m`.
+
+    Attributes:
+        region: Inside a ball without sources, or outside the ball that holds them.
+        degree: Highest degree, from 1 (uniform inside, a dipole outside).
+    """
+
+    region: Region = Region.INTERIOR
+    degree: int = 1
+
+    @property
+    def amplitudes(self) -> dict[int, tuple[str, ...]]:
+        """Names of its amplitudes by degree, in the order of `terms`."""
+        return {
+            degree: tuple(f"{self.name}.{amplitude_key(degree, term)}" for term in terms(degree))
+            for degree in range(1, self.degree + 1)
+        }
+
+
+AnyCoil = Coil | HarmonicCoil
+
+
 class Sensor(Body):
     """A three-axis magnetometer; single components may be missing in its readings."""
 
@@ -130,7 +164,7 @@ class Rig:
     """
 
     name: str
-    coils: tuple[Coil, ...]
+    coils: tuple[AnyCoil, ...]
     sensors: tuple[Sensor, ...]
     movers: tuple[Mover, ...]
     parameters: Mapping[str, Parameter]
@@ -142,6 +176,16 @@ class Rig:
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that a fit may move."""
         return tuple(p for p in self.parameters.values() if p.is_free)
+
+    @property
+    def wound(self) -> tuple[Coil, ...]:
+        """The coils whose winding is described."""
+        return tuple(coil for coil in self.coils if isinstance(coil, Coil))
+
+    @property
+    def unwound(self) -> tuple[HarmonicCoil, ...]:
+        """The coils whose winding is not known."""
+        return tuple(coil for coil in self.coils if isinstance(coil, HarmonicCoil))
 
     @property
     def acting(self) -> tuple[Cause, ...]:
@@ -228,7 +272,7 @@ class Rig:
             # A noise of 0 is fine in a simulation, a length of 0 is not.
             if parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
                 return name, "must be > 0", f"{value:g} {parameter.unit}"
-        for coil in self.coils:
+        for coil in self.wound:
             radius_m = values[f"{coil.name}.radius_m"]
             thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
             if radius_m <= thickness_m:

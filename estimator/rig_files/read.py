@@ -12,16 +12,19 @@ from estimator.effects.base import Quantity
 from estimator.errors import InvalidInput
 from estimator.rig.parameters import Parameter, Tie
 from estimator.rig.rig import (
+    AnyCoil,
     Cause,
     Coil,
     DisplacementFrame,
     FieldSum,
+    HarmonicCoil,
     MotionKind,
     Mover,
     Rig,
     Sensor,
 )
 from estimator.rig_files.devices import DEVICES, read_devices
+from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
 from estimator.rig_files.numbers import Numbers, check_ties, read_number, read_pose, read_pure, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
@@ -31,6 +34,17 @@ MOST_BODIES = 200  # coils, sensors or movers
 NAME = re.compile(
     r"[A-Za-z0-9_-]+"
 )  # names become columns of tables, arrays of stores and parts of dotted names
+WINDING = "winding"  # the model of a coil that names none
+OF_A_WINDING = (
+    "radius",
+    "wire_radius",
+    "axial_pitch",
+    "radial_pitch",
+    "axial_loops",
+    "radial_loops",
+    "field_sum",
+    "superconducting",
+)
 CAUSE = re.compile(r"(?P<name>[a-z_]+)\[(?P<place>[A-Za-z0-9_-]+)\]")
 
 
@@ -161,7 +175,9 @@ def _mover(section: Section, name: str, numbers: Numbers) -> Mover:
     return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]))
 
 
-def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> Coil:
+def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
+    if section.choice("model", (WINDING, MODEL), WINDING) == MODEL:
+        return _harmonic_coil(section, name, movers, numbers)
     read_scalar(section, name, "radius", "length", numbers, positive=True)
     follows_wire = {
         pitch: section.key_with_unit(pitch, "length") is None for pitch in ("axial_pitch", "radial_pitch")
@@ -183,6 +199,22 @@ def _coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbe
     is_superconducting = section.flag("superconducting")
     section.finish()
     return Coil(name, carried_by, FieldSum(field_sum), is_superconducting)
+
+
+def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> HarmonicCoil:
+    region, degree = read_region(section)
+    coil = HarmonicCoil(name, None, region, degree)
+    read_harmonic(section, coil, numbers)
+    read_pure(section, name, "current_gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
+    for key in OF_A_WINDING:
+        if any(given == key or split_unit(given)[0] == key for given in section):
+            given = next(g for g in section if g == key or split_unit(g)[0] == key)
+            section.refuse(
+                given, f"must not be given for a coil of model {MODEL}, which has no winding", given
+            )
+    section.finish()
+    return replace(coil, carried_by=carried_by)
 
 
 def _sensor(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> Sensor:

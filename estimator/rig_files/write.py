@@ -15,15 +15,17 @@ import yaml
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
     POSE_QUANTITIES,
-    Coil,
+    AnyCoil,
     DisplacementFrame,
     FieldSum,
+    HarmonicCoil,
     MotionKind,
     Mover,
     Rig,
     Sensor,
 )
 from estimator.rig_files.devices import DEVICES
+from estimator.rig_files.harmonic import MODEL, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
 from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
@@ -146,7 +148,9 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return entry
 
 
-def _coil(coil: Coil, rig: Rig) -> dict[str, Any]:
+def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
+    if isinstance(coil, HarmonicCoil):
+        return _harmonic_coil(coil, rig)
     entry = _body(coil.carried_by)
     entry |= _number(f"{coil.name}.radius_m", "length", rig.parameters)
     if f"{coil.name}.wire_radius_m" in rig.parameters:
@@ -164,6 +168,15 @@ def _coil(coil: Coil, rig: Rig) -> dict[str, Any]:
     return entry | ({"superconducting": True} if coil.is_superconducting else {})
 
 
+def _harmonic_coil(coil: HarmonicCoil, rig: Rig) -> dict[str, Any]:
+    entry: dict[str, Any] = {"model": MODEL, "region": str(coil.region), "degree": coil.degree}
+    entry = _body(coil.carried_by) | entry
+    entry |= _number(f"{coil.name}.reference_radius_m", "length", rig.parameters)
+    entries = {name: _entry(rig.parameters[name]) for names in coil.amplitudes.values() for name in names}
+    entry["amplitudes"] = amplitude_section(coil, rig.parameters, entries)
+    return entry | _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
+
+
 def _sensor(sensor: Sensor, rig: Rig) -> dict[str, Any]:
     entry = _body(sensor.carried_by) | _number(f"{sensor.name}.noise_T", "field", rig.parameters)
     return entry | _gain(f"{sensor.name}.gain", rig.parameters) | _poses(sensor, "sensor", rig)
@@ -178,7 +191,7 @@ def _gain(name: str, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {} if is_one else _number(name, None, parameters)
 
 
-def _poses(body: Coil | Sensor, kind: str, rig: Rig) -> dict[str, Any]:
+def _poses(body: AnyCoil | Sensor, kind: str, rig: Rig) -> dict[str, Any]:
     blocks = (f"world_from_{kind}", f"world_from_{kind}0", f"flange_from_{kind}")
     entries = (_pose_block(f"{body.name}.{block}", rig.parameters) for block in blocks)
     return {block: numbers for entry in entries for block, numbers in entry.items()}

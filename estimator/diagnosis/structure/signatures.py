@@ -23,7 +23,7 @@ from estimator.diagnosis.structure.families.position import dipoles
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import winding_of
-from estimator.rig.rig import Coil
+from estimator.rig.rig import AnyCoil, Coil
 
 SAME = 1e-6
 
@@ -121,9 +121,11 @@ def _field_equations(fit: Fit) -> Evidence | None:
         sources = [
             harmonic_gradients(inner, degree) / degree**2 for degree in range(1, policy.HARMONIC_DEGREE + 1)
         ]
-        near = dipoles(position_m / winding_of(fit.rig, fit.rig.coils[i], fit.values).radius_m)
+        coil, fields_of_sources = fit.rig.coils[i], [torch.cat(sources, dim=1)]
+        if isinstance(coil, Coil):
+            fields_of_sources.append(dipoles(position_m / winding_of(fit.rig, coil, fit.values).radius_m))
         for drive_factor in (drive, torch.ones_like(drive)):
-            for fields in (torch.cat(sources, dim=1), near):
+            for fields in fields_of_sources:
                 rotated = torch.einsum("rij,rtj->rti", rotation, fields)
                 collection.add_fields("a magnetic field", rotated * drive_factor[:, None, None])
             for degree in policy.SIGNATURE_DEGREES:
@@ -141,7 +143,7 @@ def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:
     return circumstances.current_A[:, coil] / circumstances.largest_current_A
 
 
-def _sensor_from_coil(fit: Fit, coil: Coil) -> Float[Tensor, "reading 3 3"]:
+def _sensor_from_coil(fit: Fit, coil: AnyCoil) -> Float[Tensor, "reading 3 3"]:
     model = fit.posterior.model
     all_rows = torch.arange(len(model.sensor))
     with torch.no_grad():

@@ -31,14 +31,18 @@ NOISE_STAYS_PALE = 4.0
 
 @styled
 def residual_map(
-    positions_m: Vectors, residual_T: Vectors, winding: Winding, sigma_T: float | None = None, title: str = ""
+    positions_m: Vectors,
+    residual_T: Vectors,
+    winding: Winding | None,
+    sigma_T: float | None = None,
+    title: str = "",
 ) -> Figure:
     """Length of the residual vector at the sensor positions, in µT.
 
     Args:
         positions_m: Sensor positions in the coil frame.
         residual_T: Measured minus predicted, in any frame; NaN where a component was not measured.
-        winding: Winding of the coil (no batch).
+        winding: Winding of the coil (no batch); None where it is not known.
         sigma_T: Noise of one component; if given, the median length of pure noise is marked on the colour bar.
         title: Rig and date.
     """
@@ -49,7 +53,7 @@ def residual_map(
 
 @styled
 def relative_error_map(
-    positions_m: Vectors, measured_T: Vectors, predicted_T: Vectors, winding: Winding, title: str = ""
+    positions_m: Vectors, measured_T: Vectors, predicted_T: Vectors, winding: Winding | None, title: str = ""
 ) -> Figure:
     """Length of the residual vector relative to the measured one, in per cent; arguments as in `residual_map`."""
     size_T = _length(measured_T)
@@ -59,7 +63,7 @@ def relative_error_map(
 
 @styled
 def angular_deviation_map(
-    positions_m: Vectors, measured_T: Vectors, predicted_T: Vectors, winding: Winding, title: str = ""
+    positions_m: Vectors, measured_T: Vectors, predicted_T: Vectors, winding: Winding | None, title: str = ""
 ) -> Figure:
     """Angle between measured and predicted field, in mrad, where all three components were measured."""
     sine = np.linalg.norm(np.cross(measured_T, predicted_T), axis=1)
@@ -72,7 +76,7 @@ def before_and_after_map(
     positions_m: Vectors,
     before_T: Vectors,
     after_T: Vectors,
-    winding: Winding,
+    winding: Winding | None,
     sigma_T: float | None = None,
     title: str = "",
 ) -> Figure:
@@ -85,7 +89,7 @@ def before_and_after_map(
 def _two_planes(
     positions_m: Vectors,
     values: np.ndarray,
-    winding: Winding,
+    winding: Winding | None,
     label: str,
     title: str,
     noise: float | None = None,
@@ -97,7 +101,7 @@ def _two_planes(
 def _panels(
     positions_m: Vectors,
     rows: Mapping[str, np.ndarray],
-    winding: Winding,
+    winding: Winding | None,
     label: str,
     title: str,
     noise: float | None = None,
@@ -138,12 +142,14 @@ def _panels(
     return fig
 
 
-def _frame(ax: Axes, positions_mm: np.ndarray, winding: Winding, up: int, cell_mm: np.ndarray) -> None:
+def _frame(ax: Axes, positions_mm: np.ndarray, winding: Winding | None, up: int, cell_mm: np.ndarray) -> None:
     """Draw the winding and set limits, labels and aspect of a panel with x across and axis number `up` upwards."""
-    draw_winding(ax, winding, "xyz"[up])
-    radius_mm, length_mm = float(winding.radius_m) * 1e3, float(winding.length_m) * 1e3
-    low = np.minimum(positions_mm.min(0) - 0.5 * cell_mm, (-radius_mm, -length_mm if up == 2 else -radius_mm))
-    high = np.maximum(positions_mm.max(0) + 0.5 * cell_mm, (radius_mm, 0.0 if up == 2 else radius_mm))
+    low, high = positions_mm.min(0) - 0.5 * cell_mm, positions_mm.max(0) + 0.5 * cell_mm
+    if winding is not None:
+        draw_winding(ax, winding, "xyz"[up])
+        radius_mm, length_mm = float(winding.radius_m) * 1e3, float(winding.length_m) * 1e3
+        low = np.minimum(low, (-radius_mm, -length_mm if up == 2 else -radius_mm))
+        high = np.maximum(high, (radius_mm, 0.0 if up == 2 else radius_mm))
     span, margin = high - low, 0.03 * (high - low)
     ax.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
     ax.set_aspect("equal" if span.max() < LONGEST_PANEL * span.min() else "auto")

@@ -22,7 +22,7 @@ def field_plane(
     z_m: Float[np.ndarray, " z"],
     field_T: Float[np.ndarray, "z x 3"],
     relative_half_width: Float[np.ndarray, "z x"],
-    winding: Winding,
+    winding: Winding | None,
     readings_m: Float[np.ndarray, "reading 3"] | None = None,
     title: str = "",
 ) -> Figure:
@@ -33,19 +33,20 @@ def field_plane(
         z_m: Coordinates along the axis, evenly spaced, increasing.
         field_T: Field in the coil frame; values inside the winding are hidden.
         relative_half_width: Half-width of the 90 % credible interval of |B|, relative to |B|.
-        winding: Winding of the coil (no batch).
+        winding: Winding of the coil (no batch); None where it is not known.
         readings_m: Sensor positions in the coil frame; beyond them the model extrapolates.
         title: Rig, date and the coil's current.
     """
     x_mm, z_mm = x_m * 1e3, z_m * 1e3
     fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
     left, right = fig.subplots(1, 2, sharex=True, sharey=True)
-    across_m = np.abs(x_m)[None, :]
-    inner_m = float(winding.radius_m - winding.thickness_m)
-    is_beside = (z_m > 0.0) | (z_m < -float(winding.length_m))
-    is_outside = (across_m < inner_m) | (across_m > float(winding.radius_m)) | is_beside[:, None]
     size_mT = np.linalg.norm(field_T, axis=-1) * 1e3
-    is_known = is_outside & np.isfinite(size_mT)  # another coil's winding may reach into the plane
+    is_known = np.isfinite(size_mT)  # another coil's winding may reach into the plane
+    if winding is not None:
+        across_m = np.abs(x_m)[None, :]
+        inner_m = float(winding.radius_m - winding.thickness_m)
+        is_beside = (z_m > 0.0) | (z_m < -float(winding.length_m))
+        is_known &= (across_m < inner_m) | (across_m > float(winding.radius_m)) | is_beside[:, None]
     low, high = np.quantile(size_mT[is_known], (0.01, 0.995))
     levels = np.geomspace(low, high, 13)
     filled = left.contourf(
@@ -66,7 +67,8 @@ def field_plane(
     fig.colorbar(filled, ax=right, label="half-width of the 90 % credible interval of |B| (%)")
     right.set_title("relative uncertainty of |B|")
     for ax in (left, right):
-        draw_winding(ax, winding, "z", zorder=3.0)
+        if winding is not None:
+            draw_winding(ax, winding, "z", zorder=3.0)
         ax.set_facecolor(WINDING)  # visible where the model has no value: inside a winding
         ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
     if readings_m is not None:

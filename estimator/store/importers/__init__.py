@@ -55,6 +55,12 @@ def _difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, f
     return read_difference_scan(paths, rig, currents_A)
 
 
+def _grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+    from estimator.store.importers.grid_maps import read_grid_maps
+
+    return read_grid_maps(paths, rig, currents_A)
+
+
 def _only(paths: Sequence[Path]) -> Path:
     if len(paths) != 1:
         raise InvalidInput(f"this format takes one file; received {len(paths)}")
@@ -67,4 +73,5 @@ IMPORTERS: Mapping[str, Importer] = {
     "plane_map": _plane_map,
     "axis_scan": _axis_scan,
     "difference_scan": _difference_scan,
+    "grid_maps": _grid_maps,
 }

@@ -11,7 +11,8 @@ from scipy.integrate import lebedev_rule
 from torch import Tensor
 from torch.func import jacfwd, vmap
 
-from estimator.field.harmonics import exterior_field, interior_field, terms
+from estimator.field.harmonics import exterior_field, interior_field
+from estimator.rig.harmonic_terms import terms
 
 Field = Callable[[Tensor, dict[int, Tensor]], Tensor]
 DEGREES = (1, 2, 3, 4, 5)

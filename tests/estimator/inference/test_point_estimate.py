@@ -87,8 +87,8 @@ def test_starts_that_end_in_another_maximum_are_not_counted_as_agreeing(mirrored
 
 def test_estimate_is_the_maximum_of_all_readings_though_nelder_mead_saw_a_few(many_readings, monkeypatch):
     seen: list[LogPosterior] = []
-    thinned = module._thinned
-    monkeypatch.setattr(module, "_thinned", lambda *given: seen.append(thinned(*given)) or seen[-1])
+    thinned = module.thinned_posterior
+    monkeypatch.setattr(module, "thinned_posterior", lambda *given: seen.append(thinned(*given)) or seen[-1])
     posterior = many_readings.real
     estimate = point_estimate(posterior, many_readings.observations, seed=0)
     assert len(seen[0].measured_T) == 3 * THIN_TO
@@ -101,7 +101,9 @@ def test_estimate_is_the_maximum_of_all_readings_though_nelder_mead_saw_a_few(ma
 
 def test_thinning_keeps_distinct_readings_that_the_generator_chooses(many_readings):
     def thinned_readings(seed: int) -> list[float]:
-        thinned = module._thinned(many_readings.real, many_readings.observations, np.random.default_rng(seed))
+        thinned = module.thinned_posterior(
+            many_readings.real, many_readings.observations, np.random.default_rng(seed)
+        )
         return thinned.measured_T.tolist()
 
     everything = many_readings.real.measured_T.tolist()
@@ -112,7 +114,7 @@ def test_thinning_keeps_distinct_readings_that_the_generator_chooses(many_readin
 
 def test_few_readings_are_not_thinned(winding_problem):
     posterior, rng = winding_problem.real, np.random.default_rng(0)
-    assert module._thinned(posterior, winding_problem.observations, rng) is posterior
+    assert module.thinned_posterior(posterior, winding_problem.observations, rng) is posterior
 
 
 def test_starts_where_the_posterior_has_no_value_are_left_out(mirrored):

@@ -12,10 +12,10 @@ from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.smooth import polynomials, unit_interval
 from estimator.diagnosis.structure.winding_shapes import shape_fields
 from estimator.model.bodies import winding_of
-from estimator.rig.rig import Coil
+from estimator.rig.rig import AnyCoil, Coil
 
 
-def add_positions(collection: Collection, coil: Coil) -> None:
+def add_positions(collection: Collection, coil: AnyCoil) -> None:
     """Add fields that move with a coil: arbitrary smooth ones, and those of sources outside the workspace."""
     fit, model = collection.fit, collection.fit.posterior.model
     circumstances = model.circumstances
@@ -34,19 +34,20 @@ def add_positions(collection: Collection, coil: Coil) -> None:
         torch.einsum("rij,rtj->rti", rotation, harmonic_gradients(inner, degree)) / degree**2
         for degree in range(2, policy.HARMONIC_DEGREE + 1)
     ]
-    source = torch.cat(fields, dim=1)
-    winding = winding_of(model.rig, coil, fit.values)
-    nearby = torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m))
-    shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
-    collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
+    sources = [torch.cat(fields, dim=1)]
+    if isinstance(coil, Coil):
+        winding = winding_of(model.rig, coil, fit.values)
+        sources.append(torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m)))
+        shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
+        collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
     drives = {f"position relative to {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
         drives[f"position relative to {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
         collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], rotation)
         collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], rotation)
-        collection.add_fields(name, source * drive[:, None, None])
-        collection.add_fields(name, nearby * drive[:, None, None])
+        for source in sources:
+            collection.add_fields(name, source * drive[:, None, None])
 
 
 def dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column 3"]:

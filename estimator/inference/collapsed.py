@@ -1,0 +1,353 @@
+"""Amplitudes that the readings are linear in, integrated out of a posterior in closed form.
+
+The readings are normal about predictions that are linear in the amplitudes of coils without a winding, and so are the priors of these. For
+any values of all other parameters the amplitudes are then normal given the readings, and their integral has a closed form. What is
+sampled is the density of the others alone, of which there are few; amplitudes are drawn afterwards.
+
+References: Bishop, Pattern Recognition and Machine Learning (2006), section 3.3 (Bayesian linear regression) and eq 3.86 (its evidence).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.derivatives import value_and_jacobian
+from estimator.effects.stages import NoiseEffect
+from estimator.effects.use import uses_of
+from estimator.field.node_sum import SumMode
+from estimator.inference.laplace import covariance
+from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
+from estimator.inference.likelihood import LogPosterior
+from estimator.rig.coordinates import Coordinates, Values
+from estimator.rig.parameters import Normal, Tie
+from estimator.rig.rig import Rig
+
+LINEAR_TO = 1e-9  # of the largest predicted component: rounding of sums over thousands of terms
+MOST_NUMBERS = 20_000_000  # of a design matrix at once, to bound memory
+
+
+class Conditional(NamedTuple):
+    """Amplitudes given the rest, in standard deviations of their priors from the centres of these.
+
+    Attributes:
+        mean: Most probable amplitudes.
+        precision: Of their normal distribution.
+    """
+
+    mean: Float[Tensor, "*batch amplitude"]
+    precision: Float[Tensor, "*batch amplitude amplitude"]
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Design matrix and residuals of readings, summed over the components of each sensor, with the amplitudes at `_about`.
+
+    Attributes:
+        gram: D^T D, with D the change of the components per prior standard deviation of each amplitude, in T.
+        score: D^T r, with r the residuals in T.
+        square: r^T r.
+        n: Number of components.
+    """
+
+    gram: Float[Tensor, "sensor amplitude amplitude"]
+    score: Float[Tensor, "sensor amplitude"]
+    square: Float[Tensor, " sensor"]
+    n: Float[Tensor, " sensor"]
+
+    @cached_property
+    def principal(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues and eigenvectors of the matrix of a single sensor."""
+        values, vectors = torch.linalg.eigh(self.gram[0])
+        return values.clamp(min=0.0), vectors
+
+
+class CollapsedPosterior:
+    """Log posterior density of all parameters but the amplitudes of coils without a winding, batched over walkers.
+
+    Attributes:
+        full: Density of all parameters.
+        amplitudes: Names of those that are integrated out.
+        coordinates: Of the others; loop counts are real numbers.
+    """
+
+    def __init__(self, full: LogPosterior) -> None:
+        self.full = full
+        rig = full.coordinates.rig
+        self.amplitudes = free_amplitudes(rig)
+        self.coordinates = Coordinates(rig.with_fixed(self.amplitudes))
+        priors = [rig.parameters[name].prior for name in self.amplitudes]
+        self._centre = torch.tensor([p.centre for p in priors if p], dtype=torch.float64)
+        self._sd = torch.tensor([p.sd for p in priors if p], dtype=torch.float64)
+        self._following = _following(rig, self.amplitudes)
+        noises = {f"{sensor.name}.noise_T" for sensor in rig.sensors}
+        has_normal_noise = not uses_of(rig, NoiseEffect)
+        self._is_only_noise = has_normal_noise and noises.issuperset(self.coordinates.names)
+
+    def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
+        """Log density up to a constant; -inf outside the prior or where the model has no value, never NaN."""
+        total = self.coordinates.log_prior(vector)
+        possible = torch.isfinite(total)
+        if possible.any():
+            inside = total[possible] + self.log_evidence(vector[possible])
+            total = total.masked_scatter(possible, inside)
+        return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)
+
+    def log_evidence(self, vector: Float[Tensor, "row coordinate"]) -> Float[Tensor, " row"]:
+        """Log probability density of the measured components, averaged over the amplitudes' priors."""
+        constant = 0.5 * math.log(2.0 * math.pi) * len(self.full.measured_T)
+        if self._is_only_noise:
+            sums, sigma_T = self._sums, self._sigma_T(vector)
+            variance = sigma_T**2
+            constant += 0.5 * float(self._about.square().sum())
+            total = -0.5 * (sums.square / variance).sum(-1) - (sums.n * torch.log(sigma_T)).sum(-1) - constant
+            if len(sums.n) == 1:
+                size, vectors = sums.principal
+                grown = size / variance
+                square = ((vectors.T @ sums.score[0]) / variance - vectors.T @ self._about) ** 2
+                return total + 0.5 * (square / (1.0 + grown) - torch.log1p(grown)).sum(-1)
+            return total + self._gain(*self._normal_equations(vector))
+        terms = []
+        for row in vector:
+            design, residual, log_sigma = self._whitened(row)
+            precision = _unit_plus(design.mT @ design)
+            gain = self._gain(precision, design.mT @ residual - self._about)
+            squares = residual.square().sum() + self._about.square().sum()
+            terms.append(gain - 0.5 * squares - log_sigma.sum() - constant)
+        return torch.stack(terms) if terms else torch.zeros(0, dtype=vector.dtype)
+
+    def given(self, vector: Float[Tensor, " coordinate"]) -> Conditional:
+        """The amplitudes given all else, one set of values."""
+        if self._is_only_noise:
+            precision, score = (each[0] for each in self._normal_equations(vector[None]))
+        else:
+            design, residual, _ = self._whitened(vector)
+            precision, score = _unit_plus(design.mT @ design), design.mT @ residual - self._about
+        return Conditional(self._about + _solved(precision, score), precision)
+
+    def values(self, vector: Float[Tensor, " coordinate"]) -> dict[str, Tensor]:
+        """Every parameter of the rig, with the most probable amplitudes."""
+        amplitudes = self._centre + self._sd * self.given(vector).mean
+        return self._with(self.coordinates.values(vector), amplitudes)
+
+    def determined(self, vector: Float[Tensor, " coordinate"]) -> dict[str, tuple[int, int]]:
+        """By coil the number of its free amplitudes, and of their combinations that the readings tell better than the priors."""
+        precision = self.given(vector).precision
+        counts = {}
+        for coil in self.full.coordinates.rig.unwound:
+            own = [i for i, name in enumerate(self.amplitudes) if name.startswith(f"{coil.name}.")]
+            if own:
+                data_over_prior = torch.linalg.eigvalsh(precision[own][:, own]) - 1.0
+                counts[coil.name] = (len(own), int((data_over_prior > 1.0).sum()))
+        return counts
+
+    def curvature(self, vector: Float[Tensor, " coordinate"]) -> tuple[Tensor, Tensor]:
+        """Negative Hessian of the log density, Gauss-Newton for the data, and the data's part of it.
+
+        With the amplitudes at their most probable values; what these follow is taken off (Schur complement).
+        """
+        values = self.values(vector)
+        best = torch.stack([values[name] for name in self.amplitudes])
+        model = self.full.model.with_mode(SumMode.FIRST_ORDER)
+
+        def moved(step: Tensor) -> Tensor:
+            field_T = model.predict(self._with(self.coordinates.values(vector + step), best))
+            sigma_T = self.full.component_sigma_T(self._with_centre(vector + step))
+            return torch.stack((self.full.measured_components(field_T), torch.log(sigma_T)))
+
+        (predicted_T, log_sigma), (slope_T, log_sigma_slope) = value_and_jacobian(
+            moved, torch.zeros_like(vector)
+        )
+        sigma_T = torch.exp(log_sigma)
+        slope = slope_T / sigma_T[:, None]
+        mean_chi2 = ((self.full.measured_T - predicted_T) / sigma_T).square().mean().clamp(min=0.25)
+        information = slope.mT @ slope + 2.0 * mean_chi2 * log_sigma_slope.mT @ log_sigma_slope
+        if bool((slope != 0.0).any()):
+            design = self._whitened(vector)[0]
+            along = design.mT @ slope
+            followed = torch.linalg.cholesky(_unit_plus(design.mT @ design))
+            off = torch.linalg.solve_triangular(followed, along, upper=False)
+            information = information - off.mT @ off
+        _, prior = prior_gradient_and_precision(self.coordinates, vector[None])
+        return information + prior[0], information
+
+    def drawn(
+        self, chain: Float[np.ndarray, "step walker coordinate"], seed: int
+    ) -> dict[str, Float[np.ndarray, "step walker"]]:
+        """One draw of the amplitudes for each draw of all else.
+
+        Args:
+            chain: Draws of the coordinates.
+            seed: Of the draws.
+        """
+        steps, walkers = chain.shape[:2]
+        rows = torch.from_numpy(chain.reshape(steps * walkers, -1))
+        n = len(self.amplitudes)
+        generator = torch.Generator().manual_seed(seed)
+        normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64)
+        if self._is_only_noise and len(self._sums.n) == 1:
+            size, vectors = self._sums.principal
+            variance = self._sigma_T(rows) ** 2
+            grown = 1.0 + size / variance
+            mean = ((vectors.T @ self._sums.score[0]) / variance - vectors.T @ self._about) / grown
+            standard = self._about + (mean + normal / grown.sqrt()) @ vectors.T
+        else:
+            standard = torch.empty_like(normal)
+            row_of = torch.zeros(len(rows), dtype=torch.int64)
+            if rows.shape[1]:  # walkers stay where they are now and then
+                row_of = torch.unique(rows, dim=0, return_inverse=True)[1]
+            order = torch.argsort(row_of)
+            for own in torch.split(order, torch.bincount(row_of).tolist()):
+                given = self.given(rows[own[0]])
+                root = torch.linalg.cholesky(given.precision)
+                off = torch.linalg.solve_triangular(root.mT, normal[own].T, upper=True)
+                standard[own] = given.mean + off.T
+        drawn = (self._centre + self._sd * standard).reshape(steps, walkers, n).numpy()
+        return {name: drawn[:, :, i] for i, name in enumerate(self.amplitudes)}
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Whether the predictions are linear in the amplitudes, and readings scatter normally about them."""
+        rig = self.full.coordinates.rig
+        if any(use.effect.is_contaminating for use in uses_of(rig, NoiseEffect)):
+            return False
+        values = self.coordinates.values(self.coordinates.start())
+        n = len(self.amplitudes)
+        steps = torch.randn(2, n, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        each = torch.cat((torch.zeros(1, n, dtype=torch.float64), steps, steps.sum(0, keepdim=True)))
+        with torch.no_grad():
+            none_T, one_T, other_T, both_T = self._predicted(values, self._centre + self._sd * each)
+        misfit_T = (both_T - one_T - other_T + none_T).abs().max()
+        return bool(misfit_T <= LINEAR_TO * both_T.abs().max())
+
+    @cached_property
+    def _about(self) -> Float[Tensor, " amplitude"]:
+        """Amplitudes about which squares are taken, in the units of `Conditional`: those of the nominal values.
+
+        About zero the squares of readings a million times their noise would leave no digit for differences of log densities.
+        """
+        design_T, residual_T = self._at_start
+        with torch.no_grad():
+            sigma_T = self.full.component_sigma_T(self._with_centre(self.coordinates.start()))
+        design = design_T / sigma_T[:, None]
+        return _solved(_unit_plus(design.mT @ design), design.mT @ (residual_T / sigma_T))
+
+    @cached_property
+    def _at_start(self) -> tuple[Tensor, Tensor]:
+        with torch.no_grad():
+            return self._design(self.coordinates.values(self.coordinates.start()))
+
+    @cached_property
+    def _sums(self) -> _Sums:
+        """Sums over the readings, which stay the same where nothing but the noise is free."""
+        design_T, residual_T = self._at_start
+        residual_T = residual_T - design_T @ self._about
+        own = [self.full.sensor == i for i in range(len(self.full.n_by_sensor))]
+        return _Sums(
+            torch.stack([design_T[rows].mT @ design_T[rows] for rows in own]),
+            torch.stack([design_T[rows].mT @ residual_T[rows] for rows in own]),
+            torch.stack([residual_T[rows].square().sum() for rows in own]),
+            self.full.n_by_sensor,
+        )
+
+    def _normal_equations(self, vector: Tensor) -> tuple[Tensor, Tensor]:
+        """Precision of the amplitudes and right-hand side of their normal equations, where only the noise is free."""
+        per_variance = self._sigma_T(vector) ** -2
+        gram = torch.einsum("...s,sij->...ij", per_variance, self._sums.gram)
+        return _unit_plus(gram), per_variance @ self._sums.score - self._about
+
+    def _gain(self, precision: Tensor, score: Tensor) -> Tensor:
+        """What the spread of the amplitudes adds to the log density at `_about`."""
+        root = torch.linalg.cholesky(precision)
+        off = torch.linalg.solve_triangular(root, score[..., None], upper=False)[..., 0]
+        log_determinant = 2.0 * torch.log(torch.diagonal(root, dim1=-2, dim2=-1)).sum(-1)
+        gain: Tensor = 0.5 * (off.square().sum(-1) - log_determinant)
+        return gain
+
+    def _sigma_T(self, vector: Tensor) -> Float[Tensor, "row sensor"]:
+        values = self.coordinates.values(vector)
+        noises = (values[f"{sensor.name}.noise_T"] for sensor in self.full.model.rig.sensors)
+        return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
+
+    def _whitened(self, vector: Float[Tensor, " coordinate"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Design matrix and residuals about `_about` in units of the noise, and the logarithm of the noise, by component."""
+        with torch.no_grad():
+            design_T, residual_T = self._design(self.coordinates.values(vector))
+            sigma_T = self.full.component_sigma_T(self._with_centre(vector))
+        residual_T = residual_T - design_T @ self._about
+        return design_T / sigma_T[:, None], residual_T / sigma_T, torch.log(sigma_T)
+
+    def _design(self, values: Values) -> tuple[Float[Tensor, "component amplitude"], Tensor]:
+        """Change of the components per prior standard deviation of each amplitude, and the residuals at the centre, in T."""
+        centre_T = self._predicted(values, self._centre[None])[0]
+        columns, n = [], len(self.amplitudes)
+        n_at_once = max(1, MOST_NUMBERS // (4 * len(centre_T)))
+        for some in torch.arange(n).split(n_at_once):
+            each = torch.zeros(len(some), n, dtype=torch.float64)
+            each[torch.arange(len(some)), some] = self._sd[some]
+            columns.append(self._predicted(values, self._centre + each) - centre_T)
+        return torch.cat(columns).T.contiguous(), self.full.measured_T - centre_T
+
+    def _predicted(
+        self, values: Values, amplitudes: Float[Tensor, "row amplitude"]
+    ) -> Float[Tensor, "row component"]:
+        """Measured components as predicted with rows of amplitudes and the same rest."""
+        field_T = self.full.model.predict(self._with(values, amplitudes))
+        return self.full.measured_components(field_T).expand(len(amplitudes), len(self.full.measured_T))
+
+    def _with(self, values: Values, amplitudes: Float[Tensor, "*row amplitude"]) -> dict[str, Tensor]:
+        """The same values with other amplitudes, and with what is tied to them."""
+        there = {**values, **dict(zip(self.amplitudes, amplitudes.unbind(-1), strict=True))}
+        for name, tie in self._following.items():
+            there[name] = tie.factor * there[tie.to]
+        return there
+
+    def _with_centre(self, vector: Tensor) -> Tensor:
+        """Coordinates of the full density, with amplitudes at the centre of their priors."""
+        own = [self.full.coordinates.names.index(name) for name in self.coordinates.names]
+        there = self._at_centre.expand(*vector.shape[:-1], -1).clone()
+        there[..., own] = vector
+        return there
+
+    @cached_property
+    def _at_centre(self) -> Float[Tensor, " coordinate"]:
+        """Coordinates of the full density at the nominal values, with amplitudes at the centre of their priors."""
+        return self.full.coordinates.vector(dict(zip(self.amplitudes, self._centre, strict=True)))
+
+
+def free_amplitudes(rig: Rig) -> tuple[str, ...]:
+    """Free amplitudes of the rig's coils without a winding, with normal priors."""
+    names = (name for coil in rig.unwound for own in coil.amplitudes.values() for name in own)
+    return tuple(name for name in names if isinstance(rig.parameters[name].prior, Normal))
+
+
+def _following(rig: Rig, amplitudes: tuple[str, ...]) -> dict[str, Tie]:
+    """Ties to amplitudes, and to what is tied to them, in an order in which they can be followed."""
+    following: dict[str, Tie] = {}
+    for _ in rig.parameters:
+        more = {
+            name: p.tie
+            for name, p in rig.parameters.items()
+            if p.tie and name not in following and (p.tie.to in amplitudes or p.tie.to in following)
+        }
+        if not more:
+            break
+        following |= more
+    return following
+
+
+def _unit_plus(gram: Tensor) -> Tensor:
+    """The prior's precision, which is 1 in these units, added."""
+    return gram + torch.eye(gram.shape[-1], dtype=gram.dtype)
+
+
+def _solved(precision: Tensor, score: Tensor) -> Tensor:
+    solution: Tensor = (covariance(precision) @ score[..., None])[..., 0]
+    return solution

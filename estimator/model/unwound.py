@@ -1,0 +1,49 @@
+"""Field of a coil whose winding is not known: solid harmonics about the origin of its frame, with amplitudes per ampere."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from estimator.field.harmonics import exterior_field, interior_field
+from estimator.rig.coordinates import Values
+from estimator.rig.rig import HarmonicCoil, Region
+
+
+def harmonic_field_per_ampere(
+    coil: HarmonicCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of one ampere in the coil frame, in T/A; free of divergence and curl, and linear in the amplitudes.
+
+    Args:
+        coil: Its region and degree.
+        points_coil_m: Points in the coil frame; multipoles are singular at its origin.
+        values: Every number of the rig by name.
+    References: Jackson, Classical Electrodynamics, 3rd ed., sections 3.3 and 4.1.
+    """
+    names = [name for names in coil.amplitudes.values() for name in names]
+    each = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
+    sizes = [len(own) for own in coil.amplitudes.values()]
+    amplitudes = dict(zip(coil.amplitudes, each.split(sizes, dim=-1), strict=True))
+    field = interior_field if coil.region is Region.INTERIOR else exterior_field
+    return field(points_coil_m / _radius_m(coil, values), amplitudes)
+
+
+def is_among_sources(
+    coil: HarmonicCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
+) -> Bool[Tensor, "*batch point"]:
+    """Whether points lie in the ball that holds the sources of an exterior field, where the coil has no model.
+
+    Args:
+        coil, points_coil_m, values: As in `harmonic_field_per_ampere`.
+    """
+    distance_m: Tensor = points_coil_m.norm(dim=-1)
+    if coil.region is Region.INTERIOR:
+        return torch.zeros_like(distance_m, dtype=torch.bool)
+    is_among: Tensor = distance_m <= _radius_m(coil, values)[..., 0]
+    return is_among
+
+
+def _radius_m(coil: HarmonicCoil, values: Values) -> Float[Tensor, "*#batch 1 1"]:
+    return values[f"{coil.name}.reference_radius_m"][..., None, None]

@@ -1,0 +1,146 @@
+"""Coils without a winding in rig files: region, degree, sphere of reference, and the amplitudes with their priors, both ways."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from statistics import mode
+from typing import Any
+
+from estimator.rig.harmonic_terms import HIGHEST_DEGREE
+from estimator.rig.parameters import Normal, Parameter
+from estimator.rig.rig import HarmonicCoil, Region
+from estimator.rig_files.numbers import Numbers, read_number, read_scalar
+from estimator.units import split_unit
+from estimator.yaml_section import Section
+
+MODEL = "harmonic"
+WIDTH, FALLOFF = "sd_T_per_A", "falloff"
+UNIT = "T/A"
+MOST_DIGITS = 17  # tell any two floats apart
+
+
+def read_harmonic(section: Section, coil: HarmonicCoil, numbers: Numbers) -> None:
+    """Read the sphere of reference and the amplitudes of a coil.
+
+    Amplitudes have normal priors about zero, as wide as `sd_T_per_A` in degree 1 and `falloff` times narrower in each degree above;
+    those that are listed by name have what is written there.
+
+    Args:
+        section: Of the coil.
+        coil: With its degree.
+        numbers: Where they go.
+    """
+    read_scalar(section, coil.name, "reference_radius", "length", numbers, positive=True)
+    radius = numbers.parameters[f"{coil.name}.reference_radius_m"]
+    if radius.prior is not None or radius.tie is not None:
+        key = numbers.origin[radius.name][1]
+        section.refuse(key, "must be a plain number: amplitudes are given at that radius", "a prior or tie")
+    if "amplitudes" not in section:
+        section.required("amplitudes")
+    block = section.section("amplitudes")
+    for key in block:  # another unit, or none
+        if key != WIDTH and (key == "sd" or key.startswith("sd_")):
+            block.refuse(key, f"must be written as {WIDTH}, in SI", repr(block.value(key)))
+    width = block.number(WIDTH) if WIDTH in block else None
+    if width is not None and width <= 0.0:
+        block.refuse(WIDTH, "must be > 0", f"{width:g}")
+    falloff = block.number(FALLOFF, 1.0)
+    if not 0.0 < falloff <= 1.0:
+        block.refuse(FALLOFF, "must be above 0 and at most 1", f"{falloff:g}")
+    for degree, names in coil.amplitudes.items():
+        for name in names:
+            key = name.removeprefix(f"{coil.name}.")
+            if key in block:
+                _read_amplitude(block, key, name, numbers)
+                continue
+            if width is None:
+                _refuse_misspelt(block, key)
+                rule = f"must state the width of its priors, {WIDTH}, or list every amplitude"
+                section.refuse("amplitudes", rule, f"neither {WIDTH} nor {key}")
+            prior = Normal(0.0, prior_width(width, falloff, degree))
+            numbers.parameters[name] = Parameter(name, UNIT, 0.0, prior)
+    block.finish()
+
+
+def read_region(section: Section) -> tuple[Region, int]:
+    """Region and degree of a coil without a winding."""
+    region = Region(section.choice("region", tuple(Region)))
+    degree = section.number("degree")
+    if not (degree.is_integer() and 1 <= degree <= HIGHEST_DEGREE):
+        section.refuse("degree", f"must be a whole number from 1 to {HIGHEST_DEGREE}", f"{degree:g}")
+    return region, int(degree)
+
+
+def prior_width(width: float, falloff: float, degree: int) -> float:
+    """Standard deviation of the amplitudes of a degree.
+
+    Examples:
+        >>> prior_width(8e-3, 0.5, 3)
+        0.002
+    """
+    return float(width * falloff ** (degree - 1))
+
+
+def amplitude_section(
+    coil: HarmonicCoil, parameters: Mapping[str, Parameter], entries: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Amplitudes as the reader takes them: one width and its falloff, and by name what these do not say.
+
+    Args:
+        coil: Whose amplitudes.
+        parameters: Of the rig.
+        entries: By name of an amplitude, its entry in a rig file.
+    """
+    width, falloff = _widths(coil, parameters)
+    written: dict[str, Any] = {} if width is None else {WIDTH: width}
+    if width is not None and falloff != 1.0:
+        written[FALLOFF] = falloff
+    for degree, names in coil.amplitudes.items():
+        for name in names:
+            is_said = width is not None and repr(parameters[name]) == repr(
+                Parameter(name, UNIT, 0.0, Normal(0.0, prior_width(width, falloff, degree)))
+            )
+            if not is_said:
+                written[name.removeprefix(f"{coil.name}.")] = entries[name]
+    return written
+
+
+def _widths(coil: HarmonicCoil, parameters: Mapping[str, Parameter]) -> tuple[float | None, float]:
+    """Width and falloff that say most widths of a coil to the last bit; None where no first degree has a prior about zero."""
+    priors = {
+        degree: [p.sd for name in names if isinstance(p := parameters[name].prior, Normal) and p.mean == 0.0]
+        for degree, names in coil.amplitudes.items()
+    }
+    sds = {degree: mode(own) for degree, own in priors.items() if own}
+    if 1 not in sds:
+        return None, 1.0
+    width, highest = sds[1], max(sds)
+    if highest == 1 or sds[highest] > width:
+        return width, 1.0
+    ratio = (sds[highest] / width) ** (1.0 / (highest - 1))
+    rounded = [float(f"{ratio:.{digits}g}") for digits in range(1, MOST_DIGITS + 1)]
+
+    def n_said(falloff: float) -> int:
+        return sum(repr(prior_width(width, falloff, degree)) == repr(sd) for degree, sd in sds.items())
+
+    return width, max((f for f in rounded if 0.0 < f <= 1.0), key=n_said, default=1.0)
+
+
+def _read_amplitude(block: Section, key: str, name: str, numbers: Numbers) -> None:
+    read_number(block, key, name, UNIT, 1.0, numbers)
+    prior = numbers.parameters[name].prior
+    if prior is not None and not is_unbounded(prior):
+        block.refuse(key, "must have a normal prior without bounds, or none", "another")
+
+
+def is_unbounded(prior: object) -> bool:
+    """Whether a prior is normal without bounds."""
+    return isinstance(prior, Normal) and prior == Normal(prior.mean, prior.standard_deviation)
+
+
+def _refuse_misspelt(block: Section, wanted: str) -> None:
+    """An amplitude without its unit, or in another."""
+    stem = wanted.removesuffix("_T_per_A")
+    for key in block:
+        if key != wanted and (key == stem or key.startswith(f"{stem}_") or split_unit(key)[0] == stem):
+            block.refuse(key, f"must be written as {wanted}, in SI", repr(block.value(key)))

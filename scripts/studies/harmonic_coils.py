@@ -1,0 +1,188 @@
+"""Coils without a winding: maps of eight coils with iron cores, each by harmonics, judged on blocks of places held out.
+
+`make harmonic-coils` runs it; it needs the folder named by COILCAL_DATA. Each map is calibrated five times without a fifth of its places,
+in blocks of neighbours, on the whole cube and in balls about its middle, which leave the edges of the cube out. Then all eight
+are on at once: the sum of eight calibrations of one coil, one calibration of eight coils, and the sum of the maps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from estimator import SamplerSettings, Session, System, calibrate, load_rig
+from estimator.calibration.result import Calibration
+from estimator.readings.split import pose_blocks
+from estimator.rig.rig import Rig
+from estimator.store.importers.grid_maps import PROVENANCE, read_grid_maps
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs/mfg_8coil.yaml"
+FOLDER = "mfg-8coil-ironcore-maps"
+N_FOLDS = 5
+TARGET = 3e-3  # of the rms field
+BALL_M = 6e-3
+REGIONS = {"cube": 1.0, "ball of 7 mm": 7e-3, "ball of 6 mm": BALL_M}  # farthest place from the middle
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--ess", type=float, default=400.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    data = os.environ.get("COILCAL_DATA")
+    if not data or not (Path(data) / FOLDER).is_dir():
+        print(f"harmonic_coils: skipped, for COILCAL_DATA must name a folder that holds {FOLDER}")
+        return
+    torch.set_num_threads(1)
+    rig = load_rig(CONFIG)
+    files = sorted((Path(data) / FOLDER).glob("vfield_*.txt"))
+    maps = [read_grid_maps([path], rig) for path in files]
+    settings = SamplerSettings(target_ess=options.ess)
+    print(
+        f"provenance: {PROVENANCE}; so these maps are not called measured. Windings and cores are not given.\n"
+    )
+    for region, farthest_m in REGIONS.items():
+        print(
+            f"{region}: error over rms field on places held out, all five fifths; coverage of 90 % intervals there"
+        )
+        for i, coil in enumerate(rig.coils):
+            judge_one(one_coil(rig, coil.name), maps[i], i, farthest_m, settings, options.seed)
+        print()
+    judge_all(rig, maps, settings, options.seed)
+
+
+def one_coil(rig: Rig, name: str) -> Rig:
+    """The rig with a single coil."""
+    others = tuple(f"{coil.name}." for coil in rig.coils if coil.name != name)
+    parameters = {key: p for key, p in rig.parameters.items() if not key.startswith(others)}
+    return replace(rig, coils=tuple(c for c in rig.coils if c.name == name), parameters=parameters)
+
+
+def within(session: Session, farthest_m: float, rig: Rig, coil: int | None) -> Session:
+    """Readings no farther from the middle, of a rig with the same coils or with one of them."""
+    observations = session.observations
+    if coil is not None:
+        observations = replace(observations, current_A=observations.current_A[:, coil : coil + 1])
+    is_near = observations.motion["stage"][:, :3].norm(dim=-1) < farthest_m
+    rows = replace(observations, whole=None, chosen=None).rows(is_near)
+    return Session(rig, replace(rows, whole=None, chosen=None), session.source)
+
+
+def folds(session: Session, seed: int) -> torch.Tensor:
+    """Fold of each reading: blocks of neighbouring places, dealt in turn."""
+    rng = np.random.default_rng(seed)
+    block = pose_blocks(session.observations, rng)
+    order = rng.permutation(np.unique(block))
+    return torch.from_numpy(np.argsort(order)[np.searchsorted(np.unique(block), block)] % N_FOLDS)
+
+
+def without_fold(session: Session, fold: torch.Tensor, number: int) -> Session:
+    return replace(session, observations=session.observations.with_validation(fold == number))
+
+
+def judge_one(
+    rig: Rig, whole: Session, coil: int, farthest_m: float, settings: SamplerSettings, seed: int
+) -> None:
+    """One coil's row: held-out error of all folds together, coverage, and the evidence for more degrees."""
+    session = within(whole, farthest_m, rig, coil)
+    fold = folds(session, seed)
+    begin_s, squares, n_held, gains = time.perf_counter(), 0.0, 0.0, []
+    worst_T = 0.0
+    for number in range(N_FOLDS):
+        result = calibrate(without_fold(session, fold, number), rig, seed=seed, settings=settings).summary()
+        n = int((fold == number).sum())
+        squares += n * result["rmse"]["validation"]["vector_T"] ** 2
+        worst_T = max(worst_T, result["rmse"]["validation"]["max_T"])
+        n_held += n * result["coverage90"]["validation"]
+        gains.append(result["next_degree_log_evidence"])
+    n = len(session.observations)
+    rms_T = float(session.observations.field_sensor_T.square().sum(-1).mean().sqrt())
+    share = (squares / n) ** 0.5 / rms_T
+    print(
+        f"  {rig.coils[0].name}: {n:5} places, rms field {rms_T * 1e3:.3f} mT/A, error {share:8.4%} "
+        f"({'below' if share < TARGET else 'NOT below'} {TARGET:.1%}), largest {worst_T / rms_T:7.3%}, coverage {n_held / n:.1%}, "
+        f"evidence for a degree more {np.median(gains):+.0f}, {(time.perf_counter() - begin_s) / N_FOLDS:.1f} s each",
+        flush=True,
+    )
+
+
+def judge_all(rig: Rig, maps: list[Session], settings: SamplerSettings, seed: int) -> None:
+    """All coils on: eight calibrations, one calibration, and the sum of the maps, at places that none has seen."""
+    singles = [
+        within(whole, BALL_M, one_coil(rig, c.name), i)
+        for i, (c, whole) in enumerate(zip(rig.coils, maps, strict=True))
+    ]
+    fold = folds(singles[0], seed)
+    calibrations = [calibrate(without_fold(s, fold, 0), s.rig, seed=seed, settings=settings) for s in singles]
+    system = System.of(*calibrations)
+    together = joined(rig, singles)
+    begin_s = time.perf_counter()
+    one = calibrate(without_fold(together, fold.repeat(len(singles)), 0), rig, seed=seed, settings=settings)
+    seconds = time.perf_counter() - begin_s
+    held = fold == 0
+    points_m = singles[0].observations.motion["stage"][held, :3]
+    each_T = torch.stack([s.observations.field_sensor_T[held] for s in singles])
+    print(
+        f"all eight on, {int(held.sum())} places held out in the ball of 6 mm; the maps hold no reading with more than one coil on"
+    )
+    signs = torch.from_numpy(np.random.default_rng(seed).choice([-1.0, 1.0], (4, len(singles))))
+    for current_A in (torch.ones(1, len(singles), dtype=torch.float64), signs):
+        wanted_T = torch.einsum("sc,cpi->spi", current_A, each_T)
+        summed_T = system.at(points_m).field_T(current_A)
+        names = [coil.name for coil in rig.coils]
+        one_T = torch.stack(
+            [one.field(points_m, dict(zip(names, row.tolist(), strict=True))) for row in current_A]
+        )
+        rms_T = rms(wanted_T)
+        label = "1 A in each" if len(current_A) == 1 else "1 A of either sign, four draws"
+        print(
+            f"  {label}: eight calibrations {rms(summed_T - wanted_T) / rms_T:.4%}, one calibration of eight "
+            f"{rms(one_T - wanted_T) / rms_T:.4%}, between the two {rms(one_T - summed_T) / rms_T:.4%} of the rms, {rms_T * 1e3:.3f} mT"
+        )
+    lower, upper = system.at(points_m).field_interval_T(torch.ones(len(singles), dtype=torch.float64))
+    wanted_T = each_T.sum(0)
+    share = float(((lower <= wanted_T) & (wanted_T <= upper)).double().mean())
+    print(f"  90 % intervals of the field, without noise, hold {share:.1%} of the sum of the maps")
+    print(
+        f"  one calibration of {len(rig.free)} parameters from {len(together.observations)} readings: {seconds:.0f} s"
+    )
+    print_amplitudes(one)
+
+
+def joined(rig: Rig, singles: list[Session]) -> Session:
+    """The readings of all coils as one session."""
+    parts = [s.observations for s in singles]
+    n = [len(part) for part in parts]
+    on = torch.arange(len(parts)).repeat_interleave(torch.tensor(n))
+    first = parts[0]
+    observations = replace(
+        first,
+        time_s=torch.arange(sum(n), dtype=torch.float64),
+        sensor=torch.cat([part.sensor for part in parts]),
+        current_A=torch.nn.functional.one_hot(on, len(parts)).double(),
+        motion={"stage": torch.cat([part.motion["stage"] for part in parts])},
+        field_sensor_T=torch.cat([part.field_sensor_T for part in parts]),
+        is_validation=torch.cat([part.is_validation for part in parts]),
+        repeat=torch.cat([part.repeat for part in parts]),
+    )
+    return Session(rig, observations, singles[0].source)
+
+
+def print_amplitudes(one: Calibration) -> None:
+    told = one.summary()["amplitudes"]
+    words = ", ".join(f"{coil} {n['determined']} of {n['free']}" for coil, n in told.items())
+    print(f"  amplitudes that readings determine better than the priors: {words}")
+
+
+def rms(vectors: torch.Tensor) -> float:
+    return float(vectors.square().sum(-1).mean().sqrt())
+
+
+if __name__ == "__main__":
+    main()
