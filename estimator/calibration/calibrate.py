@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from emcee.backends import Backend
 
-from estimator.calibration.found import (
-    Found,
-    found_collapsed,
-    found_with_counts,
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.starting_point import (
+    StartingPoint,
     independent,
     is_collapsible,
+    starting_point_collapsed,
+    starting_point_with_counts,
 )
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
 from estimator.field.node_sum import SumMode
@@ -111,18 +111,18 @@ def calibrate(
     model = MeasurementModel.build(rig, observations)
     posterior = LogPosterior(Coordinates(rig), model, observations)
     if is_collapsible(posterior):
-        found = found_collapsed(posterior, observations, seed)
-        tell(Stage("amplitudes in closed form", open_directions=found.undetermined))
+        start = starting_point_collapsed(posterior, observations, seed)
+        tell(Stage("amplitudes in closed form", open_directions=start.undetermined))
     else:
         settings = wanted.for_rig(len(rig.free))
-        found = found_with_counts(
+        start = starting_point_with_counts(
             posterior,
             observations,
             seed,
             lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, observations),
             lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
         )
-    lattice = found.posterior
+    lattice = start.posterior
     if isinstance(lattice, LogPosterior) and (
         lattice.model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE
     ):
@@ -136,7 +136,7 @@ def calibrate(
             backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
         samples = sample(
             lattice,
-            found.mixture,
+            start.mixture,
             settings,
             backend,
             lambda progress: tell(Stage("posterior sampling with emcee", progress)),
@@ -145,16 +145,16 @@ def calibrate(
         backend.flush()
 
     tell(Stage("errors, coverage and summary"))
-    draws, log_prob = found.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
-    calibration = Calibration(rig, session.observations, found.best(), draws, log_prob, {})
+    draws, log_prob = start.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
+    calibration = Calibration(rig, session.observations, start.best(), draws, log_prob, {})
     summary_json = {
         **summary(session, calibration),
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
-        "point_estimate": _point_estimate(rig, found),
-        "undetermined": [asdict(direction) for direction in found.undetermined],
-        **found.summary(observations),
+        "point_estimate": _point_estimate(rig, start),
+        "undetermined": [asdict(direction) for direction in start.undetermined],
+        **start.summary(observations),
         "seed": seed,
         "versions": versions(),
     }
@@ -264,10 +264,10 @@ def _sampling(samples: Samples) -> dict[str, Any]:
     }
 
 
-def _point_estimate(rig: Rig, found: Found) -> dict[str, Any]:
-    estimate = found.estimate
+def _point_estimate(rig: Rig, start: StartingPoint) -> dict[str, Any]:
+    estimate = start.estimate
     return {
-        "values": {parameter.name: float(found.values[parameter.name]) for parameter in rig.free},
+        "values": {parameter.name: float(start.values[parameter.name]) for parameter in rig.free},
         "nelder_mead_evaluations": estimate.n_evaluations,
         "starts": estimate.n_starts,
         "starts_agreeing": estimate.n_agreeing,

@@ -23,7 +23,7 @@ from estimator.readings.observations import Observations
 
 
 @dataclass(frozen=True)
-class Found:
+class StartingPoint:
     """The maximum of a posterior and what is sampled about it.
 
     Attributes:
@@ -76,7 +76,7 @@ def is_collapsible(posterior: LogPosterior) -> bool:
     return bool(free_amplitudes(posterior.coordinates.rig)) and CollapsedPosterior(posterior).is_linear
 
 
-def found_collapsed(posterior: LogPosterior, observations: Observations, seed: int) -> Found:
+def starting_point_collapsed(posterior: LogPosterior, observations: Observations, seed: int) -> StartingPoint:
     """The maximum and the proposal where amplitudes are integrated out.
 
     Args:
@@ -92,16 +92,16 @@ def found_collapsed(posterior: LogPosterior, observations: Observations, seed: i
     undetermined = tuple(open_directions(collapsed.coordinates, estimate.fit))
     with torch.no_grad():
         values = collapsed.values(estimate.vector)
-    return Found(collapsed, laplace_mixture(estimate.fit, 0), estimate, values, undetermined)
+    return StartingPoint(collapsed, laplace_mixture(estimate.fit, 0), estimate, values, undetermined)
 
 
-def found_with_counts(
+def starting_point_with_counts(
     posterior: LogPosterior,
     observations: Observations,
     seed: int,
     lattice_of: Callable[[LogPosterior], LogPosterior],
     tell: Callable[[str, tuple[OpenDirection, ...]], None],
-) -> Found:
+) -> StartingPoint:
     """The maximum and the mixture over whole loop counts, where all free parameters are sampled.
 
     Args:
@@ -126,7 +126,7 @@ def found_with_counts(
         lattice = posterior
         mixture = count_mixture(posterior, lattice, estimate.fit, rng)
         assert mixture is not None
-    return Found(lattice, mixture, estimate, values, undetermined)
+    return StartingPoint(lattice, mixture, estimate, values, undetermined)
 
 
 def independent(posterior: CollapsedPosterior, settings: SamplerSettings) -> Samples:
