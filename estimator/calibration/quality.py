@@ -71,7 +71,7 @@ def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessmen
                 f"the model misses {missed:.0%} of the field, {_size(error['vector_T'])} where the expected noise leaves "
                 f"{_size(expected_T)}.",
             ),
-            "Do not use it. `coilcal diagnose` asks for wrong signs, units and frames first, and then for what else is wrong.",
+            "Do not use it. Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong.",
         )
     reasons = [*_tensions(calibration), *_misfit(calibration.rig, error["vector_T"], expected_T)]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
@@ -80,7 +80,7 @@ def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessmen
         return Assessment(
             Quality.SUSPECT,
             tuple(reasons),
-            "Something in the rig file or in the model may be wrong. `coilcal diagnose` names it, or says that it cannot.",
+            "Something in the rig file or in the model may be wrong. Run coilcal diagnose, which names it or says that it cannot.",
         )
     return Assessment(
         Quality.GOOD,
@@ -88,7 +88,7 @@ def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessmen
             f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
             "and no number lies far from its prior.",
         ),
-        "`coilcal diagnose` looks closer for what a fit may have followed.",
+        "Run coilcal diagnose to look closer for what a fit may have followed.",
     )
 
 

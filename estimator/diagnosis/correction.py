@@ -94,7 +94,7 @@ class Correction:
         if not kinds:
             return ""
         each = "; ".join(f"{' and '.join(labels)}: {words}" for words, labels in kinds.items())
-        return f"Other readings would allow more. {each}. `coilcal design --map` proposes places."
+        return f"Other readings would allow more. {each}. Run coilcal design --map, which proposes places."
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
