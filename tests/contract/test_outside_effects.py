@@ -166,8 +166,9 @@ def test_commands_know_the_causes_of_an_installed_package(files: Path, hidden: s
     )
     coilcal(environment, files, *simulation, "--hide", f"{hidden}={HIDDEN[hidden]}")
     said = coilcal(environment, files, "diagnose", "flawed.zarr", "--out", "diagnosis", "--seed", "1")
-    assert "verdict: named" in said
-    assert name in said
+    verdict, likeliest = said.splitlines()[:2]
+    assert verdict in ("verdict: named", "verdict: indistinguishable")  # another cause may look the same
+    assert likeliest.strip().startswith(name)
     summary = json.loads((files / "diagnosis" / "calibration" / "summary.json").read_text())
     sampled = [parameter for parameter in summary["parameters"] if parameter.startswith(f"{name}[")]
     is_set = name == "peak_to_peak_current"  # it is there or not; nothing is sampled
