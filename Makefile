@@ -46,7 +46,7 @@ hidden: $(INSTALLED)      # effects hidden by independent code: found, named, mi
 	$(RUN) scripts.studies.hidden --cases 300 --out out/hidden.jsonl
 
 open-world: $(INSTALLED)  # causes of the library and others at natural sizes, on rigs described in several ways; hours, continues where it was interrupted
-	$(RUN) scripts.studies.open_world --cases 60 --first-seed 80000 --out out/open_world.jsonl
+	$(RUN) scripts.studies.open_world --cases 46 --first-seed 80000 --out out/open_world.jsonl
 
 leave-one-out: $(INSTALLED)   # each cause taken out of the library, hidden and diagnosed; hours, continues where it was interrupted
 	$(RUN) scripts.studies.leave_one_out --sigma 30 --out out/leave_one_out_30.jsonl
