@@ -164,13 +164,10 @@ def _judged(
             named = shown
         if (
             improvement.is_loss and not named
-        ):  # nor does a rig that predicts worse than the one described replace it
-            extended = search_result.base
-            after = (
-                before
-                if extended is plain
-                else fit_rig(extended.rig, before.observations, extended.values, rules)
-            )
+        ):  # a rig that predicts worse than the one described does not replace it
+            extended = after = search_result.base
+            if before is not plain:
+                after = fit_rig(extended.rig, before.observations, extended.values, rules)
             improvement = improvement_of(before, after, unseen)
     correction, widening = None, None
     if verdict is Verdict.UNEXPLAINED:

@@ -9,11 +9,9 @@ from torch import Tensor
 
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.levenberg_marquardt import Optimum, solve
-from estimator.inference.nelder_mead import initial_simplex, minimise
 from estimator.inference.point_estimate import (
-    MOST_ITERATIONS,
-    N_STARTS,
     PointEstimate,
+    basins,
     distinct,
     thinned_posterior,
 )
@@ -41,16 +39,7 @@ def collapsed_estimate(posterior: CollapsedPosterior, observations: Observations
         return PointEstimate(fit, 0, 1, 1)
     rng = np.random.default_rng(seed)
     rough = CollapsedPosterior(thinned_posterior(posterior.full, observations, rng))
-    starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(rng, N_STARTS - 1)))
-    starts = starts[torch.isfinite(rough(starts))]
-    simplexes = minimise(
-        lambda vector: -rough(vector),
-        initial_simplex(starts, 0.25 * coordinates.scale),
-        x_tolerance=0.02 * coordinates.scale,
-        f_tolerance=0.1,
-        max_iterations=MOST_ITERATIONS,
-        n_restarts=1,
-    )
+    simplexes = basins(rough, coordinates, rng)
     value = rough(simplexes.points)
     order = torch.argsort(value, descending=True)
     n_agreeing = int((value > value.max() - 1.0).sum())
@@ -58,7 +47,7 @@ def collapsed_estimate(posterior: CollapsedPosterior, observations: Observations
     fits = Optimum.concatenated([_climbed(posterior, candidate) for candidate in candidates])
     top = int(fits.log_posterior.argmax())
     return PointEstimate(
-        fits.rows(slice(top, top + 1)), int(simplexes.n_evaluations.sum()), n_agreeing, len(starts)
+        fits.rows(slice(top, top + 1)), int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points)
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.nelder_mead import initial_simplex, minimise
+from estimator.inference.nelder_mead import NelderMeadResult, initial_simplex, minimise
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -58,16 +59,7 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
     rng = np.random.default_rng(seed)
     coordinates = posterior.coordinates
     thinned = thinned_posterior(posterior, observations, rng)
-    starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(rng, N_STARTS - 1)))
-    starts = starts[torch.isfinite(thinned(starts))]
-    simplexes = minimise(
-        lambda vector: -thinned(vector),
-        initial_simplex(starts, 0.25 * coordinates.scale),
-        x_tolerance=0.02 * coordinates.scale,
-        f_tolerance=0.1,
-        max_iterations=MOST_ITERATIONS,
-        n_restarts=1,
-    )
+    simplexes = basins(thinned, coordinates, rng)
     thinned_fits = levenberg_marquardt(thinned, simplexes.points)
     best = thinned_fits.log_posterior.max()
     n_agreeing = int((thinned_fits.log_posterior > best - 1.0).sum())
@@ -76,7 +68,7 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
     fits = levenberg_marquardt(posterior, candidates)
     top = int(fits.log_posterior.argmax())
     fit = fits.rows(slice(top, top + 1))
-    return PointEstimate(fit, int(simplexes.n_evaluations.sum()), n_agreeing, len(starts))
+    return PointEstimate(fit, int(simplexes.n_evaluations.sum()), n_agreeing, len(simplexes.points))
 
 
 def thinned_posterior(
@@ -89,6 +81,28 @@ def thinned_posterior(
     selected = observations.rows(rows)
     rig = posterior.coordinates.rig
     return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, selected), selected)
+
+
+def basins(
+    density: Callable[[Tensor], Tensor], coordinates: Coordinates, rng: np.random.Generator
+) -> NelderMeadResult:
+    """Roughly the maxima of a density, by Nelder-Mead from the nominal values and from draws of the prior.
+
+    Args:
+        density: Log density, batched over rows.
+        coordinates: Its coordinates.
+        rng: Of the draws.
+    """
+    starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(rng, N_STARTS - 1)))
+    starts = starts[torch.isfinite(density(starts))]
+    return minimise(
+        lambda vector: -density(vector),
+        initial_simplex(starts, 0.25 * coordinates.scale),
+        x_tolerance=0.02 * coordinates.scale,
+        f_tolerance=0.1,
+        max_iterations=MOST_ITERATIONS,
+        n_restarts=1,
+    )
 
 
 def distinct(
