@@ -56,3 +56,17 @@ def split_unit(key: str) -> tuple[str, Unit | None]:
     quantity, _, suffix = key.rpartition("_")
     unit = UNITS.get(suffix)
     return (quantity, unit) if unit and quantity else (key, None)
+
+
+def split_quotient(key: str) -> tuple[str, Unit | None, str]:
+    """Split a key whose unit may be a quotient into quantity, unit of the numerator and symbol of the denominator.
+
+    Examples:
+        >>> split_quotient("drift_x_T_per_h")
+        ('drift_x', Unit(symbol='T', dimension='field', to_si=1.0), 'h')
+        >>> split_quotient("loss_per_A2"), split_quotient("axial_loops")
+        (('loss', None, 'A2'), ('axial_loops', None, ''))
+    """
+    head, _, denominator = key.rpartition("_per_")
+    quantity, unit = split_unit(head or key)
+    return quantity, unit, denominator if head else ""

@@ -147,14 +147,15 @@ def calibrate(
     tell(Stage("errors, coverage and summary"))
     draws, log_prob = start.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
     calibration = Calibration(rig, session.observations, start.best(), draws, log_prob, {})
+    of_amplitudes = start.summary(observations)
     summary_json = {
-        **summary(session, calibration),
+        **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence")),
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
         "point_estimate": _point_estimate(rig, start),
         "undetermined": [asdict(direction) for direction in start.undetermined],
-        **start.summary(observations),
+        **of_amplitudes,
         "seed": seed,
         "versions": versions(),
     }

@@ -97,7 +97,16 @@ def _maps(
 
 
 def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
-    names = sorted(calibration.draws, key=list(calibration.rig.parameters).index)  # as in the rig file
+    determined = calibration.summary().get("amplitudes", {})
+    idle = {
+        name
+        for coil in calibration.rig.unwound
+        if not determined.get(coil.name, {}).get("determined")
+        for names in coil.amplitudes.values()
+        for name in names
+    }
+    in_file = list(calibration.rig.parameters)
+    names = sorted(calibration.draws.keys() - idle, key=in_file.index)
     draws = {name: calibration.draws[name].reshape(-1) for name in names}
     moving = [name for name in names if np.ptp(draws[name]) > 0.0][:MOST_CORNER_PARAMETERS]
     truth = {

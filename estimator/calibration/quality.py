@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration import policy
+from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
 from estimator.reporting.numbers import displays, size_with_unit
@@ -47,12 +48,15 @@ class Assessment:
         return {"verdict": str(self.quality), "reasons": list(self.reasons), "next": self.next_step}
 
 
-def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessment:
+def assessment(
+    calibration: Calibration, errors: Mapping[str, Any], next_degree_log_evidence: float | None = None
+) -> Assessment:
     """Judge a calibration by its errors, its noise and its priors.
 
     Args:
         calibration: Readings, draws and best values.
         errors: `rmse` and `coverage90` of its summary, by role; unseen readings count where there are any.
+        next_degree_log_evidence: Of harmonics of one degree more in coils without a winding, where there are such coils.
     """
     role = "validation" if errors["rmse"]["validation"] else "calibration"
     error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
@@ -76,6 +80,14 @@ def assessment(calibration: Calibration, errors: Mapping[str, Any]) -> Assessmen
     reasons = [*_tensions(calibration), *_misfit(calibration.rig, error["vector_T"], expected_T)]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
         reasons.append(f"only {coverage90:.0%} of the readings' components lie in their 90 % intervals.")
+    if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
+        reasons.append(
+            f"a coil without a winding has a finer field than its degree allows ({next_degree_log_evidence:+.3g} in log evidence for one "
+            "degree more), so its intervals are too narrow."
+        )
+        if len(reasons) == 1:
+            words = "Raise `degree` in the rig file until readings ask for no higher one, and calibrate again."
+            return Assessment(Quality.SUSPECT, tuple(reasons), words)
     if reasons:
         return Assessment(
             Quality.SUSPECT,

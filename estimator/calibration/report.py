@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.figures import pictures
-from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
-from estimator.reporting.numbers import displays, to_digit_of, with_sd
+from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.units import split_unit
+from estimator.rig.rig import Rig
+from estimator.units import split_quotient
 
 
 def calibration_report(calibration: Calibration, command: str) -> str:
@@ -97,11 +97,6 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
             f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
         )
-    if (gain := summary.get("next_degree_log_evidence") or 0.0) > CLEAR_LOG_EVIDENCE:
-        warnings.append(
-            f"The readings ask for harmonics of a higher degree ({gain:+.3g} in log evidence): a coil without a winding has a finer field "
-            "than its degree allows, so the intervals are too narrow. Raise `degree` in the rig file until this is not said any more."
-        )
     for direction in summary["undetermined"]:
         warnings.append(
             f"The data do not determine {direction['words']}: their standard deviation alone is "
@@ -109,7 +104,7 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
         )
     for name, distance in summary["prior_tension"].items():
         warnings.append(
-            f"{split_unit(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
+            f"{split_quotient(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
             "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
         )
     if not summary["has_integer_counts"] and any(name.endswith("_loops") for name in summary["parameters"]):
@@ -124,7 +119,9 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
 
 def _tables(calibration: Calibration) -> list[Table]:
     summary = calibration.summary()
-    names = list(summary["parameters"])
+    amplitudes = [coil.amplitudes for coil in calibration.rig.unwound]
+    by_degree = {name for of_coil in amplitudes for names in of_coil.values() for name in names}
+    names = [name for name in summary["parameters"] if name not in by_degree]
     display = displays(names)
     truth = summary["truth"]
     header = [
@@ -142,7 +139,7 @@ def _tables(calibration: Calibration) -> list[Table]:
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
         row = [
-            split_unit(name)[0],
+            split_quotient(name)[0],
             with_sd(numbers["median"] * factor, numbers["sd"] * factor),
             f"{low} to {high}",
             display[name].unit or "1",
@@ -150,6 +147,8 @@ def _tables(calibration: Calibration) -> list[Table]:
         ]
         rows.append(row + ([f"{truth[name] * factor:.6g}" if name in truth else "—"] if truth else []))
     tables = [Table("Parameters", header, rows, "Medians and central 90 % intervals of the posterior.")]
+    if determined := summary.get("amplitudes"):
+        tables.append(_amplitude_table(calibration.rig, summary["parameters"], determined))
     if summary["loop_counts"]:
         counts = [
             [e["coil"], str(e["axial"]), str(e["radial"]), f"{e['probability']:.4f}"]
@@ -160,6 +159,36 @@ def _tables(calibration: Calibration) -> list[Table]:
     if len(calibration.rig.sensors) > 1:
         tables.append(_sensor_table(summary))
     return tables
+
+
+def _amplitude_table(
+    rig: Rig, parameters: Mapping[str, Any], determined: Mapping[str, Mapping[str, int]]
+) -> Table:
+    """Amplitudes of coils without a winding by degree; each one is in summary.json. Coils without current have only their priors."""
+    rows = []
+    for coil in rig.unwound:
+        if not determined.get(coil.name, {}).get("determined"):
+            continue
+        for degree, names in coil.amplitudes.items():
+            numbers = [parameters[name] for name in names if name in parameters]
+            priors = [prior for name in names if (prior := rig.parameters[name].prior) is not None]
+            if not numbers:
+                continue
+            sizes = [
+                _rms([one["median"] for one in numbers]),
+                _rms([one["sd"] for one in numbers]),
+                _rms([prior.sd for prior in priors]),
+            ]
+            rows.append(
+                [coil.name, str(degree), str(len(numbers)), *(size_with_unit(s, "T/A", 3) for s in sizes)]
+            )
+    header = ["coil", "degree", "amplitudes", "rms amplitude", "rms sd", "prior sd"]
+    caption = "Each amplitude is in summary.json. Coils that carried no current are left out: of them only the priors are known."
+    return Table("Harmonics by degree", header, rows, caption)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _error_table(summary: Mapping[str, Any]) -> Table:

@@ -99,8 +99,6 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
-    from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
-
     quality = summary["quality"]
     lines = [
         f"{quality['verdict']}: {' '.join(quality['reasons'])}",
@@ -130,10 +128,6 @@ def _text(summary: Any, out: Path) -> str:
         f"{coil}: readings determine {told['determined']} of {told['free']} amplitudes"
         for coil, told in summary.get("amplitudes", {}).items()
     ]
-    if (gain := summary.get("next_degree_log_evidence") or 0.0) > CLEAR_LOG_EVIDENCE:
-        lines.append(
-            f"readings ask for harmonics of a higher degree ({gain:+.3g} in log evidence): raise `degree`"
-        )
     lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)

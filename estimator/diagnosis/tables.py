@@ -14,7 +14,7 @@ from estimator.effects import EFFECTS
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
-from estimator.units import split_unit
+from estimator.units import split_quotient
 
 MOST_HYPOTHESES = 8
 MOST_STEPS = 6
@@ -278,7 +278,7 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
     }
     sizes: dict[str, list[str]] = {}
     for quantity in visible:
-        name = split_unit(quantity.key)[0] if quantity.unit != "T/h" else quantity.key[0]
+        name = split_quotient(quantity.key)[0]
         sizes.setdefault(diagnosis.label(quantity.cause), []).append(
             f"{name} {size_with_unit(quantity.size, quantity.unit)}"
         )

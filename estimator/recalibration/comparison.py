@@ -33,7 +33,7 @@ from estimator.recalibration.words import mistake_in, sizes_of, words_of
 from estimator.reporting.numbers import displays, size_with_unit, with_sd
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from estimator.units import split_unit
+from estimator.units import split_quotient
 
 SMALLEST_SHOWN = 1e-4  # p-value: fewer simulated sessions than that tell no difference
 
@@ -223,6 +223,6 @@ class Comparison:
             for value, width in ((old["median"], old["sd"]), (float(diagnosis.fits.final.values[name]), sd))
         )
         return (
-            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_unit(name)[0]} moved by "
+            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_quotient(name)[0]} moved by "
             f"{distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
         )

@@ -30,13 +30,10 @@ def _size(cause: SizedCause) -> str:
 
 
 def _quantity(name: str, interval: Interval) -> str:
-    """A quantity in its display unit, or in its own unit if that has none, such as T/h."""
-    show, value, sd, unit = displays([name])[name], interval.median, interval.sd, interval.unit
-    if show.unit or unit == "1":
-        size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
-        return f"{show.words} {size} {show.unit}".rstrip()
-    words = name.rpartition(".")[2].removesuffix("_" + unit.replace(" ", "_").replace("/", "_per_"))
-    return f"{words} {value:.3g}" + (f" ± {sd:.1g}" if sd else "") + f" {unit}"
+    """A quantity in its display unit."""
+    show, value, sd = displays([name])[name], interval.median, interval.sd
+    size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
+    return f"{show.words} {size} {show.unit}".rstrip()
 
 
 def words_of(improvement: Improvement) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Num
 
-from estimator.units import UNITS, split_unit
+from estimator.units import UNITS, split_quotient
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
@@ -42,16 +42,18 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
         Display(words='radius', unit='mm', factor=1000.0)
         >>> [s.label for s in displays(["coil1.axial_loops", "hall.noise_T", "probe.noise_T"]).values()]
         ['axial loops', 'hall noise (µT)', 'probe noise (µT)']
+        >>> displays(["coil1.degree1_cos0_T_per_A"])["coil1.degree1_cos0_T_per_A"].label
+        'degree1 cos0 (µT/A)'
     """
 
     def candidates(name: str) -> tuple[list[str], list[str], list[str]]:
         """Parts of a name, the shortest choice first."""
-        parts = split_unit(name)[0].split(".")
+        parts = split_quotient(name)[0].split(".")
         return parts[-1:], [parts[0], parts[-1]], parts
 
     result = {}
     for name in names:
-        unit = split_unit(name)[1]
+        _, unit, denominator = split_quotient(name)
         rivals = [candidates(rival) for rival in names if rival != name]
         choices = candidates(name)
         unique = (parts for i, parts in enumerate(choices) if all(parts != rival[i] for rival in rivals))
@@ -59,6 +61,8 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
         symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
         factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
         words = plain(" ".join(parts).replace("_", " "))
+        if denominator:
+            symbol = f"{symbol or '1'}/{denominator.replace('2', '²')}"
         result[name] = Display(words, symbol.replace("u", "µ"), round(factor, 9))
     return result
 

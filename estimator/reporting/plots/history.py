@@ -24,7 +24,7 @@ from estimator.reporting.plots.style import (
     figure,
     styled,
 )
-from estimator.units import split_unit
+from estimator.units import split_quotient
 
 CONCLUSIONS = {
     "unchanged": (GREEN, "o"),
@@ -169,7 +169,7 @@ def _display(name: str, names: Sequence[str]) -> Display:
     cause, _, key = name.rpartition(".")
     if "[" not in cause:
         return display
-    words = f"{cause.partition('[')[0]} {split_unit(key)[0]}".replace("_", " ")
+    words = f"{cause.partition('[')[0]} {split_quotient(key)[0]}".replace("_", " ")
     return replace(display, words=words)
 
 

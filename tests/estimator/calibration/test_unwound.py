@@ -114,7 +114,9 @@ def test_too_low_a_degree_is_said(rig: Rig) -> None:
     low = rig_from_text(TEXT.replace("degree: 10", "degree: 6"))
     one = calibrate(session_at(low, in_ball(240, 1)), low, seed=1, settings=SETTINGS)
     assert one.summary()["next_degree_log_evidence"] > 50.0
-    assert "Raise `degree`" in html.unescape(calibration_report(one, "coilcal calibrate"))
+    verdict = one.summary()["quality"]
+    assert verdict["verdict"] == "suspect"
+    assert "finer field than its degree allows" in verdict["reasons"][-1]
     wide = rig_from_text(TEXT.replace("degree: 10", "degree: 8"))
     hidden_by_width = calibrate(session_at(wide, in_ball(240, 1)), wide, seed=1, settings=SETTINGS)
     assert (
@@ -196,6 +198,8 @@ def test_the_report_draws_it_without_a_winding(calibration: Calibration) -> None
     page = calibration_report(calibration, "coilcal calibrate")
     assert "Field of c1" in page
     assert "The readings determine 120 of 120 amplitudes of c1" in page
+    assert "Harmonics by degree" in page
+    assert "degree10" not in page  # 120 rows say less than ten
 
 
 def test_it_is_saved_and_written_back_with_what_was_found(calibration: Calibration, tmp_path: Path) -> None:
