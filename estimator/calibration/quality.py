@@ -86,7 +86,9 @@ def assessment(
             "degree more), so its intervals are too narrow."
         )
         if len(reasons) == 1:
-            words = "Raise `degree` in the rig file until readings ask for no higher one, and calibrate again."
+            words = (
+                "Raise `degree` in the rig file until readings ask for no higher one, and calibrate again."
+            )
             return Assessment(Quality.SUSPECT, tuple(reasons), words)
     if reasons:
         return Assessment(

@@ -6,8 +6,8 @@ parameters, and taken if blocks of places held out are predicted better. Then th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from estimator.readings.split import pose_blocks
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
+FRACTION = 5  # of a degree to the next that is asked: between them evidence hardly changes
 STEP = 1e-3  # of the typical width of an amplitude, for derivatives; predictions are nearly linear in it
 
 
@@ -129,13 +130,13 @@ class _Kind:
 
     Attributes:
         effect, cause: What it is and where.
-        fixed: What its terms are functions of.
+        starts: What its terms are functions of; several where a frequency is to be found.
         limit: How high a degree they determine.
     """
 
     effect: CorrectionEffect
     cause: Cause
-    fixed: dict[str, float]
+    starts: tuple[dict[str, float], ...]
     limit: Limit
 
     def keys(self, degree: int) -> list[tuple[int, str]]:
@@ -143,29 +144,41 @@ class _Kind:
         degrees = range(self.effect.lowest, degree + 1)
         return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
 
-    def rig(self, fit: Fit, widths: dict[str, float], is_free: bool = True) -> Rig:
+    def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
         """The rig with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
-        rig = with_effect(fit.rig, self.cause, fit.observations, {**self.fixed, **zeros}, is_free)
+        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free)
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
             for name, width in named.items()
         )
 
-    def columns(self, fit: Fit) -> Float[Tensor, "component amplitude"]:
-        """Whitened change of the predictions per unit of each amplitude, which they are nearly linear in."""
+    def columns(
+        self, fit: Fit, starts: Sequence[dict[str, float]], degree: int
+    ) -> Float[Tensor, "start component amplitude"]:
+        """Whitened change of the predictions per unit of each amplitude up to a degree, which they are nearly linear in.
+
+        Several starts differ in a frequency, which may have a batch.
+        """
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
-        keys = [key for _, key in self.keys(self.limit.degree)]
-        rig = self.rig(fit, dict.fromkeys(keys, 1.0), is_free=False)
+        keys = [key for _, key in self.keys(degree)]
+        n = len(starts) * len(keys)
+        rig = self.rig(fit, starts[0], dict.fromkeys(keys, 1.0), is_free=False)
         model = MeasurementModel.unruled(rig, fit.observations).with_rules(fit.posterior.model.rules)
-        each = step * torch.eye(len(keys), dtype=torch.float64)
+        each = step * torch.eye(len(keys), dtype=torch.float64).repeat(len(starts), 1)
         values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
-        values |= fit.values | {f"{self.cause.label}.{key}": each[i] for i, key in enumerate(keys)}
+        values |= fit.values | {f"{self.cause.label}.{key}": each[:, i] for i, key in enumerate(keys)}
+        if len(starts) > 1:
+            for key in starts[0]:
+                shapes = torch.tensor([start[key] for start in starts], dtype=torch.float64)
+                values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
-            reading_T = model.predict(values).expand(len(keys), len(fit.observations), 3)
+            reading_T = model.predict(values).expand(n, len(fit.observations), 3)
             change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
-        return (change_T * fit.whitening_per_T).T / step
+        changes: Tensor = change_T * fit.whitening_per_T / step
+        by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))
+        return by_start.mT
 
 
 @dataclass(frozen=True)
@@ -173,9 +186,70 @@ class _Option:
     """One kind up to one degree, with the widths of its amplitudes that have most evidence."""
 
     kind: _Kind
+    start: dict[str, float]
     degree: int
     widths: dict[str, float]
     log_bayes_factor: float
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A kind, with the columns of its amplitudes at the fit that was first.
+
+    Attributes:
+        columns: By start: of all degrees where there is one start, else of the lowest.
+        of_all_degrees: The others, of starts that were best once.
+    """
+
+    kind: _Kind
+    first: Fit
+    columns: Float[Tensor, "start component amplitude"]
+    of_all_degrees: dict[int, Float[Tensor, "component amplitude"]] = field(default_factory=dict)
+
+    @classmethod
+    def at(cls, kind: _Kind, fit: Fit) -> _Candidate:
+        """At a fit."""
+        degree = kind.limit.degree if len(kind.starts) == 1 else kind.effect.lowest
+        return cls(kind, fit, kind.columns(fit, kind.starts, degree))
+
+    def best_option(self, fit: Fit) -> _Option:
+        """The start, degree and width with most evidence in the residual of a fit; the evidence is averaged over starts and widths."""
+        weight = fit.weight_over(self.first)[:, None]
+        if len(self.kind.starts) == 1:
+            return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
+        families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
+        by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
+        top = int(by_start.argmax())
+        if top not in self.of_all_degrees:
+            start = [self.kind.starts[top]]
+            self.of_all_degrees[top] = self.kind.columns(self.first, start, self.kind.limit.degree)[0]
+        option = _best_degree(fit, self.kind, self.kind.starts[top], self.of_all_degrees[top] * weight)
+        lost = float(by_start.max()) - log_mean_exp(by_start)
+        return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
+
+
+def _best_degree(
+    fit: Fit, kind: _Kind, start: dict[str, float], columns: Float[Tensor, "component amplitude"]
+) -> _Option:
+    """The degree with most evidence, averaged over the widths of its amplitudes.
+
+    Widths go over the rms that the terms have together, from less than the noise to many times as much; the best of them becomes the
+    prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
+    """
+    families, by_degree = [], []
+    for degree in _asked(kind.effect.lowest, kind.limit.degree):
+        keys = kind.keys(degree)
+        relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
+        own = columns[:, : len(keys)] * relative
+        scale = float(own.square().sum(1).mean().sqrt())
+        families.append(Family.of(kind.cause.label, own))
+        by_degree.append((degree, keys, relative / max(scale, 1e-300)))
+    evidence = evidence_by_amplitude(fit, families)
+    top = int(torch.tensor([log_mean_exp(row) for row in evidence]).argmax())
+    degree, keys, per_rms = by_degree[top]
+    rms = policy.AMPLITUDES[int(evidence[top].argmax())]
+    widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
+    return _Option(kind, start, degree, widths, log_mean_exp(evidence[top]))
 
 
 def best_corrected(
@@ -222,18 +296,17 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
     kinds = _kinds(fit)
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
-    columns = {kind.cause: kind.columns(fit) for kind in kinds}  # they hardly change as corrections are taken
-    start, parts = fit, list[Part]()
-    while kinds and len(parts) < policy.MOST_CORRECTIONS:
-        weight = fit.weight_over(start)
-        weighed = {cause: own * weight[:, None] for cause, own in columns.items()}
-        ranked = sorted(_options(fit, kinds, weighed), key=lambda option: -option.log_bayes_factor)
-        clear = [o for o in ranked if o.log_bayes_factor > policy.LEAST_LOG_EVIDENCE_CORRECTED]
-        if not clear:
+    candidates = [
+        _Candidate.at(kind, fit) for kind in kinds
+    ]  # columns hardly change as corrections are taken
+    parts = list[Part]()
+    while candidates and len(parts) < policy.MOST_CORRECTIONS:
+        options = [candidate.best_option(fit) for candidate in candidates]
+        best = max(options, key=lambda option: option.log_bayes_factor)
+        if best.log_bayes_factor <= policy.LEAST_LOG_EVIDENCE_CORRECTED:
             break
-        best = clear[0]
-        kinds.remove(best.kind)
-        rig = best.kind.rig(fit, best.widths)
+        candidates = [candidate for candidate in candidates if candidate.kind is not best.kind]
+        rig = best.kind.rig(fit, best.start, best.widths)
         after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
         gain = held_out(fit, after, block)
         log_bayes_factor = after.log_evidence - fit.log_evidence
@@ -256,7 +329,7 @@ def _kinds(fit: Fit) -> list[_Kind]:
     """Corrections that concern the session and that the rig does not have yet."""
     circumstances = fit.posterior.model.circumstances
     return [
-        _Kind(effect, cause, effect.starts(circumstances, place)[0], effect.limit(circumstances, place))
+        _Kind(effect, cause, effect.starts(circumstances, place), effect.limit(circumstances, place))
         for effect in EFFECTS.values()
         if isinstance(effect, CorrectionEffect)
         for place in effect.places(fit.rig)
@@ -265,28 +338,10 @@ def _kinds(fit: Fit) -> list[_Kind]:
     ]
 
 
-def _options(
-    fit: Fit, kinds: Sequence[_Kind], columns: Mapping[Cause, Float[Tensor, "component amplitude"]]
-) -> list[_Option]:
-    """Of each kind the degree with most evidence, averaged over the widths of its amplitudes.
-
-    Widths go over the rms that the terms have together, from less than the noise to many times as much; the best of them becomes the
-    prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
-    """
-    best = []
-    for kind in kinds:
-        families, by_degree = [], []
-        for degree in range(kind.effect.lowest, kind.limit.degree + 1):
-            keys = kind.keys(degree)
-            relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
-            own = columns[kind.cause][:, : len(keys)] * relative
-            scale = float(own.square().sum(1).mean().sqrt())
-            families.append(Family.of(kind.cause.label, own))
-            by_degree.append((degree, keys, relative / max(scale, 1e-300)))
-        evidence = evidence_by_amplitude(fit, families)
-        top = int(torch.tensor([log_mean_exp(row) for row in evidence]).argmax())
-        degree, keys, per_rms = by_degree[top]
-        rms = policy.AMPLITUDES[int(evidence[top].argmax())]
-        widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
-        best.append(_Option(kind, degree, widths, log_mean_exp(evidence[top])))
-    return best
+def _asked(lowest: int, highest: int) -> list[int]:
+    """Degrees that are asked: each of the low ones, then a fifth more each time, and the highest."""
+    degrees, degree = [], lowest
+    while degree < highest:
+        degrees.append(degree)
+        degree += max(1, degree // FRACTION)
+    return [*degrees, highest]

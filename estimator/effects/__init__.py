@@ -13,11 +13,24 @@ from importlib.metadata import entry_points
 from estimator.effects.base import Effect
 from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
-from estimator.effects.drift_corrections import ResponseWanders, RoomWanders, ZeroWanders
+from estimator.effects.drift_corrections import (
+    CurrentWanders,
+    GuidesWander,
+    ResponseWanders,
+    RoomWanders,
+    ZeroWanders,
+)
 from estimator.effects.guide_correction import GuideErrors
-from estimator.effects.harmonic_corrections import CoilHarmonics, CoilMultipoles, RoomHarmonics
+from estimator.effects.harmonic_corrections import (
+    CoilHarmonics,
+    CoilMultipoles,
+    RoomAnswers,
+    RoomHarmonics,
+)
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
+from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
 from estimator.effects.record import (
     AxesSwapped,
     CoilsExchanged,
@@ -27,7 +40,7 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
-from estimator.effects.response_correction import SensorResponse
+from estimator.effects.response_correction import AxisCurves, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
     JointZeros,
@@ -152,14 +165,24 @@ EFFECTS: dict[str, Effect] = {
         NoiseMisstated(),
         Outliers(),
         PositionJitter(),
+        CurrentWanders(),
+        CurrentSwings(),
         CoilHarmonics(),
         CoilMultipoles(),
         RoomHarmonics(),
+        RoomAnswers(),
         RoomWanders(),
         GuideErrors(),
+        GuidesWander(),
+        GuideSwings(),
+        MovesRemembered(),
         SensorResponse(),
+        AxisCurves(),
+        GainCurve(),
+        ReadingRipples(),
         ResponseWanders(),
         ZeroWanders(),
+        ZeroSwings(),
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}

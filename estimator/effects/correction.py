@@ -71,6 +71,8 @@ class Correction(Effect):
 
     def typical_width(self, extent: Extent) -> float:
         """Width of the amplitudes of the first degree until a diagnosis sets it."""
+        if self.unit == "1":
+            return TYPICAL_SHARE
         if self.unit == "m":
             return TYPICAL_SHARE * extent.reach_m
         per = extent.largest_current_A if self.unit.endswith("/A") else 1.0
@@ -81,8 +83,9 @@ class Correction(Effect):
         return 1.0
 
     def key(self, degree: int, term: str) -> str:
-        """Key of an amplitude."""
-        return f"degree{degree}_{term}_{self.unit.replace('/', '_per_')}"
+        """Key of an amplitude; pure numbers have no suffix."""
+        suffix = "" if self.unit == "1" else f"_{self.unit.replace('/', '_per_')}"
+        return f"degree{degree}_{term}{suffix}"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Its fixed numbers, then the amplitudes up to the extent's degree."""

@@ -1,4 +1,4 @@
-"""Corrections that are smooth functions of time: of a sensor's zero, of its response, and of the room's field."""
+"""Corrections that are smooth functions of time: of a sensor's zero and response, the room's field, a current, and where a mover stands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from torch import Tensor
 from estimator.effects.base import WHEN, Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.correction import Correction, Limit, limit_of_number
-from estimator.effects.stages import ReadingEffect, RoomEffect
+from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
+from estimator.frames import Transform
 
 
 class _Drift(Correction):
@@ -128,3 +129,49 @@ class ResponseWanders(_Drift, ReadingEffect):
         matrix = self._wandering(theta, circumstances).unflatten(-1, (3, 3))
         added_T: Tensor = (matrix @ parts[..., None])[..., 0]
         return field_sensor_T + added_T
+
+
+class CurrentWanders(_Drift, OneCoilCurrent):
+    """The current of a coil, or how much field an ampere makes, wanders: it warms up, sags, jumps or loosens."""
+
+    name: ClassVar[str] = "current_wanders"
+    words: ClassVar[str] = "the coil's field per commanded ampere wanders with time"
+    unit: ClassVar[str] = "1"
+    highest: ClassVar[int] = 40
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """A share of the current."""
+        return ("share",)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 + self._wandering(theta, circumstances)[..., 0])
+
+
+class GuidesWander(_Drift, MotionEffect):
+    """Where a mover really stands wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
+
+    name: ClassVar[str] = "guides_wander"
+    words: ClassVar[str] = "where the mover stands wanders with time"
+    unit: ClassVar[str] = "m"
+    highest: ClassVar[int] = 12
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+        """Waves of every degree."""
+        duration_h = torch.tensor(circumstances.duration_h, dtype=torch.float64)
+        degrees = range(self.lowest, self.highest + 1)
+        waves = [self._wave({"duration_h": duration_h}, circumstances, degree) for degree in degrees]
+        return torch.stack(waves, dim=-1)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Real pose, or real displacement."""
+        amplitudes = self.amplitudes(theta)
+        waves = columns[:, [degree - self.lowest for degree in amplitudes]]
+        shift_m = waves @ torch.stack(list(amplitudes.values()), dim=-2)
+        return Transform(pose.rotation, pose.translation_m + shift_m)

@@ -1,4 +1,4 @@
-"""Corrections that are static magnetic fields: of sources about the readings or inside a coil, with its current, or in the room."""
+"""Corrections that are static magnetic fields: of sources about the readings or in a coil, moving with it or not."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Quantity, Theta, shape
+from estimator.effects.base import Kind, Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.correction import Correction, Limit, limit_of_places, positions_m
-from estimator.effects.stages import RoomEffect, SourceEffect
+from estimator.effects.stages import PerAmpere, RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.winding import Rule, Winding
 from estimator.rig.harmonic_terms import terms
@@ -168,6 +168,41 @@ class RoomHarmonics(_Harmonics, RoomEffect):
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field in the world frame."""
         return harmonics.interior_field(_in_reach(points_m, theta), self.amplitudes(theta))
+
+
+class RoomAnswers(_Harmonics, RoomEffect):
+    """What answers a coil's current and stays in the room: spare cable on the table, compensation of fields, iron, a return lead."""
+
+    name: ClassVar[str] = "room_answers"
+    kind: ClassVar[Kind] = Kind.COIL
+    words: ClassVar[str] = "a smooth field that stays in the room and goes with the coil's current"
+    unit: ClassVar[str] = "T/A"
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried current and was moved; of one that stands still, it is the coil's own field."""
+        coil = circumstances.rig.coils[_index(circumstances, place)]
+        has_current = circumstances.current_A[:, _index(circumstances, place)] != 0.0
+        return bool(has_current.any()) and bool(coil.carried_by)
+
+    def limit(self, circumstances: Circumstances, place: str) -> Limit:
+        """By the places in the room; the uniform part needs only one, since the coil moved."""
+        limit = limit_of_places(self._read_at_m(circumstances, place), self.n_terms)
+        return Limit(max(limit.degree, self.lowest), limit.words)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """The ball about the readings."""
+        return (_about(self._read_at_m(circumstances, place)),)
+
+    def response(
+        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """Field in the world frame per ampere."""
+        return harmonics.interior_field(_in_reach(points_m, theta), self.amplitudes(theta))
+
+    @staticmethod
+    def _read_at_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
+        has_current = circumstances.current_A[:, _index(circumstances, place)] != 0.0
+        return positions_m(circumstances)[has_current]
 
 
 def _index(circumstances: Circumstances, place: str) -> int:

@@ -46,6 +46,35 @@ class CurrentEffect(Effect):
         """Delivered currents."""
 
 
+class OneCoilCurrent(CurrentEffect):
+    """Changes the current of one coil and leaves the others."""
+
+    kind = Kind.COIL
+
+    @abstractmethod
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+
+    def apply(
+        self,
+        current_A: Float[Tensor, "*#batch reading coil"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading coil"]:
+        """Delivered currents."""
+        delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
+        current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
+        is_coil = torch.arange(current_A.shape[-1]) == coil
+        return torch.where(is_coil, delivered_A[..., None], current_A)
+
+
 class WindingEffect(Effect):
     """Changes the geometry of a winding."""
 
@@ -116,7 +145,7 @@ class PerAmpere(ABC):
 
 
 class RoomEffect(Effect):
-    """Adds a field that stays in the room.
+    """Adds a field that stays in the room; of kind `coil`, one that answers that coil alone.
 
     Attributes:
         is_background: There without any coil; a system of several calibrations counts it once.

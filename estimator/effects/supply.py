@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import ClassVar
 
 import torch
@@ -11,41 +10,12 @@ from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import CurrentEffect
+from estimator.effects.stages import CurrentEffect, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
 
 
-class _OneCoilCurrent(CurrentEffect):
-    """Changes the current of one coil and leaves the others."""
-
-    kind = Kind.COIL
-
-    @abstractmethod
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
-
-    def apply(
-        self,
-        current_A: Float[Tensor, "*#batch reading coil"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading coil"]:
-        """Delivered currents."""
-        delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
-        current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
-        is_coil = torch.arange(current_A.shape[-1]) == coil
-        return torch.where(is_coil, delivered_A[..., None], current_A)
-
-
-class CurrentGain(_OneCoilCurrent):
+class CurrentGain(OneCoilCurrent):
     """The supply delivers a fixed multiple of the commanded current."""
 
     name: ClassVar[str] = "current_gain"
@@ -67,7 +37,7 @@ class CurrentGain(_OneCoilCurrent):
         return current_A * (1.0 + theta["excess"][..., None])
 
 
-class CurrentOffset(_OneCoilCurrent):
+class CurrentOffset(OneCoilCurrent):
     """A constant current flows on top of the commanded one, also at zero."""
 
     name: ClassVar[str] = "current_offset"
@@ -89,7 +59,7 @@ class CurrentOffset(_OneCoilCurrent):
         return current_A + theta["offset_A"][..., None]
 
 
-class CurrentStep(_OneCoilCurrent):
+class CurrentStep(OneCoilCurrent):
     """From one instant on the coil carries less current, or has fewer turns that count."""
 
     name: ClassVar[str] = "current_step"
@@ -121,7 +91,7 @@ class CurrentStep(_OneCoilCurrent):
         return current_A * (1.0 - theta["step"][..., None] * circumstances.is_since(theta["since_h"]))
 
 
-class CoilHeating(_OneCoilCurrent):
+class CoilHeating(OneCoilCurrent):
     """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit).
 
     While cold, at the coolest of the session, it carries what was commanded: whole loop counts leave no room for another reference.
@@ -175,7 +145,7 @@ class CoilHeating(_OneCoilCurrent):
         return current_A * (1.0 - loss)
 
 
-class CurrentRemanence(_OneCoilCurrent):
+class CurrentRemanence(OneCoilCurrent):
     """The coil acts as if a share of the current from which it last turned back still flowed: hysteresis of its core or its supply."""
 
     name: ClassVar[str] = "current_remanence"

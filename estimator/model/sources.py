@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.effects.base import Theta
+from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
@@ -165,6 +165,8 @@ class Sources:
         # Either may stand still.
         points_m, _ = torch.broadcast_tensors(world_from_point.translation_m, points_m)
         for answering in uses_of(self.rig, RoomEffect):
+            if answering.effect.kind is Kind.COIL and answering.place != coil.name:
+                continue
             answer = answering.effect.response(per_ampere, points_m, answering.theta(values))
             if answer is not None:
                 field = field + world_from_point.unrotate(answer)

@@ -223,6 +223,6 @@ class Comparison:
             for value, width in ((old["median"], old["sd"]), (float(diagnosis.fits.final.values[name]), sd))
         )
         return (
-            f"the same model explains the readings with other values ({self._p_value()} for the old ones): {split_quotient(name)[0]} moved by "
-            f"{distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
+            f"the same model explains the readings with other values ({self._p_value()} for the old ones): "
+            f"{split_quotient(name)[0]} moved by {distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
         )

@@ -126,8 +126,9 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
         slope = jacfwd(lambda v, key=key: model.predict({**values, key: v}).expand(24, 3))(values[key])
         difference = (together[2] - together[0]) / (2.0 * step)
         scale = difference.abs().max()
+        rounding = max(1e-10, 4.0 * torch.finfo(torch.float64).eps / step)  # as a coil turns about its axis
         torch.testing.assert_close(
-            slope, difference, rtol=0.0, atol=float(1e-4 * scale + 1e-10 * together.abs().max())
+            slope, difference, rtol=0.0, atol=float(1e-4 * scale + rounding * together.abs().max())
         )
 
 
@@ -171,7 +172,8 @@ def test_names_are_those_that_other_scripts_rely_on():
     sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag thermal_lag
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated
     hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged segment_zero segment_gain segment_misplaced
-    coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders"""
+    coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders
+    current_wanders current_swings room_answers guides_wander guide_swings moves_remembered axis_curves gain_curve reading_ripples zero_swings"""
     assert set(EFFECTS) == set(stable.split())
 
 

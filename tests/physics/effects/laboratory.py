@@ -92,6 +92,12 @@ SOURCES = {
         "reach_m": 0.05,
     },
     "room_harmonics": {"degree2_cos0_T": 1e-5, "degree2_cos2_T": 2e-5, "middle_x_m": 0.01, "reach_m": 0.05},
+    "room_answers": {
+        "degree1_cos1_T_per_A": 2e-6,
+        "degree2_sin1_T_per_A": 2e-6,
+        "middle_x_m": 0.01,
+        "reach_m": 0.05,
+    },
     "room_wanders": {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "duration_h": 3.0},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years
