@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 Exponents = tuple[int, int, int]
@@ -35,9 +35,10 @@ def interior_field(
     total = torch.zeros_like(points)
     powers = torch.ones_like(points[..., :1])  # monomials of the degree below
     for degree in range(1, max(amplitudes) + 1):
+        if degree > 1:
+            powers = _raised(points, powers, degree - 1)
         if degree in amplitudes:
             total = total + powers @ _mixed(amplitudes[degree], degree)
-        powers = _raised(points, powers, degree)
     return total
 
 
@@ -103,10 +104,17 @@ def _gradient_table(degree: int) -> Float[Tensor, "term monomial 3"]:
 
 def _raised(points: Tensor, powers: Tensor, degree: int) -> Tensor:
     """Monomials of a degree from those of the degree below."""
+    below, axes = _raising(degree)
+    return powers.index_select(-1, below.to(points.device)) * points.index_select(-1, axes.to(points.device))
+
+
+@lru_cache
+def _raising(degree: int) -> tuple[Int[Tensor, " monomial"], Int[Tensor, " monomial"]]:
+    """For each monomial of a degree which one of the degree below it is, times which axis."""
     row = {e: i for i, e in enumerate(monomials(degree - 1))}
     axes = [next(axis for axis in range(3) if e[axis]) for e in monomials(degree)]
     below = [row[_lowered(e, axis)] for e, axis in zip(monomials(degree), axes, strict=True)]
-    return powers[..., below] * points[..., axes]
+    return torch.tensor(below), torch.tensor(axes)
 
 
 def _lowered(e: Exponents, axis: int) -> Exponents:

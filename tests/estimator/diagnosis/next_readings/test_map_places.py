@@ -75,7 +75,7 @@ def test_no_place_is_nearer_to_the_winding_than_a_reading_was(flat: Session, pro
 @pytest.mark.parametrize(
     ("correction", "degree", "words"),
     [
-        ("axis_gain", 2, r"must name a correction \(coil_harmonics"),
+        ("axis_gain", 2, r"must name a correction \(axis_curves"),
         ("coil_harmonics[coil2]", 2, "coil1"),
         (HARMONICS, 9, "degree of coil_harmonics must lie between 1 and 5; received 9"),
     ],
