@@ -65,8 +65,8 @@ def _left_sd(calibration: Calibration) -> dict[str, float]:
     """Standard deviation of each free parameter given the others of its group: poses, which may change, or all the rest."""
     left: dict[str, float] = {}
     groups = ([p.name for p in calibration.rig.free if _is_pose(p) == is_pose] for is_pose in (False, True))
-    for names in groups:
-        draws = np.array([calibration.draws[name].ravel() for name in names]).reshape(len(names), -1)
+    for names in filter(None, groups):
+        draws = np.array([calibration.draws[name].ravel() for name in names])
         sd = draws.std(axis=1)
         scaled = (draws - draws.mean(axis=1, keepdims=True)) / np.where(sd > 0.0, sd, 1.0)[:, None]
         correlation = scaled @ scaled.T / draws.shape[1] + LEAST_SHARE_LEFT * np.eye(len(names))
