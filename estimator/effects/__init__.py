@@ -40,7 +40,7 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
-from estimator.effects.response_correction import AxisCurves, GainCurve, SensorResponse
+from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
     JointZeros,
@@ -179,6 +179,7 @@ EFFECTS: dict[str, Effect] = {
         SensorResponse(),
         AxisCurves(),
         GainCurve(),
+        CurrentPickup(),
         ReadingRipples(),
         ResponseWanders(),
         ZeroWanders(),

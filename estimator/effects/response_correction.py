@@ -1,4 +1,4 @@
-"""Corrections of what a sensor says: a smooth response in the components that it shows, curves of each axis and of the gain."""
+"""Corrections of what a sensor says: a smooth response in what it shows, curves of axes and gain, and what it shows of currents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
 
@@ -146,6 +146,49 @@ class GainCurve(Correction, ReadingEffect):
         for degree, amplitude in self.amplitudes(theta).items():
             share = share + amplitude * torch.cos(math.pi * degree * way)
         return field_sensor_T * (1.0 + share[..., None])
+
+
+class CurrentPickup(Correction, ReadingEffect):
+    """A sensor shows something of the coils' currents themselves, as over a common return wire: powers of their sum."""
+
+    name: ClassVar[str] = "current_pickup"
+    words: ClassVar[str] = "the sensor shows something of the currents themselves"
+    highest: ClassVar[int] = 3
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """Components."""
+        return ("x", "y", "z")
+
+    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+        """The current in units of which powers are taken."""
+        return (shape("range_A", "A", 0.0, 100.0 * extent.largest_current_A, is_fixed=True),)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """The largest current."""
+        return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
+
+    def limit(self, circumstances: Circumstances, place: str) -> Limit:
+        """By the number of different currents besides 0, while the sensor was read."""
+        total_A = circumstances.current_A[_is_own(circumstances, place)].sum(-1)
+        n = len(
+            torch.unique((total_A[total_A != 0.0] / (LEAST_STEP * circumstances.largest_current_A)).round())
+        )
+        if n >= self.highest:
+            return Limit(self.highest)
+        return Limit(n, f"there are {n} currents besides 0; measure at {self.highest} or more")
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        share = circumstances.current_A.sum(-1) / theta["range_A"].flatten()[0]
+        for degree, amplitude in self.amplitudes(theta).items():
+            field_sensor_T = field_sensor_T + amplitude[..., None, :] * share[:, None] ** degree
+        return field_sensor_T
 
 
 def _is_own(circumstances: Circumstances, sensor: str) -> Tensor:

@@ -129,6 +129,14 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
         {"degree3_y_T": 1e-5, "range_T": 0.004},
         lambda: PLAIN_T + 1e-5 * cosines(0.5 * (PLAIN_T[:, 1:2] / 0.004 + 1.0), 3) * UNIT[1],
     ),
+    "current_pickup[hall]": (
+        {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "range_A": 3.0},
+        lambda: (
+            PLAIN_T
+            + 1e-5 * CURRENT_A[:, None] / 3.0 * UNIT[0]
+            + 2e-5 * (CURRENT_A[:, None] / 3.0) ** 2 * UNIT[2]
+        ),
+    ),
     "gain_curve[hall]": (
         {"degree2_share": 0.01, "range_T": 0.004},
         lambda: PLAIN_T * (1.0 + 0.01 * cosines(np.abs(PLAIN_T).max(axis=1) / 0.004, 2))[:, None],
