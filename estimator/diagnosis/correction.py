@@ -26,9 +26,13 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.correction import Correction as CorrectionEffect
 from estimator.effects.correction import Limit
-from estimator.model.measurement_model import MeasurementModel
+from estimator.effects.stages import MotionEffect
+from estimator.effects.use import Use
+from estimator.geometry.motion import base_from_motion
+from estimator.model.measurement_model import MeasurementModel, gradient_T_per_m
 from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
+from estimator.rig.coordinates import Values
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
@@ -174,11 +178,26 @@ class _Kind:
                 shapes = torch.tensor([start[key] for start in starts], dtype=torch.float64)
                 values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
-            reading_T = model.predict(values).expand(n, len(fit.observations), 3)
-            change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
+            if len(starts) > 1 and isinstance(self.effect, MotionEffect):  # many poses, each near the reported one
+                change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
+            else:
+                reading_T = model.predict(values).expand(n, len(fit.observations), 3)
+                change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
         changes: Tensor = change_T * fit.whitening_per_T / step
         by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))
         return by_start.mT
+
+    def _shifted_T(
+        self, fit: Fit, model: MeasurementModel, values: Values
+    ) -> Float[Tensor, "amplitude reading 3"]:
+        """Change of the readings by a mover that errs, to first order in its shift."""
+        assert isinstance(self.effect, MotionEffect)
+        mover = fit.rig.mover(self.cause.place)
+        pose = base_from_motion(mover, fit.observations.motion[mover.name])
+        columns = self.effect.columns(model.circumstances, mover.name)
+        moved = self.effect.apply(pose, columns, Use(self.effect, mover.name).theta(values))
+        slope_T_per_m = gradient_T_per_m(fit.posterior.model, fit.values, mover.name)
+        return torch.einsum("rij,arj->ari", slope_T_per_m, moved.translation_m - pose.translation_m)
 
 
 @dataclass(frozen=True)
