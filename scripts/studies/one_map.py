@@ -1,9 +1,9 @@
 """Whether ten diagnoses of one large map agree, each with other readings for the search and others kept unseen; `make one-map` runs it.
 
-Two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a pierced plate of
-iron, with the wrong zero of one probe. The seed of a diagnosis draws which readings the search sees. Of the measured map it also draws which
-readings there are, one in six, and the search ends after four causes, for a whole diagnosis of it takes an hour. Every diagnosis is appended to
-a file as it ends, so an interrupted study continues.
+Two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a pierced plate
+of iron, with the wrong zero of one probe. The seed of a diagnosis draws which readings the search sees. Of the measured map it also draws
+which readings there are, one in six, and the search ends after four causes, for a whole diagnosis of it takes an hour. Every diagnosis is
+appended to a file as it ends, so an interrupted study continues.
 """
 
 from __future__ import annotations

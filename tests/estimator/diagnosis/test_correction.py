@@ -122,6 +122,23 @@ def test_nothing_is_corrected_where_a_cause_explains_all(small_rig: Rig, small_s
     assert correction.words(str) == f"Nothing is corrected: {correction.refusal}."
 
 
+def test_a_current_that_swings_is_followed_at_its_own_frequency(small_rig: Rig, small_session: Session):
+    """A fit moves the frequency from the grid, so that what swings is gone where nothing was fitted too."""
+    observations = small_session.observations
+    hours = (observations.time_s - observations.time_s.min()) / 3600.0
+    frequency_per_h = 4.3 / float(hours.max())  # between two of the grid
+    swing = 1.0 + 0.05 * torch.sin(2.0 * torch.pi * frequency_per_h * hours)[:, None]
+    swinging = observations.with_field(swing * observations.field_sensor_T)
+    plain = fit_of(small_rig, swinging.calibration)
+    correction = corrected(plain, unheard)
+    assert correction.parts[0].cause == Cause("current_swings", "coil1")
+    found = float(correction.fit.values["current_swings[coil1].frequency_per_h"])
+    assert found == pytest.approx(frequency_per_h, rel=0.02)
+    before, after = (validation_scores(fit, swinging.validation) for fit in (plain, correction.fit))
+    assert before.errors.vector_T > 2.0 * NOISE_T * 3**0.5
+    assert after.errors.vector_T < 1.4 * NOISE_T * 3**0.5
+
+
 def test_correction_that_predicts_unseen_readings_worse_is_dropped(plain: Fit, flawed: Observations):
     """Unseen readings of a session without the dipole refute it; they are the ones that count."""
     clean = with_dipole(flawed.validation, -0.0425)
