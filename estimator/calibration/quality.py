@@ -7,7 +7,7 @@ so a good calibration may still hide something; `coilcal diagnose` looks closer.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -19,6 +19,7 @@ from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
 from estimator.reporting.numbers import displays, size_with_unit
+from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
 
@@ -77,7 +78,11 @@ def assessment(
             ),
             "Do not use it. Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong.",
         )
-    reasons = [*_tensions(calibration), *_misfit(calibration.rig, error["vector_T"], expected_T)]
+    medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
+    reasons = [
+        *tensions(calibration.rig.free, medians),
+        *_misfit(calibration.rig, error["vector_T"], expected_T),
+    ]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
         reasons.append(f"only {coverage90:.0%} of the readings' components lie in their 90 % intervals.")
     if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
@@ -122,21 +127,27 @@ def noise_rms_T(observations: Observations, rig: Rig, values: Mapping[str, float
     return float(np.sqrt(squared))
 
 
-def _tensions(calibration: Calibration) -> list[str]:
-    """Numbers far from their priors, the farthest first; noise counts where it is too large."""
+def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> list[str]:
+    """Sentences on numbers far from their priors, the farthest first; noise counts where it is too large.
+
+    Args:
+        parameters: Free ones.
+        values: What was found for them, by name.
+    """
+    parameters = list(parameters)
     found = []
-    shown = displays([parameter.name for parameter in calibration.rig.free])
-    for parameter in calibration.rig.free:
+    shown = displays([parameter.name for parameter in parameters])
+    for parameter in parameters:
         assert parameter.prior is not None
-        median = float(np.median(calibration.draws[parameter.name]))
-        distance_sd = parameter.prior.distance(median)
+        value = values[parameter.name]
+        distance_sd = parameter.prior.distance(value)
         is_noise = parameter.name.endswith(".noise_T")
         if (is_noise and distance_sd > policy.LARGE_NOISE_SD) or (
             not is_noise and abs(distance_sd) > policy.FAR_SD
         ):
             show = shown[parameter.name]
-            value, middle = (f"{number * show.factor:.4g}" for number in (median, parameter.prior.centre))
-            words = f"{show.words} is {value} {show.unit}".rstrip()
+            size, middle = (f"{number * show.factor:.4g}" for number in (value, parameter.prior.centre))
+            words = f"{show.words} is {size} {show.unit}".rstrip()
             found.append(
                 (
                     abs(distance_sd),

@@ -149,11 +149,14 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
+    from estimator.diagnosis.headline import tension_words
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
     lines = [f"verdict: {diagnosis.verdict}"]
+    if words := tension_words(diagnosis):
+        lines.append(f"  {words}")
     if diagnosis.findings.search.ended_early:
         lines.append(
             f"  the search ended early: {diagnosis.findings.search.ended_early}; the same command goes on"

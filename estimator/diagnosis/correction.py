@@ -178,7 +178,9 @@ class _Kind:
                 shapes = torch.tensor([start[key] for start in starts], dtype=torch.float64)
                 values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
-            if len(starts) > 1 and isinstance(self.effect, MotionEffect):  # many poses, each near the reported one
+            if len(starts) > 1 and isinstance(
+                self.effect, MotionEffect
+            ):  # many poses, each near the reported one
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
                 reading_T = model.predict(values).expand(n, len(fit.observations), 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from estimator.calibration.quality import tensions
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.result import Diagnosis
@@ -10,6 +11,7 @@ from estimator.effects import EFFECTS
 from estimator.reporting.numbers import size_with_unit
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
+MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
@@ -21,6 +23,16 @@ def headline(diagnosis: Diagnosis) -> list[str]:
     if ended := search.ended_early:
         sentences.append(f"The search ended early, for {ended}; the same command goes on with it.")
     return [sentence for sentence in sentences if sentence]
+
+
+def tension_words(diagnosis: Diagnosis) -> str:
+    """Numbers of the rig file that lie far from what it expects of them, even with the causes that were found; empty where none does."""
+    values = {name: float(value) for name, value in diagnosis.fits.final.values.items()}
+    found = tensions(diagnosis.rig.free, values)
+    if not found:
+        return ""
+    rest = f" {len(found) - MOST_TENSIONS} more numbers lie as far." if len(found) > MOST_TENSIONS else ""
+    return f"Far from what the rig file expects: {' '.join(found[:MOST_TENSIONS])}{rest}"
 
 
 def _what(diagnosis: Diagnosis) -> str:

@@ -24,6 +24,7 @@ from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
 from estimator.reporting.plots import Role
+from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
@@ -63,6 +64,16 @@ def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_te
 
 def test_first_box_says_it_in_at_most_four_sentences(diagnosis: Diagnosis) -> None:
     assert 2 <= len(headline(diagnosis)) <= 4
+
+
+def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    assert "Far from what the rig file expects" not in as_text(diagnosis)
+    narrow = diagnosis.rig.with_parameters([replace(diagnosis.rig.parameters[RADIUS], prior=Normal(0.9, 1e-3))])
+    strained = replace(diagnosis, question=replace(diagnosis.question, rig=narrow))
+    words = "Far from what the rig file expects: radius is"
+    assert words in as_text(strained)
+    assert "where 900 is expected" in as_text(strained)
+    assert _text(strained, tmp_path).splitlines()[1].strip().startswith(words)
 
 
 def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
