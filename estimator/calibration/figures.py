@@ -97,16 +97,14 @@ def _maps(
 
 
 def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
-    determined = calibration.summary().get("amplitudes", {})
-    idle = {
-        name
-        for coil in calibration.rig.unwound
-        if not determined.get(coil.name, {}).get("determined")
-        for names in coil.amplitudes.values()
-        for name in names
+    yield from _spectra(calibration, title)
+    amplitudes = {
+        name for coil in calibration.rig.unwound for own in coil.amplitudes.values() for name in own
     }
     in_file = list(calibration.rig.parameters)
-    names = sorted(calibration.draws.keys() - idle, key=in_file.index)
+    names = sorted(calibration.draws.keys() - amplitudes, key=in_file.index)
+    if not names:
+        return
     draws = {name: calibration.draws[name].reshape(-1) for name in names}
     moving = [name for name in names if np.ptp(draws[name]) > 0.0][:MOST_CORNER_PARAMETERS]
     truth = {
@@ -138,6 +136,34 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
         "Walkers should mix and not drift.",
         plots.traces({name: calibration.draws[name].T for name in moving or list(draws)[:1]}, title=title),
     )
+
+
+def _spectra(calibration: Calibration, title: str) -> Iterator[Picture]:
+    """Of each coil without a winding of which the readings tell."""
+    determined = calibration.summary().get("amplitudes", {})
+    for coil in calibration.rig.unwound:
+        if not determined.get(coil.name, {}).get("determined"):
+            continue
+        free = {
+            degree: drawn
+            for degree, names in coil.amplitudes.items()
+            if (drawn := [name for name in names if name in calibration.draws])
+        }
+        medians = {
+            degree: np.array([np.median(calibration.draws[name]) for name in names])
+            for degree, names in free.items()
+        }
+        sds = {
+            degree: np.array([calibration.draws[name].std() for name in names])
+            for degree, names in free.items()
+        }
+        priors = {degree: calibration.rig.parameters[names[0]].prior for degree, names in free.items()}
+        prior_sd = {degree: prior.sd for degree, prior in priors.items() if prior is not None}
+        yield Picture(
+            f"Harmonics of {coil.name}",
+            "Points far above the band are known; where they sink into it, readings tell no more. If the last stand out, raise `degree`.",
+            _figure(plots.harmonic_spectrum(medians, sds, prior_sd, title=title)),
+        )
 
 
 def _sensor_positions(

@@ -2,7 +2,7 @@
 
 Two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a pierced plate
 of iron, with the wrong zero of one probe. The seed of a diagnosis draws which readings the search sees. Of the measured map it also draws
-which readings there are, one in six, and the search ends after four causes, for a whole diagnosis of it takes an hour. Every diagnosis is
+which readings there are, one in eleven, and the search ends after three causes, for a whole diagnosis of it takes an hour. Every diagnosis is
 appended to a file as it ends, so an interrupted study continues.
 """
 
@@ -31,7 +31,7 @@ from tests.hidden.pierced_sheet import pierced_T
 
 MEASURED, SIMULATED = "mice-run03", "simulated"
 ARMS_MM = {"p0": (0, 0), "p1": (6, 0), "p2": (0, 12), "p3": (-18, 0), "p4": (0, -24), "p5": (30, 0)}
-N_MEASURED, MOST_CAUSES_MEASURED = 1500, 4
+N_MEASURED, MOST_CAUSES_MEASURED = 800, 3
 N_PLACES, CURRENT_A = 400, 5.0
 PLATE_HEIGHT_M, OPENING_M = 0.23, 0.055
 OFFSET_T = (20e-6, -10e-6, 15e-6)  # of probe p3

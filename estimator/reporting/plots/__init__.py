@@ -28,6 +28,7 @@ from estimator.reporting.plots.residuals import (
 )
 from estimator.reporting.plots.sensitivity import interaction, interactions, main_effect, main_effects
 from estimator.reporting.plots.sessions import across_sessions
+from estimator.reporting.plots.spectrum import harmonic_spectrum
 
 __all__ = [
     "Role",
@@ -38,6 +39,7 @@ __all__ = [
     "evidence_bars",
     "explained_residual",
     "field_plane",
+    "harmonic_spectrum",
     "history",
     "interaction",
     "interactions",

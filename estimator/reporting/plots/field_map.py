@@ -20,7 +20,7 @@ from estimator.reporting.plots.style import BLACK, ERROR_MAP, FIELD_MAP, WINDING
 def field_plane(
     x_m: Float[np.ndarray, " x"],
     z_m: Float[np.ndarray, " z"],
-    field_T: Float[np.ndarray, "z x 3"],
+    field_T_per_A: Float[np.ndarray, "z x 3"],
     relative_half_width: Float[np.ndarray, "z x"],
     winding: Winding | None,
     readings_m: Float[np.ndarray, "reading 3"] | None = None,
@@ -31,16 +31,16 @@ def field_plane(
     Args:
         x_m: Coordinates across the axis, evenly spaced, increasing.
         z_m: Coordinates along the axis, evenly spaced, increasing.
-        field_T: Field in the coil frame; values inside the winding are hidden.
+        field_T_per_A: Field of one ampere in the coil frame; values inside the winding are hidden.
         relative_half_width: Half-width of the 90 % credible interval of |B|, relative to |B|.
         winding: Winding of the coil (no batch); None where it is not known.
         readings_m: Sensor positions in the coil frame; beyond them the model extrapolates.
-        title: Rig, date and the coil's current.
+        title: Rig and date.
     """
     x_mm, z_mm = x_m * 1e3, z_m * 1e3
     fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
     left, right = fig.subplots(1, 2, sharex=True, sharey=True)
-    size_mT = np.linalg.norm(field_T, axis=-1) * 1e3
+    size_mT = np.linalg.norm(field_T_per_A, axis=-1) * 1e3
     is_known = np.isfinite(size_mT)  # another coil's winding may reach into the plane
     if winding is not None:
         across_m = np.abs(x_m)[None, :]
@@ -52,10 +52,10 @@ def field_plane(
     filled = left.contourf(
         x_mm, z_mm, np.ma.masked_invalid(size_mT), levels, norm=LogNorm(), cmap=FIELD_MAP, extend="both"
     )
-    across, along = field_T[..., 0], field_T[..., 2]
+    across, along = field_T_per_A[..., 0], field_T_per_A[..., 2]
     left.streamplot(x_mm, z_mm, across, along, color="white", linewidth=0.6, arrowsize=0.7, density=0.9)
     ticks = LogLocator(subs=(1.0, 2.0, 5.0))
-    bar = fig.colorbar(filled, ax=left, label="|B| (mT)", ticks=ticks, format="%g")
+    bar = fig.colorbar(filled, ax=left, label="|B| (mT/A)", ticks=ticks, format="%g")
     bar.ax.minorticks_off()
     left.set_title("field and field lines, y = 0")
     percent = 100.0 * relative_half_width

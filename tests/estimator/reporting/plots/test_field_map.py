@@ -33,7 +33,7 @@ def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axe
     )
     text = words(fig)
     for label in (
-        "|B| (mT)",
+        "|B| (mT/A)",
         "90 % credible interval of |B| (%)",
         "x (mm)",
         "z (mm)",
