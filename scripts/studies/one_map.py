@@ -2,7 +2,7 @@
 
 Two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a pierced plate
 of iron, with the wrong zero of one probe. The seed of a diagnosis draws which readings the search sees. Of the measured map it also draws
-which readings there are, one in eleven, and the search ends after three causes, for a whole diagnosis of it takes an hour. Every diagnosis is
+which readings there are, one in eleven, and the search ends after three causes, for a whole diagnosis takes an hour. Every diagnosis is
 appended to a file as it ends, so an interrupted study continues.
 """
 
