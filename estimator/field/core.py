@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -190,6 +191,7 @@ def _across(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tenso
     return (tensor - near) / (4.0 * math.pi)
 
 
+@cache
 def _unit_gauss(n: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre nodes and weights between 0 and 1."""
     nodes, weights = (torch.from_numpy(values) for values in leggauss(n))

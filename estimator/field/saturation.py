@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 SUSCEPTIBILITY = 20.0  # at a strength of 0.5; about where the shape of a short rod begins to limit it
-STEPS = 12  # of Newton's method
+MOST_STEPS = 20  # of Newton's method, which takes 3 to 6
+SETTLED_T = 1e-12
 LEAST_LEFT = 0.02  # of the way to saturation, for steps that overshoot
 
 
@@ -36,8 +37,7 @@ def polarisation_T(
     applied_T: Float[Tensor, "*#batch pattern"],
     demagnetisation: Float[Tensor, "*#batch pattern pattern"],
     strength: Float[Tensor, "*#batch pattern"],
-    saturation_T: Float[Tensor, "*#batch pattern"],
-    sizes: Float[Tensor, "pattern pattern"],
+    limit_per_T: Float[Tensor, "*#batch pattern"],
 ) -> Float[Tensor, "*batch pattern"]:
     """Polarisation J of all patterns, each on Froehlich's curve in the field `applied - demagnetisation @ J`.
 
@@ -46,39 +46,39 @@ def polarisation_T(
     Args:
         applied_T: mu0 H of what does not belong to the iron.
         demagnetisation: Field of the patterns on each other, against them.
-        strength: Of the iron, `susceptibility`.
-        saturation_T: Polarisation that it cannot exceed.
-        sizes: Which patterns' fields are the size of the field for a pattern, as weights.
+        strength: Of the iron, as in `susceptibility`.
+        limit_per_T: One over the polarisation that it cannot exceed; 0 where it does not saturate.
     """
-
-    def rest(
-        polarisation_T: Tensor, applied_T: Tensor, matrix: Tensor, strength: Tensor, saturation_T: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """What is left of the law, times the strength over the susceptibility, and the field inside."""
-        inside_T = applied_T - (matrix @ polarisation_T[..., None])[..., 0]
-        stiff = (1.0 - strength) / SUSCEPTIBILITY + strength * (inside_T.abs() @ sizes.mT) / saturation_T
-        return stiff * polarisation_T - strength * inside_T, inside_T
-
-    known = [value.detach() for value in (applied_T, demagnetisation, strength, saturation_T)]
-    applied, matrix, s, limit_T = known
-    stiff = torch.diag_embed((1.0 - s) / SUSCEPTIBILITY)
-    now_T = _solved(stiff + s[..., None] * matrix, s * applied)
-    now_T = limit_T * now_T / (limit_T + now_T.abs())  # towards the curve, from below
+    known = [value.detach() for value in (applied_T, demagnetisation, strength, limit_per_T)]
+    applied, matrix, s, limit = known
+    soft = torch.diag_embed((1.0 - s) / SUSCEPTIBILITY)
+    now_T = _solved(soft + s[..., None] * matrix, s * applied)
+    now_T = now_T / (1.0 + limit * now_T.abs())  # towards the curve, from below
 
     def slope(inside_T: Tensor, now_T: Tensor) -> Tensor:
-        size_T = inside_T.abs() @ sizes.mT
-        own = torch.diag_embed((1.0 - s) / SUSCEPTIBILITY + s * size_T / limit_T)
-        bend = (s * now_T / limit_T)[..., None] * (sizes * torch.sign(inside_T)[..., None, :])
-        return own + (s[..., None] * torch.eye(len(sizes), dtype=s.dtype) - bend) @ matrix
+        own = torch.diag_embed((1.0 - s) / SUSCEPTIBILITY + s * limit * inside_T.abs())
+        return own + (s * (1.0 - limit * now_T * torch.sign(inside_T)))[..., None] * matrix
 
-    for _ in range(STEPS):
-        left, inside_T = rest(now_T, *known)
-        step_T = _solved(slope(inside_T, now_T), left)
-        room_T = LEAST_LEFT * limit_T + (limit_T - now_T.abs()).clamp(min=0.0)
-        now_T = now_T - step_T.clamp(-room_T, room_T)
-    left, inside_T = rest(now_T, *known)
-    exact, _ = rest(now_T, applied_T, demagnetisation, strength, saturation_T)
-    return now_T - _solved(slope(inside_T, now_T), exact)
+    for _ in range(MOST_STEPS):
+        left_T, inside_T = _left_T(now_T, *known)
+        step_T = _solved(slope(inside_T, now_T), left_T)
+        room = LEAST_LEFT + (1.0 - limit * now_T.abs()).clamp(min=0.0)  # of the saturated polarisation
+        too_far = (limit * step_T.abs() / room).clamp(min=1.0)
+        now_T = now_T - step_T / too_far
+        if bool((step_T.abs() < SETTLED_T).all()):
+            break
+    _, inside_T = _left_T(now_T, *known)
+    exact_T, _ = _left_T(now_T, applied_T, demagnetisation, strength, limit_per_T)
+    return now_T - _solved(slope(inside_T, now_T), exact_T)
+
+
+def _left_T(
+    now_T: Tensor, applied_T: Tensor, matrix: Tensor, strength: Tensor, limit_per_T: Tensor
+) -> tuple[Tensor, Tensor]:
+    """How far a polarisation is off the curve, multiplied by what stays finite without iron, and the field inside."""
+    inside_T = applied_T - (matrix @ now_T[..., None])[..., 0]
+    stiffness = (1.0 - strength) / SUSCEPTIBILITY + strength * limit_per_T * inside_T.abs()
+    return stiffness * now_T - strength * inside_T, inside_T
 
 
 def played(drive: Float[Tensor, " history"], width: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch history"]:

@@ -143,17 +143,13 @@ class Cores:
                 seen_A = current_A + self.lags_A[core.index][..., None] * is_own
             own = per_ampere[..., i * PATTERNS : (i + 1) * PATTERNS, :]
             applied.append((own @ seen_A[..., None])[..., 0])
-        strength, saturation_T = (
-            torch.cat(
-                [v[..., None].expand(*v.shape, PATTERNS) for v in torch.broadcast_tensors(*values)], dim=-1
-            )[..., None, :]
-            for values in (
-                [core.core.strength for core in self.members],
-                [core.core.saturation_T for core in self.members],
-            )
+        strengths = torch.broadcast_tensors(*(core.core.strength for core in self.members))
+        strength = torch.stack(strengths, dim=-1).repeat_interleave(PATTERNS, dim=-1)
+        limits = torch.broadcast_tensors(*(1.0 / core.core.saturation_T for core in self.members))
+        limit_per_T = torch.stack([limit[..., None] * _is_along() for limit in limits], dim=-2).flatten(-2)
+        polarisation = polarisation_T(
+            _joined(applied, dim=-1), matrix, strength[..., None, :], limit_per_T[..., None, :]
         )
-        sizes = torch.block_diag(*[_sizes() for _ in self.members])
-        polarisation = polarisation_T(_joined(applied, dim=-1), matrix, strength, saturation_T, sizes)
         return list(polarisation.split(PATTERNS, dim=-1))
 
     def _by_reading(self, value: Tensor, pose_row: Tensor | None) -> Tensor:
@@ -208,12 +204,9 @@ def _on_patterns(field: Float[Tensor, "*batch height 3"]) -> Float[Tensor, "*bat
     return torch.cat((field[..., 2], (field[..., :2] * share).sum(-2)), dim=-1)
 
 
-def _sizes() -> Float[Tensor, "pattern pattern"]:
-    """The field along the axis saturates the iron at its height; across the axis it is as soft as the mean of all heights."""
-    sizes = torch.zeros(PATTERNS, PATTERNS, dtype=torch.float64)
-    sizes[:HEIGHTS, :HEIGHTS] = torch.eye(HEIGHTS, dtype=torch.float64)
-    sizes[HEIGHTS:, :HEIGHTS] = share_of_heights() / BANDS
-    return sizes
+def _is_along() -> Float[Tensor, " pattern"]:
+    """1 for patterns along the axis, which saturate; across it, demagnetisation leaves little field to saturate with."""
+    return (torch.arange(PATTERNS) < HEIGHTS).to(torch.float64)
 
 
 def _bore_m(winding: Winding) -> Tensor:
