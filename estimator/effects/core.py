@@ -17,7 +17,7 @@ from estimator.rig.rig import Cause, Rig
 
 USUAL_STRENGTH = 0.95  # a susceptibility of 380: fits begin at iron, for little of it looks otherwise
 # Radius in radii of the bore, length in those of the winding, front face before that of the winding in its lengths.
-SHAPES = ((0.6, 1.0, 0.0), (0.9, 1.0, 0.0), (0.8, 1.3, 0.15), (0.8, 1.6, 0.0))
+SHAPES = ((0.9, 1.0, 0.0), (0.7, 1.4, 0.1))
 
 
 class CrossMagnetisation(CoreMagnetisation):

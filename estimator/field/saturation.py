@@ -69,7 +69,9 @@ def polarisation_T(
             break
     _, inside_T = _left_T(now_T, *known)
     exact_T, _ = _left_T(now_T, applied_T, demagnetisation, strength, limit_per_T)
-    return now_T - _solved(slope(inside_T, now_T), exact_T)
+    inverse = torch.linalg.inv(slope(inside_T, now_T))  # so that derivatives cost products, not solutions
+    last_T: Tensor = (inverse @ exact_T[..., None])[..., 0]
+    return now_T - last_T
 
 
 def _left_T(
