@@ -119,7 +119,9 @@ class CoreMemory(Effect):
     is_linear: ClassVar[bool] = False
 
     @abstractmethod
-    def lag_A(self, theta: Theta, circumstances: Circumstances, coil: int) -> Float[Tensor, "*#batch reading"]:
+    def lag_A(
+        self, theta: Theta, circumstances: Circumstances, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
         """What the body takes the coil's current for, less that current."""
 
 

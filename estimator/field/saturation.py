@@ -83,7 +83,9 @@ def _left_T(
     return stiffness * now_T - strength * inside_T, inside_T
 
 
-def played(drive: Float[Tensor, " history"], width: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch history"]:
+def played(
+    drive: Float[Tensor, " history"], width: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch history"]:
     """What a play (backlash) of half a width follows of a drive, which comes from 0: it moves only once the drive pushes it.
 
     Each step holds what came before between `drive - width` and `drive + width`. Two such steps after each other are one, so that all

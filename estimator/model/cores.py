@@ -17,7 +17,15 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import CoreMagnetisation, CoreMemory
 from estimator.effects.use import uses_of
 from estimator.field.coil import coil_field_per_ampere
-from estimator.field.core import BANDS, HEIGHTS, PATTERNS, Core, demagnetisation, field_of_core, share_of_heights
+from estimator.field.core import (
+    BANDS,
+    HEIGHTS,
+    PATTERNS,
+    Core,
+    demagnetisation,
+    field_of_core,
+    share_of_heights,
+)
 from estimator.field.first_order import first_order_field
 from estimator.field.node_sum import SumMode
 from estimator.field.saturation import polarisation_T
@@ -63,7 +71,8 @@ class CoreInRoom:
         def field(points_m: Tensor, numbers: Sequence[Tensor]) -> Tensor:
             return field_of_core(points_m, *numbers).flatten(-2)
 
-        return first_order_field(field, points_coil_m, sizes).unflatten(-1, (PATTERNS, 3))
+        per_T: Tensor = first_order_field(field, points_coil_m, sizes).unflatten(-1, (PATTERNS, 3))
+        return per_T
 
 
 @dataclass(frozen=True)
@@ -111,7 +120,9 @@ class Cores:
         for core in members:
             zero = torch.zeros(PATTERNS, dtype=core.core.radius_m.dtype)
             by_coil = [
-                _drive(rig, values, core, coil, world_from_coil[coil.name], mode) if isinstance(coil, Coil) else zero
+                _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
+                if isinstance(coil, Coil)
+                else zero
                 for coil in rig.coils
             ]
             drives.append(torch.stack(torch.broadcast_tensors(*by_coil), dim=-1))
@@ -134,7 +145,9 @@ class Cores:
             current_A: That flows in the coils.
             pose_row: Row of each reading; None where every reading has the row of its own number.
         """
-        per_ampere, matrix = (self._by_reading(value, pose_row) for value in (self.per_ampere, self.demagnetisation))
+        per_ampere, matrix = (
+            self._by_reading(value, pose_row) for value in (self.per_ampere, self.demagnetisation)
+        )
         applied = []
         for i, core in enumerate(self.members):
             seen_A = current_A
@@ -183,11 +196,15 @@ def _drive(
     source_from_coil = world_from_source.inverse() @ core.world_from_coil
     each = _with_points(source_from_coil)
     at_m = each.apply(core.axis_m)
-    field = coil_field_per_ampere(source, at_m.flatten(-3, -2), winding, rule, mode).unflatten(-2, at_m.shape[-3:-1])
+    field = coil_field_per_ampere(source, at_m.flatten(-3, -2), winding, rule, mode).unflatten(
+        -2, at_m.shape[-3:-1]
+    )
     return _on_patterns(each.unrotate(field))
 
 
-def _coupling(core: CoreInRoom, other: CoreInRoom, is_first_order: bool) -> Float[Tensor, "*batch #row pattern pattern"]:
+def _coupling(
+    core: CoreInRoom, other: CoreInRoom, is_first_order: bool
+) -> Float[Tensor, "*batch #row pattern pattern"]:
     """mu0 H of each pattern of a core, or of itself, against each pattern of a core."""
     if other is core:
         return demagnetisation(core.core.radius_m, core.core.length_m)[..., None, :, :]

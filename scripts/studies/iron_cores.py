@@ -20,8 +20,8 @@ from estimator import diagnose, load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.attach import with_effect
-from estimator.effects.use import uses_of
 from estimator.effects.stages import CoreMagnetisation
+from estimator.effects.use import uses_of
 from estimator.field.core import BANDS, HEIGHTS, share_of_heights
 from estimator.field.saturation import played, polarisation_T
 from estimator.model.cores import Cores
@@ -69,7 +69,11 @@ def cored_pair(seed: int, places: int, across: int) -> None:
         rig = load_rig(Path(folder) / "rig.yaml")
         session = read_readings_csv(Path(folder) / "readings.csv", rig)
     begin = time.perf_counter()
-    found = diagnose(session, seed=seed, on_stage=lambda words: print(f"  {time.perf_counter() - begin:4.0f} s {words}", flush=True))
+    found = diagnose(
+        session,
+        seed=seed,
+        on_stage=lambda words: print(f"  {time.perf_counter() - begin:4.0f} s {words}", flush=True),
+    )
     record = found.to_json()
     print(f"pair: {record['verdict']}: {', '.join(cause['name'] for cause in record['causes'])}")
     for cause in record["causes"]:
@@ -78,7 +82,11 @@ def cored_pair(seed: int, places: int, across: int) -> None:
     print(f"    truth: strength {iron.susceptibility / (20.0 + iron.susceptibility):.4f}, {iron}")
     fit, plain = found.fits.extended, found.fits.plain
     rivals = with_rivals(plain)
-    for words, one in (("with the cores", fit), ("rig as described", plain), (f"and {', '.join(RIVALS)}", rivals)):
+    for words, one in (
+        ("with the cores", fit),
+        ("rig as described", plain),
+        (f"and {', '.join(RIVALS)}", rivals),
+    ):
         error = relative_error(one, session.observations, at_m, truth_T)
         print(f"  both on, currents and places unseen, {words}: {100.0 * error:.2f} % of the rms field")
     saturation(fit, pair)
@@ -140,19 +148,29 @@ def saturation(fit: Fit, pair: CoredPair) -> None:
             mean_T = (polarisation * share_of_heights() / BANDS).sum(-1)
             volume_m3 = np.pi * member.core.radius_m**2 * member.core.length_m
             moment = mean_T * volume_m3[:, None] / (4e-7 * np.pi)
-            low, middle, high = torch.quantile(moment, torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64), dim=0)
+            low, middle, high = torch.quantile(
+                moment, torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64), dim=0
+            )
             loss = 1.0 - (moment[:, -1] / CURVE_A[-1]) / (moment[:, 0] / CURVE_A[0])
             true_loss = 1.0 - (true_A_m2[-1] / CURVE_A[-1]) / (true_A_m2[0] / CURVE_A[0])
             print(f"  core of {member.coil.name}: moment in A m2 (90 %), truth")
             for k, current in enumerate(CURVE_A):
-                is_in = bool(low[k] <= true_A_m2[k] <= high[k])
-                print(f"    {current:4.1f} A {middle[k]:7.4f} ({low[k]:.4f} to {high[k]:.4f}), {true_A_m2[k]:.4f} {'inside' if is_in else 'OUTSIDE'}")
-            ends = torch.quantile(loss, torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)).tolist()
-            is_in = ends[0] <= true_loss <= ends[2]
+                where = inside(float(low[k]), true_A_m2[k], float(high[k]))
+                print(
+                    f"    {current:4.1f} A {middle[k]:7.4f} ({low[k]:.4f} to {high[k]:.4f}), {true_A_m2[k]:.4f} {where}"
+                )
+            least, likely, most = torch.quantile(
+                100.0 * loss, torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
+            ).tolist()
+            where = inside(least, 100.0 * true_loss, most)
             print(
-                f"    lost to saturation from {CURVE_A[0]:g} to {CURVE_A[-1]:g} A: {100 * ends[1]:.2f} % ({100 * ends[0]:.2f} to {100 * ends[2]:.2f}), "
-                f"truth {100 * true_loss:.2f} % {'inside' if is_in else 'OUTSIDE'}"
+                f"    lost to saturation from {CURVE_A[0]:g} to {CURVE_A[-1]:g} A: {likely:.2f} % ({least:.2f} to {most:.2f}), "
+                f"truth {100.0 * true_loss:.2f} % {where}"
             )
+
+
+def inside(low: float, value: float, high: float) -> str:
+    return "inside" if low <= value <= high else "OUTSIDE"
 
 
 def toroid(folder: Path) -> None:
@@ -190,7 +208,9 @@ def toroid(folder: Path) -> None:
         best = least_squares(left_T, start[free], x_scale=np.abs(start[free]) + 1e-3)
         rms_T = float(np.sqrt(np.mean(best.fun**2)))
         numbers = ", ".join(f"{value:.4g}" for value in best.x)
-        print(f"  {words}: rms {1e3 * rms_T:.1f} mT, largest {1e3 * np.abs(best.fun).max():.0f} mT ({numbers})")
+        print(
+            f"  {words}: rms {1e3 * rms_T:.1f} mT, largest {1e3 * np.abs(best.fun).max():.0f} mT ({numbers})"
+        )
 
 
 if __name__ == "__main__":

@@ -63,7 +63,9 @@ class Iron:
     @property
     def reluctance(self) -> Callable[[Array], Array]:
         """mu0 H over polarisation on Froehlich's curve."""
-        return lambda size_T: 1.0 / (self.susceptibility * np.clip(1.0 - size_T / self.saturation_T, 1e-3, None))
+        return lambda size_T: (
+            1.0 / (self.susceptibility * np.clip(1.0 - size_T / self.saturation_T, 1e-3, None))
+        )
 
 
 def settings_A() -> Array:
@@ -81,11 +83,16 @@ class CoredPair:
         across: Cubes across a core.
     """
 
-    def __init__(self, irons: tuple[Iron | None, Iron | None], rng: np.random.Generator, across: int = 6) -> None:
+    def __init__(
+        self, irons: tuple[Iron | None, Iron | None], rng: np.random.Generator, across: int = 6
+    ) -> None:
         self.irons, self.across = irons, across
         self.nominal = nominal_poses()
         self.poses = [
-            (turn * Rotation.from_rotvec(np.deg2rad(0.3) * rng.normal(size=3) * [1, 1, 0]), at + 3e-4 * rng.normal(size=3))
+            (
+                turn * Rotation.from_rotvec(np.deg2rad(0.3) * rng.normal(size=3) * [1, 1, 0]),
+                at + 3e-4 * rng.normal(size=3),
+            )
             for turn, at in self.nominal
         ]
         self.coil = circular_field(blocks_of(WINDING), nodes=30)
@@ -120,7 +127,9 @@ class CoredPair:
         applied = []
         for rod in rods:
             cells_m = rod.rotation.apply(rod.centres_m) + rod.position_m
-            applied.append(np.einsum("sc,cpi->spi", currents_A, np.stack([self._of_coil(c, cells_m) for c in range(2)])))
+            applied.append(
+                np.einsum("sc,cpi->spi", currents_A, np.stack([self._of_coil(c, cells_m) for c in range(2)]))
+            )
         iron = next(iron for iron in self.irons if iron is not None)
         return polarisations_T(rods, applied, iron.reluctance)
 
@@ -145,7 +154,9 @@ def rig_text() -> str:
     return text
 
 
-def write(folder: Path, pair: CoredPair, places: int, rng: np.random.Generator, name: str = "readings.csv") -> None:
+def write(
+    folder: Path, pair: CoredPair, places: int, rng: np.random.Generator, name: str = "readings.csv"
+) -> None:
     """The rig file, and readings at some places for each setting, in random order, with noise."""
     currents_A = settings_A()
     at_m = rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, (places * len(currents_A), 3))

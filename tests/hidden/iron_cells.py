@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import magpylib
 import numpy as np
@@ -18,7 +19,9 @@ from tests.hidden.protocols import Array
 
 MOST_STEPS, TOLERANCE = 400, 1e-6
 STIFF = 0.05  # reluctance that the iteration takes to both sides; from zero it approaches a curve from below
-Curve = Callable[[Array], Array]  # polarisation in T -> mu0 H over polarisation, the inverse of the secant susceptibility
+Curve = Callable[
+    [Array], Array
+]  # polarisation in T -> mu0 H over polarisation, the inverse of the secant susceptibility
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,9 @@ class IronRod:
         is_in = x**2 + y**2 < (0.5 * self.across) ** 2
         layer = np.column_stack((x[is_in], y[is_in]))
         n_layers = round(self.length_m / self._width_m(len(layer)))
-        return np.concatenate([np.column_stack((layer, np.full(len(layer), float(k)))) for k in range(n_layers)])
+        return np.concatenate(
+            [np.column_stack((layer, np.full(len(layer), float(k)))) for k in range(n_layers)]
+        )
 
     def _width_m(self, n_in_layer: int) -> float:
         return float(self.radius_m * np.sqrt(np.pi / n_in_layer))
@@ -80,7 +85,8 @@ def field_per_T(rod: IronRod, points_m: Array) -> Array:
 def _of_cuboid(edges_m: Array, at_m: Array) -> Array:
     """Field of one cuboid about the origin: point, field xyz, polarisation xyz."""
     columns = [
-        magpylib.magnet.Cuboid(polarization=tuple(axis), dimension=tuple(edges_m)).getB(at_m) for axis in np.eye(3)
+        magpylib.magnet.Cuboid(polarization=tuple(axis), dimension=tuple(edges_m)).getB(at_m)
+        for axis in np.eye(3)
     ]
     return np.stack(columns, axis=-1).reshape(len(at_m), 3, 3)
 
@@ -123,7 +129,8 @@ def polarisations_T(rods: list[IronRod], applied_T: list[Array], reluctance: Cur
                 block = -local.reshape(sizes[i], sizes[k])
             matrix[ends[i] : ends[i + 1], ends[k] : ends[k + 1]] = block
     drive = np.concatenate(
-        [(b @ rod.rotation.as_matrix()).reshape(len(b), -1) for rod, b in zip(rods, applied_T, strict=True)], axis=1
+        [(b @ rod.rotation.as_matrix()).reshape(len(b), -1) for rod, b in zip(rods, applied_T, strict=True)],
+        axis=1,
     ).T
     size = np.zeros((len(drive) // 3, drive.shape[1]))
     polarisation = np.zeros_like(drive)
@@ -135,5 +142,5 @@ def polarisations_T(rods: list[IronRod], applied_T: list[Array], reluctance: Cur
         polarisation = moved
         size = np.linalg.norm(polarisation.reshape(-1, 3, polarisation.shape[1]), axis=1)
         if step < TOLERANCE:
-            return [polarisation[a:b].T.reshape(drive.shape[1], -1, 3) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+            return [polarisation[a:b].T.reshape(drive.shape[1], -1, 3) for a, b in pairwise(ends)]
     raise RuntimeError(f"polarisation must settle; still changing by {step:g}")

@@ -1,7 +1,7 @@
 """Causes that lie far from their null: asked by full fits where a fit has bent the rig to follow something large.
 
-A coil whose iron core nobody mentioned has several times its field. A fit without the core moves the coil by centimetres, and what the linear
-model says at such a place is of no use for naming what is missing.
+A coil whose iron core nobody mentioned has several times its field. A fit without the core moves the coil by centimetres, and what the
+linear model says there is of no use for naming what is missing.
 """
 
 from __future__ import annotations

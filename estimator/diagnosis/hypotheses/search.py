@@ -275,7 +275,9 @@ class _SearchState:
         if wider is None or len(self.added(wider)) > self.limits.most_causes:
             return None
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
-        steps = [_alone_in_step(cause, fit, wider) for cause in new]  # `revisited` compares them, where there are several
+        steps = [
+            _alone_in_step(cause, fit, wider) for cause in new
+        ]  # `revisited` compares them, where there are several
         if len(new) == 1:
             steps = [self.step(fit)]
             if steps[0].taken != new[0]:

@@ -10,7 +10,15 @@ from scipy.spatial.transform import Rotation
 from estimator.field.core import BANDS, HEIGHTS, demagnetisation, share_of_heights
 from estimator.field.saturation import froehlich_T, played, polarisation_T, susceptibility
 from tests.hidden.iron_cells import IronRod, field_per_T, polarisations_T
-from tests.physics.effects.laboratory import MU0_RATIO, added_T, dipole_T, effects_text, predicted_T, readings, winding
+from tests.physics.effects.laboratory import (
+    MU0_RATIO,
+    added_T,
+    dipole_T,
+    effects_text,
+    predicted_T,
+    readings,
+    winding,
+)
 
 # A core in each of two coils that look at each other askew; places in front of both.
 RIG = """
@@ -25,13 +33,18 @@ sensors:
 """
 POINTS_M = np.array([[0.0, 0.0, 0.04], [0.012, -0.01, 0.035], [-0.02, 0.01, 0.045], [0.05, 0.03, 0.02]])
 IRON = {"strength": 500.0 / 520.0, "radius_m": 0.01, "length_m": 0.05, "front_m": 0.004, "saturation_T": 1.5}
-PLACES = ((Rotation.identity(), np.zeros(3)), (Rotation.from_euler("y", 210, degrees=True), np.array([0.03, 0.0, 0.08])))
+PLACES = (
+    (Rotation.identity(), np.zeros(3)),
+    (Rotation.from_euler("y", 210, degrees=True), np.array([0.03, 0.0, 0.08])),
+)
 WOUND = winding(0.026, 40, 10)
 ACROSS = 4
 
 
 def rods(n: int = 2) -> list[IronRod]:
-    return [IronRod(IRON["radius_m"], IRON["length_m"], IRON["front_m"], ACROSS, *place) for place in PLACES[:n]]
+    return [
+        IronRod(IRON["radius_m"], IRON["length_m"], IRON["front_m"], ACROSS, *place) for place in PLACES[:n]
+    ]
 
 
 def of_coils(currents_A: tuple[float, float], points_m: np.ndarray) -> np.ndarray:
@@ -43,7 +56,9 @@ def of_coils(currents_A: tuple[float, float], points_m: np.ndarray) -> np.ndarra
 
 def of_cubes(currents_A: tuple[float, float], n: int = 2) -> np.ndarray:
     bodies = rods(n)
-    applied = [of_coils(currents_A, body.rotation.apply(body.centres_m) + body.position_m)[None] for body in bodies]
+    applied = [
+        of_coils(currents_A, body.rotation.apply(body.centres_m) + body.position_m)[None] for body in bodies
+    ]
     limit_T, chi = IRON["saturation_T"], 500.0
     polarisations = polarisations_T(bodies, applied, lambda size_T: 1.0 / (chi * (1.0 - size_T / limit_T)))
     parts = [
@@ -83,7 +98,9 @@ def test_weak_core_is_a_dipole_of_its_volume_and_field():
     volume_m3 = np.pi * 0.002**2 * 0.006
     chi = float(susceptibility(torch.tensor(1e-4)))
     moment_A_m2 = chi * volume_m3 * WOUND.field_T(at_m)[0] / (4e-7 * np.pi)
-    np.testing.assert_allclose(field_T, dipole_T(moment_A_m2, at_m[0], far_m), rtol=0.03, atol=1e-3 * np.abs(field_T).max())
+    np.testing.assert_allclose(
+        field_T, dipole_T(moment_A_m2, at_m[0], far_m), rtol=0.03, atol=1e-3 * np.abs(field_T).max()
+    )
 
 
 @pytest.mark.parametrize("slenderness", [1.0, 3.0, 10.0])
@@ -92,7 +109,9 @@ def test_even_magnetisation_has_the_factor_of_the_literature(slenderness):
     matrix = demagnetisation(*torch.tensor([1.0, 2.0 * slenderness], dtype=torch.float64))
     across = float(matrix[HEIGHTS, HEIGHTS])
     along = 1.0 - 2.0 * across
-    expected = {1.0: 0.3116}.get(slenderness, 4.0 / (3.0 * np.pi * slenderness) - 1.0 / (8.0 * slenderness**2))
+    expected = {1.0: 0.3116}.get(
+        slenderness, 4.0 / (3.0 * np.pi * slenderness) - 1.0 / (8.0 * slenderness**2)
+    )
     assert along == pytest.approx(expected, rel=3e-3)
     # Even along the axis: nothing fans out, so that charge sits on the faces only and the mean field is the same.
     share = share_of_heights() / BANDS
@@ -132,7 +151,9 @@ def test_play_follows_as_one_pushed_step_by_step():
 def test_core_keeps_the_field_of_its_coercive_current():
     """After 5 A the coil is off: the core stands as it stands on the way up at 0.2 A more than its play."""
     cores = {"cross_magnetisation[coil]": IRON, "core_remanence[coil]": {"coercive_A": 0.2}}
-    at = readings(np.repeat(POINTS_M[:1], 4, axis=0), np.array([[1.0, 0.0], [5.0, 0.0], [0.0, 0.0], [-5.0, 0.0]]))
+    at = readings(
+        np.repeat(POINTS_M[:1], 4, axis=0), np.array([[1.0, 0.0], [5.0, 0.0], [0.0, 0.0], [-5.0, 0.0]])
+    )
     field_T = added_T(at, cores, RIG)
     alone = {"cross_magnetisation[coil]": IRON}
     seen_A = np.array([[0.8, 0.0], [4.8, 0.0], [0.2, 0.0], [-4.8, 0.0]])
@@ -142,12 +163,16 @@ def test_core_keeps_the_field_of_its_coercive_current():
 
 def test_core_of_a_carried_coil_answers_where_it_is():
     """Each pose by itself gives the same as all poses together."""
-    carried = RIG.replace("movers: {", "movers: {arm: {motion: pose}, ").replace(
-        "other: {", "other: {carried_by: arm, "
-    ).replace("world_from_coil: {x_mm", "flange_from_coil: {x_mm")
+    carried = (
+        RIG.replace("movers: {", "movers: {arm: {motion: pose}, ")
+        .replace("other: {", "other: {carried_by: arm, ")
+        .replace("world_from_coil: {x_mm", "flange_from_coil: {x_mm")
+    )
     cores = {"cross_magnetisation[coil]": IRON, "cross_magnetisation[other]": IRON}
     together = readings(POINTS_M, (3.0, -4.0))
-    together.motion["arm"] = torch.tensor([[0.01 * i, 0.0, 0.02 * i, 0.0, 0.1 * i, 0.0] for i in range(len(POINTS_M))]).double()
+    together.motion["arm"] = torch.tensor(
+        [[0.01 * i, 0.0, 0.02 * i, 0.0, 0.1 * i, 0.0] for i in range(len(POINTS_M))]
+    ).double()
     text = effects_text(cores)
     all_T = predicted_T(together, None, carried + text)
     for i in range(len(POINTS_M)):
