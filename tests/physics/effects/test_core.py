@@ -83,7 +83,7 @@ def test_pair_of_cores_is_that_of_cubes(currents_A):
     cores = {"cross_magnetisation[coil]": IRON, "cross_magnetisation[other]": IRON}
     field_T = added_T(readings(POINTS_M, currents_A), cores, RIG)
     error_T = np.linalg.norm(field_T - of_cubes(currents_A), axis=1)
-    assert error_T.max() < 0.01 * np.linalg.norm(field_T, axis=1).max()
+    assert error_T.max() < 0.015 * np.linalg.norm(field_T, axis=1).max()
 
 
 def test_core_of_an_idle_coil_shows():
