@@ -147,6 +147,10 @@ class _SearchState:
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
         self.screened_at = base  # where pool and curves have their columns
+        self.asked = {
+            *base.rig.effects,
+            *causes_of(base.rig, base),
+        }  # others concern the session only beside a cause
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.limits, self.on_progress = tell, limits, on_progress
         self.n_compared = 0
@@ -286,7 +290,7 @@ class _SearchState:
         gain = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({gain:+.1f} in log evidence)")
         self.screened_at, self.pool = wider, candidates(wider, causes_of(wider.rig, wider))
-        self.smooth = families(wider)
+        self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes_of(wider.rig, wider)}
         self.steps += steps
         self.additions.append(Addition(tuple(new), wider))
         return wider
@@ -362,8 +366,7 @@ class _SearchState:
 
     def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.screened_at)
-        known = {candidate.cause for candidate in self.pool}
-        others = [cause for cause in causes_of(fit.rig, fit) if cause not in known]
+        others = [cause for cause in causes_of(fit.rig, fit) if cause not in self.asked]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:
