@@ -7,7 +7,13 @@ import torch
 from torch import Tensor
 
 from estimator.effects import EFFECTS
-from estimator.effects.stages import CoreMagnetisation, RoomEffect, SourceEffect, WindingEffect, WindingMagnetisation
+from estimator.effects.stages import (
+    CoreMagnetisation,
+    RoomEffect,
+    SourceEffect,
+    WindingEffect,
+    WindingMagnetisation,
+)
 from estimator.model.measurement_model import NominalPrediction
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, label_of, model_of, readings
 
