@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -71,6 +71,9 @@ mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet d
 
 harmonic-coils: $(INSTALLED)  # eight coils with iron cores by harmonics, on places held out; minutes
 	$(RUN) scripts.studies.harmonic_coils
+
+iron-cores: $(INSTALLED)  # two coils with iron cores that nobody mentioned, by independent code; a measured hysteresis loop; a quarter of an hour
+	$(RUN) scripts.studies.iron_cores
 
 storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
 	$(RUN) pytest -m slow tests/estimator/cli/test_acquire_storm.py tests/estimator/cli/test_recalibrate_storm.py

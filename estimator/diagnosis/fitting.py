@@ -69,6 +69,16 @@ class Fit:
         """The readings that were fitted."""
         return self.posterior.model.circumstances.observations
 
+    @cached_property
+    def is_bent(self) -> bool:
+        """Whether a number that the rig states has been pulled so far that something large must be missing."""
+        of_causes = tuple(f"{cause.label}." for cause in self.rig.effects)
+        return any(
+            abs(float(self.values[p.name]) - p.prior.mean) > policy.BENT * p.prior.sd
+            for p in self.rig.free
+            if isinstance(p.prior, Normal) and not p.name.startswith(of_causes)
+        )
+
     def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
         """Values to start another rig from: those of this fit; nominal ones for parameters that only the other rig has."""
         new = {name: p.value for name, p in rig.parameters.items() if name not in self.rig.parameters}

@@ -13,6 +13,7 @@ from importlib.metadata import entry_points
 from estimator.effects.base import Effect
 from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
+from estimator.effects.core import CoreRemanence, CrossMagnetisation
 from estimator.effects.drift_corrections import (
     CurrentWanders,
     GuidesWander,
@@ -121,6 +122,8 @@ EFFECTS: dict[str, Effect] = {
         LeadWire(),
         IronCore(),
         CoreSaturation(),
+        CrossMagnetisation(),
+        CoreRemanence(),
         SphericalSum(),
         DipoleModel(),
         MagnetisedLink(),

@@ -97,6 +97,8 @@ class Effect(ABC):
         is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
         idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
         is_structural: The source is built otherwise than described, which may do for causes of many kinds that have piled up.
+        starts_far_off: Fits with it start far from its null, and multiply what the coils do. Where a fit without it has bent the rig to
+            follow, the linear model there says nothing of it.
         is_linear: The field stays proportional to the currents.
         needs_winding: It says something of a winding, or has a place beside one; coils without one cannot have it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
@@ -109,6 +111,7 @@ class Effect(ABC):
     is_record_mistake: ClassVar[bool] = False
     idealises: ClassVar[str | None] = None
     is_structural: ClassVar[bool] = False
+    starts_far_off: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
+from estimator.field.core import Core
 from estimator.field.magnetised import Rings
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
@@ -125,6 +126,32 @@ class WindingMagnetisation(Effect):
         self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
     ) -> Float[Tensor, "*#batch reading pattern"]:
         """How strongly each pattern is there, given the currents of all coils."""
+
+
+class CoreMagnetisation(Effect):
+    """Puts a body of iron into the bore of a coil, which answers all coils and the other bodies (`model.cores`)."""
+
+    kind = Kind.COIL
+    needs_winding: ClassVar[bool] = True
+    is_linear: ClassVar[bool] = False
+
+    @abstractmethod
+    def core(self, theta: Theta) -> Core:
+        """Its shape and its iron."""
+
+
+class CoreMemory(Effect):
+    """Makes such a body lag behind the current of its coil."""
+
+    kind = Kind.COIL
+    needs_winding: ClassVar[bool] = True
+    is_linear: ClassVar[bool] = False
+
+    @abstractmethod
+    def lag_A(
+        self, theta: Theta, circumstances: Circumstances, coil: int
+    ) -> Float[Tensor, "*#batch reading"]:
+        """What the body takes the coil's current for, less that current."""
 
 
 class PerAmpere(ABC):

@@ -17,6 +17,7 @@ from torch import Tensor
 from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
+    CoreMagnetisation,
     CurrentEffect,
     PerAmpere,
     RecordEffect,
@@ -33,6 +34,7 @@ from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
+from estimator.model.cores import Cores
 from estimator.model.unwound import harmonic_field_per_ampere
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import AnyCoil, Body, Coil, HarmonicCoil, Rig
@@ -122,6 +124,8 @@ class Sources:
                 total = total + self._unrotated(world_from_point, drifting_T)
         for magnetised in uses_of(self.rig, WindingMagnetisation):
             total = total + self._magnetised(magnetised, values, world_from_point, delivered_A)
+        if uses_of(self.rig, CoreMagnetisation):
+            total = total + self._cores(values, world_from_point, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
             is_ready = isinstance(coil, HarmonicCoil) or coil.name in self.rules
@@ -197,6 +201,29 @@ class Sources:
         flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
         return self._unrotated(coil_from_point, total)
+
+    def _cores(
+        self,
+        values: Values,
+        world_from_point: Transform,
+        delivered_A: Float[Tensor, "*#batch #reading coil"],
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field of all iron cores in the frames of the points."""
+        poses = {
+            coil.name: self.world_from_body(coil, "coil", self._every_row, values) for coil in self.rig.wound
+        }
+        cores = Cores.of(self.rig, values, poses, self.circumstances, self._is_first_order)
+        total = torch.zeros(1, dtype=delivered_A.dtype)
+        for core, polarisation_T in zip(
+            cores.members, cores.polarisations_T(delivered_A, self.pose_row), strict=True
+        ):
+            coil_from_point = core.world_from_coil.inverse() @ world_from_point
+            per_T = core.field_at(coil_from_point.translation_m, self._is_first_order)
+            per_T = per_T.expand(*per_T.shape[:-3], self.n_rows, *per_T.shape[-2:])
+            per_T = per_T if self.pose_row is None else per_T[..., self.pose_row, :, :]
+            field_T = (polarisation_T[..., None, :] @ per_T)[..., 0, :]
+            total = total + self._unrotated(coil_from_point, field_T)
+        return total
 
     @cached_property
     def _every_row(self) -> Int[Tensor, " row"]:

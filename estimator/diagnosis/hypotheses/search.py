@@ -10,20 +10,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.hypotheses.far_off import with_far_off
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
 from estimator.diagnosis.hypotheses.step import (
+    Hypothesis,
     Step,
+    least_log_evidence,
     leaves_structure,
     take_step,
+    with_probabilities,
 )
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
@@ -143,6 +146,11 @@ class _SearchState:
         on_progress: OnProgress = unwatched,
     ) -> None:
         self.base, self.pool, self.smooth = base, pool, smooth
+        self.screened_at = base  # where pool and curves have their columns
+        self.asked = {
+            *base.rig.effects,
+            *causes_of(base.rig, base),
+        }  # others concern the session only beside a cause
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.limits, self.on_progress = tell, limits, on_progress
         self.n_compared = 0
@@ -167,6 +175,9 @@ class _SearchState:
                 and is_pile(self.added(fit), policy.MOST_KINDS - 1)
             ):
                 fit = self._with_other_structure(fit)
+                continue
+            if not is_over and (straight := self._with_far_off(fit)) is not None:
+                fit = straight
                 continue
             if not is_over and (wider := self._with_several_places(fit)) is not None:
                 fit = self._without_idle(wider)
@@ -262,6 +273,28 @@ class _SearchState:
         self.additions = [Addition((better.cause,), better.alone)]
         return better.alone
 
+    def _with_far_off(self, fit: Fit) -> Fit | None:
+        """A bent fit with what had bent it, from where all other causes are then screened; None where nothing does."""
+        wider = with_far_off(fit, least_log_evidence(len({candidate.cause for candidate in self.pool})))
+        if wider is None or len(self.added(wider)) > self.limits.most_causes:
+            return None
+        new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
+        steps = [
+            _alone_in_step(cause, fit, wider) for cause in new
+        ]  # `revisited` compares them, where there are several
+        if len(new) == 1:
+            steps = [self.step(fit)]
+            if steps[0].taken != new[0]:
+                return None
+            wider = steps[0].taken_fit
+        gain = wider.log_evidence - fit.log_evidence
+        self.tell(f"taking {', '.join(cause.label for cause in new)} ({gain:+.1f} in log evidence)")
+        self.screened_at, self.pool = wider, candidates(wider, causes_of(wider.rig, wider))
+        self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes_of(wider.rig, wider)}
+        self.steps += steps
+        self.additions.append(Addition(tuple(new), wider))
+        return wider
+
     def _with_several_places(self, fit: Fit) -> Fit | None:
         """The fit with one effect at several more places; None where a cause at one place does better."""
         wider = at_several_places(fit, self._pool(fit))
@@ -331,18 +364,20 @@ class _SearchState:
     def _at(self, cause: Cause) -> int:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
-    @cached_property
-    def _possible_at_base(self) -> set[Cause]:
-        """Causes that concern the session without any other; some concern it only beside another."""
-        return {*self.base.rig.effects, *causes_of(self.base.rig, self.base)}
-
     def _pool(self, fit: Fit) -> list[Candidate]:
-        weight = fit.weight_over(self.base)
-        beside_others = [cause for cause in causes_of(fit.rig, fit) if cause not in self._possible_at_base]
-        return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, beside_others)]
+        weight = fit.weight_over(self.screened_at)
+        others = [cause for cause in causes_of(fit.rig, fit) if cause not in self.asked]
+        return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:
-        return [family.weighed(fit.weight_over(self.base)) for family in self.smooth]
+        return [family.weighed(fit.weight_over(self.screened_at)) for family in self.smooth]
+
+
+def _alone_in_step(cause: Cause, before: Fit, after: Fit) -> Step:
+    """A step that compared one of several causes with nothing."""
+    gain = Hypothesis(cause, cause.label, after.log_evidence - before.log_evidence, fit=after)
+    hypotheses = with_probabilities([Hypothesis(None, "nothing", 0.0), gain], 1)
+    return Step(tuple(hypotheses), cause, (hypotheses[0],), discrepancy(after, families(after)))
 
 
 def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:

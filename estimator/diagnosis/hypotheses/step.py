@@ -103,7 +103,8 @@ def take_step(
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted = None
-        if _is_worth_a_fit(i, highest, best) and not limits.is_over:
+        is_asked = fit.is_bent and EFFECTS[cause.name].starts_far_off
+        if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, value, start)

@@ -68,7 +68,9 @@ def test_first_box_says_it_in_at_most_four_sentences(diagnosis: Diagnosis) -> No
 
 def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert "Far from what the rig file expects" not in as_text(diagnosis)
-    narrow = diagnosis.rig.with_parameters([replace(diagnosis.rig.parameters[RADIUS], prior=Normal(0.9, 1e-3))])
+    narrow = diagnosis.rig.with_parameters(
+        [replace(diagnosis.rig.parameters[RADIUS], prior=Normal(0.9, 1e-3))]
+    )
     strained = replace(diagnosis, question=replace(diagnosis.question, rig=narrow))
     words = "Far from what the rig file expects: radius is"
     assert words in as_text(strained)

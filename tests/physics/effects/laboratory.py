@@ -59,6 +59,13 @@ SOURCES = {
     "lead_wire": {"gap_m": 0.01, "azimuth_rad": 2.0, "length_m": 0.2},
     "iron_core": {"share": 0.2},
     "core_saturation": {"share": 0.2, "loss_per_A2": 0.01},
+    "cross_magnetisation": {
+        "strength": 0.9,
+        "radius_m": 0.006,
+        "length_m": 0.02,
+        "front_m": -0.004,
+        "saturation_T": 1.8,
+    },
     "dipole_model": {"weight": 0.5},
     "spherical_sum": {"weight": 0.5},
     "background_field": {"x_T": 1e-5, "z_T": 4e-5},

@@ -7,7 +7,13 @@ import torch
 from torch import Tensor
 
 from estimator.effects import EFFECTS
-from estimator.effects.stages import RoomEffect, SourceEffect, WindingEffect, WindingMagnetisation
+from estimator.effects.stages import (
+    CoreMagnetisation,
+    RoomEffect,
+    SourceEffect,
+    WindingEffect,
+    WindingMagnetisation,
+)
 from estimator.model.measurement_model import NominalPrediction
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, label_of, model_of, readings
 
@@ -26,7 +32,7 @@ def added_gradient(name: str) -> Tensor:
 
 
 def test_every_source_is_looked_at():
-    kinds = (SourceEffect, RoomEffect, WindingEffect, WindingMagnetisation)
+    kinds = (SourceEffect, RoomEffect, WindingEffect, WindingMagnetisation, CoreMagnetisation)
     assert set(SOURCES) == {name for name, effect in EFFECTS.items() if isinstance(effect, kinds)}
 
 
