@@ -44,6 +44,12 @@ if TYPE_CHECKING:
     help="Share of the readings kept out of the fit for validation, as whole blocks of neighbouring poses. A column "
     "'set' in the file takes precedence.",
 )
+@click.option(
+    "--recorded-at",
+    metavar="DATE",
+    help="When the readings were taken, as 2026-03-01T09:30+01:00; local time without a zone. Without it the file's column "
+    "'recorded_at' counts, else the time of the import. History goes by it.",
+)
 @seed_option
 @overwrite_option
 @json_option
@@ -54,6 +60,7 @@ def import_command(
     kind: str,
     currents: tuple[str, ...],
     share: float,
+    recorded_at: str | None,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -64,10 +71,14 @@ def import_command(
     """
     from estimator.model.preflight import check_readings, check_units
     from estimator.rig_files.read import load_rig
+    from estimator.store.importers.recorded import moment
 
     refuse_existing(out, overwrite)
+    created = None if recorded_at is None else moment(recorded_at, "--recorded-at")
     rig = load_rig(rig_path)
     session = IMPORTERS[kind](paths, rig, named_number(currents, "--current"))
+    if created is not None:
+        session = replace(session, created=created)
     source = ", ".join(str(path) for path in paths)
     check_readings(rig, session.observations, source)
     check_units(rig, session.observations, source)
@@ -79,6 +90,7 @@ def import_command(
         "session": str(out),
         "readings": len(observations),
         "validation": int(observations.is_validation.sum()),
+        "recorded": session.created,
         "session_hash": session.hash,
     }
     text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"

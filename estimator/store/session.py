@@ -61,7 +61,7 @@ class Session:
         rig: The rig as its YAML file describes it.
         observations: The readings.
         source: Origin of the readings, in words.
-        created: ISO date and time at which the session was made.
+        created: ISO date and time at which the readings were taken, as far as that is known, else at which the session was made.
         truth: Parameter values of a simulation, by name; empty for measured data.
         stored_rig: The rig in the words of the store that it was read from, which the hash covers; None for a new session.
     """

@@ -81,6 +81,11 @@ class Table:
         ]
         return torch.tensor(values, dtype=torch.float64)
 
+    def cells(self, quantity: str) -> list[tuple[str, int]]:
+        """A column as it stands, each cell with its line; surrounding blanks are taken off."""
+        column = self.header[quantity].column
+        return [(cell.strip(), line) for cell, line in zip(self.columns[column], self.lines, strict=True)]
+
     def words(self, quantity: str, choices: Sequence[str]) -> Int[torch.Tensor, " reading"]:
         """A column of words, as indices into `choices`."""
         column, text, _ = self.header[quantity]

@@ -1,8 +1,8 @@
 """Reads and writes the readings CSV, the exchange format for users' scripts: one row per reading, units in the header.
 
 Columns: `t_s, sensor, <coil>_current_A, <mover>_x_m .. _rz_rad` (or `<robot>_q0_rad .. _q5_rad`), `Bx_T, By_T, Bz_T`, and optionally
-`set` (calibration or validation), `repeat`, `segment` and `<sensor or coil>_temperature_C`. Any unit of `estimator.units` may replace the
-SI unit.
+`set` (calibration or validation), `repeat`, `segment`, `recorded_at` and `<sensor or coil>_temperature_C`. Any unit of `estimator.units`
+may replace the SI unit.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -21,6 +22,7 @@ from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.store.importers.csv_table import Column, Table, read_table
+from estimator.store.importers.recorded import moment
 from estimator.store.session import Session
 from estimator.units import split_unit
 
@@ -60,7 +62,8 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
         recorded_segment=segment,
     )
     named = "".join(f"; segment {number} is {label}" for label, number in labels.items())
-    return Session(rig, observations, f"readings CSV {path.name}{named}")
+    session = Session(rig, observations, f"readings CSV {path.name}{named}")
+    return replace(session, created=_recorded_at(table)) if "recorded_at" in table else session
 
 
 def write_readings_csv(session: Session, path: Path) -> None:
@@ -106,7 +109,7 @@ def _columns(rig: Rig) -> dict[str, Column]:
                 Column(quantity, dimension, group=f"{mover.name} rotation" if is_rotation else None)
             )
     columns += [Column(name, "field") for name in FIELD]
-    columns += [Column(name, is_required=False) for name in ("set", "repeat", "segment")]
+    columns += [Column(name, is_required=False) for name in ("set", "repeat", "segment", "recorded_at")]
     for body in (*rig.coils, *rig.sensors):
         columns.append(Column(f"{body.name}_temperature", "temperature", is_required=False))
     return {column.quantity: column for column in columns}
@@ -118,6 +121,18 @@ def _mover_columns(mover: Mover) -> Iterator[tuple[str, str]]:
         quantity, unit = split_unit(name)
         if unit is not None:
             yield quantity, unit.dimension
+
+
+def _recorded_at(table: Table) -> str:
+    """The earliest date and time in the column; cells may be empty, but not all."""
+    moments = [
+        moment(cell, "recorded_at", f"{table.path}, line {line}")
+        for cell, line in table.cells("recorded_at")
+        if cell
+    ]
+    if not moments:
+        raise InvalidInput(f"recorded_at must hold a date in some line; it holds none ({table.path})")
+    return min(moments)
 
 
 def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:

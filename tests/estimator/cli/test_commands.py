@@ -51,6 +51,23 @@ def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dic
     )
 
 
+def test_import_says_when_the_readings_were_taken(workspace: Path, run: Run, tmp_path: Path) -> None:
+    call = [
+        "import",
+        workspace / "readings.csv",
+        "--rig",
+        workspace / "rig.yaml",
+        "--out",
+        tmp_path / "old.zarr",
+    ]
+    assert run(*call, "--recorded-at", "2025-03-01T09:30+01:00").exit_code == 0
+    assert load_session(tmp_path / "old.zarr").created == "2025-03-01T08:30:00+00:00"
+    wrong = run(*call, "--overwrite", "--recorded-at", "yesterday")
+    assert wrong.exit_code == 2
+    assert "--recorded-at must be a date such as 2026-03-01" in wrong.stderr
+    assert load_session(tmp_path / "old.zarr").created.startswith("2025-03-01")
+
+
 def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tmp_path: Path) -> None:
     header, *lines = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     whole = tmp_path / "whole.csv"
@@ -72,6 +89,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
             "session": str(out),
             "readings": 36,
             "validation": int(masks[-1].sum()),
+            "recorded": load_session(out).created,
             "session_hash": load_session(out).hash,
         }
     assert torch.equal(masks[0], masks[1])

@@ -124,6 +124,16 @@ def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_pat
     assert len(read_readings_csv(path, rig).observations) == 2
 
 
+def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> None:
+    """A backlog then spreads over its true dates in history."""
+    dates = (",2025-03-02T10:00:00+01:00", ",2025-03-02T08:59:00+00:00")
+    rows = (ROW + dates[0], NEXT + dates[1])
+    session = read_readings_csv(written(tmp_path, HEADER + ",recorded_at", *rows), rig)
+    assert session.created == "2025-03-02T08:59:00+00:00"
+    with pytest.raises(InvalidInput, match="recorded_at must hold a date in some line"):
+        read_readings_csv(written(tmp_path, HEADER + ",recorded_at", ROW + ",", NEXT + ","), rig)
+
+
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
@@ -160,6 +170,11 @@ def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_pat
         ((HEADER + ",repeat", ROW + ",1", NEXT + ",-1"), "repeat must be a whole number"),
         ((HEADER + ",repeat", ROW + ",1", NEXT + ",1e300"), "repeat must be a whole number"),
         ((HEADER + ",segment", ROW + ",1", NEXT + ",1000000000"), "segment must be a whole number"),
+        ((HEADER + ",recorded_at", ROW + ",2025-01-01", NEXT + ",soon"), "recorded_at must be a date"),
+        (
+            (HEADER + ",recorded_at", ROW + ",", NEXT + ",2999-01-01"),
+            "recorded_at must not lie in the future",
+        ),
         ((HEADER.replace(",", ";"), ROW.replace(",", ";")), "separated by commas; received semicolons"),
         ((HEADER.replace(",", "\t"), ROW.replace(",", "\t")), "separated by commas; received tabs"),
     ],
