@@ -5,12 +5,19 @@ from __future__ import annotations
 from estimator.calibration.quality import tensions
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.verdict import NamedCause, Verdict
-from estimator.effects import EFFECTS
-from estimator.reporting.numbers import size_with_unit
+from estimator.effects import EFFECTS, ORDER
+from estimator.effects.base import Kind
+from estimator.effects.circumstances import Extent
+from estimator.reporting.numbers import interval_with_unit, size_with_unit
+from estimator.rig.rig import Cause
+from estimator.units import split_quotient
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
+CLEAR_SD = 2.0  # from zero: numbers of a cause that are told in the first sentence
+MOST_SIZES = 2
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
@@ -38,7 +45,7 @@ def tension_words(diagnosis: Diagnosis) -> str:
 def _what(diagnosis: Diagnosis) -> str:
     """What is wrong, where, and how sure that is."""
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
-        return "These readings show nothing wrong."
+        return f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
     found = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
     found += _causes(diagnosis)
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
@@ -47,10 +54,25 @@ def _what(diagnosis: Diagnosis) -> str:
     if remainder.log_bayes_factor <= 0.0:
         remainder = diagnosis.findings.search.base_discrepancy
     unknown = (
-        f"Something is wrong that no known cause explains: it depends on {remainder.family} and is "
-        f"{remainder.rms_sigma:.2g} times the noise"
+        f"Something is wrong that no known cause explains: it is {remainder.rms_sigma:.2g} times the noise and depends on "
+        f"{remainder.family}"
     )
     return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+
+
+def _would_have_shown(diagnosis: Diagnosis) -> str:
+    """The smallest visible size of the first cause of the library that shows, of a coil, a sensor and a mover each."""
+    first: dict[Kind, Visible] = {}
+    easiest_first = sorted(diagnosis.left_open.visible, key=lambda one: one.size / one.prior_sd)
+    for one in sorted(easiest_first, key=lambda one: ORDER[one.cause.name]):
+        if one.is_visible and not EFFECTS[one.cause.name].is_record_mistake:
+            first.setdefault(EFFECTS[one.cause.name].kind, one)
+    shown = [
+        f"{diagnosis.label(first[kind].cause)} {_quantity(first[kind].key)} from {size_with_unit(first[kind].size, first[kind].unit)}"
+        for kind in (Kind.COIL, Kind.SENSOR, Kind.MOVER)
+        if kind in first
+    ]
+    return f"; they would have shown, for example, {', '.join(shown)}" if shown else ""
 
 
 def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
@@ -85,8 +107,29 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         places = ", ".join(named.cause.place for named in same)
         label = diagnosis.label(first.cause) if len(same) == 1 else f"{name}[{places}]"
         least = min(named.probability for named in same)
-        phrases.append(f"{EFFECTS[name].words} ({label}, {least:.0%}){_others(diagnosis, first)}")
+        sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
+        phrases.append(f"{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}")
     return phrases
+
+
+def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
+    """The clearest numbers of a cause with their 90 % intervals; shapes say where, not how much."""
+    sized = next(one for one in diagnosis.sized_causes if one.cause == cause)
+    shapes = {quantity.key for quantity in EFFECTS[cause.name].quantities(Extent()) if quantity.is_shape}
+    clear = sorted(
+        (-abs(one.median) / one.sd, key, one)
+        for key, one in sized.quantities.items()
+        if key not in shapes and abs(one.median) > CLEAR_SD * one.sd > 0.0
+    )
+    words = [
+        f"{_quantity(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
+        for _, key, one in clear[:MOST_SIZES]
+    ]
+    return f"; {', '.join(words)}" if words else ""
+
+
+def _quantity(key: str) -> str:
+    return split_quotient(key)[0].replace("_", " ")
 
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
@@ -121,6 +164,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
+    if diagnosis.verdict is Verdict.NAMED:
+        return f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
     return ""
 
 

@@ -99,6 +99,26 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
     return f"{value:.{digits}g} {unit}"
 
 
+def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
+    """A value with its interval, in the unit of its order.
+
+    Examples:
+        >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-5, -2.5e-5, -1.8e-5, "T")
+        ('0.91 % (0.31 to 1.5 %)', '−21 µT (−25 to −18 µT)')
+        >>> interval_with_unit(2.0, 1.5, 2.4, "1")
+        '2 (1.5 to 2.4)'
+    """
+    if unit == "1":
+        factor, symbol = (0.01, " %") if abs(value) < 1.0 else (1.0, "")
+    elif unit.partition("/")[0] in ("T", "m", "rad", "A"):
+        factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
+        symbol = f" {prefix}{unit}"
+    else:
+        factor, symbol = 1.0, f" {unit}"
+    middle, lower, upper = (f"{float(f'{end / factor:.2g}'):g}" for end in (value, low, high))
+    return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
+
+
 def with_sd(value: float, sd: float) -> str:
     """A value with its standard deviation, both rounded to the second digit of the latter.
 

@@ -56,7 +56,7 @@ def as_text(diagnosis: Diagnosis) -> str:
 
 def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
     twins = {"sensor_offset", "background_field"}
-    found = re.search(r"\((\w+), (\d+)%\), or (\w+) (\d+)%", text)
+    found = re.search(r"\((\w+), (\d+)%[^)]*\)\), or (\w+) (\d+)%", text)
     assert {found[1], found[3]} == twins
     assert int(found[2]) == pytest.approx(int(found[4]), abs=1)
     assert re.search(r"To tell them apart, measure .* \(expected log evidence \d+\)", text)
@@ -64,6 +64,21 @@ def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_te
 
 def test_first_box_says_it_in_at_most_four_sentences(diagnosis: Diagnosis) -> None:
     assert 2 <= len(headline(diagnosis)) <= 4
+
+
+def test_first_sentence_gives_the_size_with_its_interval(diagnosis: Diagnosis) -> None:
+    found = re.search(r"; x (\d+) µT \((\d+) to (\d+) µT\)", headline(diagnosis)[0])
+    assert found is not None
+    size, low, high = (float(number) for number in found.groups())
+    assert low < size < high
+    assert low < 1e6 * OFFSET_T < high
+
+
+def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: Diagnosis) -> None:
+    calm = replace(diagnosis, verdict=Verdict.NOTHING_FOUND)
+    first = headline(calm)[0]
+    assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
+    assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
 
 
 def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
