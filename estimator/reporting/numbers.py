@@ -100,13 +100,13 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
 
 
 def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
-    """A value with its interval, in the unit of its order.
+    """A value with its interval, in the unit of its order, to the first digit of the interval's half-width.
 
     Examples:
-        >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-5, -2.5e-5, -1.8e-5, "T")
-        ('0.91 % (0.31 to 1.5 %)', '−21 µT (−25 to −18 µT)')
+        >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
+        ('0.9 % (0.3 to 1.5 %)', '−210 µT (−212 to −207 µT)')
         >>> interval_with_unit(2.0, 1.5, 2.4, "1")
-        '2 (1.5 to 2.4)'
+        '2.0 (1.5 to 2.4)'
     """
     if unit == "1":
         factor, symbol = (0.01, " %") if abs(value) < 1.0 else (1.0, "")
@@ -115,7 +115,9 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
         symbol = f" {prefix}{unit}"
     else:
         factor, symbol = 1.0, f" {unit}"
-    middle, lower, upper = (f"{float(f'{end / factor:.2g}'):g}" for end in (value, low, high))
+    half_width = 0.5 * (high - low) / factor
+    decimals = max(0, -math.floor(math.log10(half_width))) if half_width > 0.0 else 3
+    middle, lower, upper = (f"{end / factor:.{decimals}f}" for end in (value, low, high))
     return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
 
 
