@@ -14,6 +14,7 @@ from estimator.cli.calibrate import calibrate_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
+from estimator.cli.explain import explain_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
@@ -37,6 +38,8 @@ def main(threads: int) -> None:
 
     Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed.
 
+    Of calibrate also: 6 the result is unusable.
+
     Of recalibrate also: 10 a drift was found, 11 a session was rejected.
     """
 
@@ -49,6 +52,7 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    explain_command,
     recalibrate_command,
     batch_command,
     devices_group,

@@ -16,6 +16,8 @@ import torch
 from click.testing import Result
 
 from estimator.calibration.result import Calibration
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
 from estimator.store.session import load_session
 
 Run = Callable[..., Result]
@@ -49,6 +51,22 @@ def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dic
         results["import"].stdout
         == f"36 readings (9 of them for validation) written to {workspace / 'session.zarr'}\n"
     )
+
+
+def test_every_cause_is_explained(run: Run) -> None:
+    """From its declaration, so that a new one is explained as well."""
+    listed = run("explain")
+    assert [line.split()[0] for line in listed.stdout.splitlines()] == list(EFFECTS)
+    for name, effect in EFFECTS.items():
+        page = run("explain", name).stdout
+        assert page.startswith(f"{name} (")
+        assert effect.words in page
+        assert all(quantity.key in page for quantity in effect.quantities(Extent()))
+    told = json.loads(run("explain", "axis_gain[hall]", "--json").stdout)
+    assert told["quantities"]["x"] == {"unit": "1", "null": 0.0, "prior": "0 ± 0.01"}
+    unknown = run("explain", "iron_plte")
+    assert unknown.exit_code == 2
+    assert "the closest is iron_plate" in unknown.stderr
 
 
 def test_import_says_when_the_readings_were_taken(workspace: Path, run: Run, tmp_path: Path) -> None:
