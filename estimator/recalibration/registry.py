@@ -243,9 +243,13 @@ class Registry:
         """Make an earlier version current again. Only while writing.
 
         Raises:
-            InvalidInput: There is no such version.
+            InvalidInput: There is no such version, or it is the one in use.
             CorruptStore: It is damaged.
         """
+        if version == self.current:
+            raise InvalidInput(
+                f"version must be another than the one in use; received {version} ({self.folder})"
+            )
         self.calibration(version)
         entry = Entry(
             ROLLED_BACK, f"version {self.current} replaced by version {version} on request", version=version

@@ -115,6 +115,8 @@ def test_rolling_back_keeps_later_versions_and_their_numbers(
         registry.roll_back(1)
     assert (registry.current, registry.versions) == (1, (1, 2))
     with registry.writing():
+        with pytest.raises(InvalidInput, match="must be another than the one in use; received 1"):
+            registry.roll_back(1)
         assert registry.current == 1
         assert registry.commit(Entry("updated", "third", "c.zarr", "hash c"), small_calibration).made == 3
     assert [entry.conclusion for entry in registry.entries()] == [
