@@ -14,11 +14,13 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
+from PIL import Image
 
 from estimator.errors import InvalidInput
 
 PIXELS_PER_INCH = 96
 OVERSAMPLING = 2
+COLOURS = 256  # of a picture; colour maps have 256 at most, and lines few
 NUMBER = re.compile(r"[<>≈+−-]?\s*[\d.]|—?$")
 
 
@@ -68,11 +70,14 @@ class Picture:
 
     @property
     def png_base64(self) -> str:
-        """The figure as a PNG file, base64-encoded."""
-        buffer = io.BytesIO()
+        """The figure as a PNG file with a palette, base64-encoded: a quarter of the size, and no eye sees the difference."""
+        drawn, file = io.BytesIO(), io.BytesIO()
         dpi = OVERSAMPLING * PIXELS_PER_INCH
-        self.figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
-        return base64.b64encode(buffer.getvalue()).decode("ascii")
+        self.figure.savefig(drawn, format="png", dpi=dpi, pil_kwargs={"compress_level": 1})
+        image = Image.open(drawn).convert("RGB")
+        palette = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        palette.save(file, format="png", optimize=True)
+        return base64.b64encode(file.getvalue()).decode("ascii")
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import base64
+import io
 import re
 import struct
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 from estimator.errors import InvalidInput
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
@@ -105,6 +108,18 @@ def test_pictures_have_twice_the_pixels_they_are_shown_with_and_always_the_same_
     assert (width, height) == (2 * picture.width_px, 2 * 192)
     assert picture.png_base64 == page().figures[0].png_base64
     assert b"matplotlib" not in data.lower()
+
+
+def test_pictures_have_a_palette_and_look_as_they_were_drawn() -> None:
+    picture = page().figures[0]
+    stored = Image.open(io.BytesIO(base64.b64decode(picture.png_base64)))
+    assert stored.mode == "P"
+    drawn = io.BytesIO()
+    picture.figure.savefig(drawn, format="png", dpi=192)
+    difference = np.asarray(stored.convert("RGB"), float) - np.asarray(
+        Image.open(drawn).convert("RGB"), float
+    )
+    assert np.abs(difference).mean() < 2.0  # of 255 levels
 
 
 def test_a_report_without_warnings_figures_and_tables_has_no_empty_boxes() -> None:
