@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
+from estimator.effects.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN
@@ -25,7 +26,7 @@ MOST_IN_TITLE, LEAST_STEPS = 3, 2
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _explained, _ladder, _structure, _ranking)
+    parts = (_maps, _explained, _corrected, _ladder, _structure, _ranking)
     return [picture for part in parts for picture in part(diagnosis)]
 
 
@@ -72,6 +73,34 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
         "What the extension explains",
         "Residual of the plain model against the change of the prediction by the extension, for each reading. The means should follow the "
         "slanted line.",
+        figure,
+    )
+
+
+def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
+    correction = diagnosis.fits.correction
+    if correction is None or not correction.is_taken:
+        return
+    fit = correction.fit
+    amplitudes = [
+        name
+        for part in correction.parts
+        for name in fit.rig.parameters
+        if name.startswith(f"{part.cause.label}.") and KEY.fullmatch(name.rpartition(".")[2])
+    ]
+    zero = torch.tensor(0.0, dtype=torch.float64)
+    with torch.no_grad():
+        without_T = fit.posterior.model.predict({**fit.values, **dict.fromkeys(amplitudes, zero)})
+    change_T = (predicted_T(fit) - without_T).numpy()
+    names = " + ".join(diagnosis.label(part.cause) for part in correction.parts)
+    figure = plots.explained_residual(
+        _residual_T(fit) + change_T, change_T, _sigma_T(fit), title=names
+    ).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "What is corrected without a name",
+        "Residual without the corrections against what they add to the prediction, for each reading. The means should follow the slanted "
+        "line; points far from it are what is left.",
         figure,
     )
 

@@ -209,7 +209,7 @@ def explained_residual(
     )
     largest = np.nanquantile(np.abs(up), 0.995)
     ax.set(ylim=(-1.1 * largest, 1.1 * largest))
-    ax.set_xlabel(f"change in prediction by the added causes ({unit})")
+    ax.set_xlabel(f"change in prediction by what was added ({unit})")
     ax.set_ylabel(f"residual without them ({unit})")
     ax.set_title(plain(title))
     ax.legend(fontsize=8, loc="upper left", ncols=2)
