@@ -11,20 +11,31 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.verdict import Verdict
+from estimator.effects import EFFECTS
+from estimator.effects.base import WHEN
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibration import policy
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 
 def sampled_successor(
     session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
 ) -> Calibration:
-    """Sample the extended rig of a diagnosis; its causes may need more walkers than were asked for."""
-    rig = diagnosis.extended_rig
+    """Sample the extended rig of a diagnosis as far as it lasts; causes may need more walkers than were asked for."""
+    rig = lasting(diagnosis.extended_rig)
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
     return calibrate(session, rig, seed=seed, settings=settings)
+
+
+def lasting(rig: Rig) -> Rig:
+    """The rig without corrections that are functions of the time in one session: in the next one they would correct what is not there."""
+    for correction in rig.corrections:
+        if EFFECTS[correction.name].beyond_the_moment("") == WHEN:
+            rig = rig.without_cause(correction)
+    return rig
 
 
 def short_of(calibration: Calibration) -> str:

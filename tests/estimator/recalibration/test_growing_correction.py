@@ -8,11 +8,13 @@ import pytest
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.recalibration.judgement import judge
-from estimator.rig.rig import Rig
+from estimator.recalibration.successor import lasting
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.conftest import SIDEWAYS
 
@@ -56,3 +58,19 @@ def test_the_same_correction_agrees(
         settings=SETTINGS,
     )
     assert (judged.conclusion, judged.agrees) == ("unchanged", True)
+
+
+def test_what_one_session_alone_was_corrected_by_does_not_become_part_of_a_version(
+    corrected_rig: Rig, small_session: Session
+) -> None:
+    """A current that wandered on one day wanders otherwise on the next; a field that goes with the coil stays."""
+    wandering = with_effect(
+        corrected_rig,
+        Cause("current_wanders", "coil1"),
+        small_session.observations,
+        {"degree2_share": 1e-3, "duration_h": 1.0},
+    )
+    assert [correction.name for correction in wandering.corrections] == ["coil_harmonics", "current_wanders"]
+    kept = lasting(wandering)
+    assert kept == corrected_rig
+    assert not any(name.startswith("current_wanders") for name in kept.parameters)
