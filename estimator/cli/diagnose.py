@@ -149,7 +149,7 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
-    from estimator.diagnosis.headline import tension_words
+    from estimator.diagnosis.headline import held_back, tension_words
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
 
@@ -171,6 +171,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             lines.append(
                 f"    {name:16} {quantity.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {quantity.unit}"
             )
+    lines += [f"  {sentence}" for sentence in held_back(diagnosis)]
     if diagnosis.findings.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         lines.append(

@@ -12,12 +12,14 @@ from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import Extent
 from estimator.reporting.numbers import interval_with_unit, size_with_unit
+from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
 from estimator.units import split_quotient
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
 CLEAR_SD = 2.0  # from zero: numbers of a cause that are told in the first sentence
 MOST_SIZES = 2
+MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
@@ -40,6 +42,28 @@ def tension_words(diagnosis: Diagnosis) -> str:
         return ""
     rest = f" {len(found) - MOST_TENSIONS} more numbers lie as far." if len(found) > MOST_TENSIONS else ""
     return f"Far from what the rig file expects: {' '.join(found[:MOST_TENSIONS])}{rest}"
+
+
+def held_back(diagnosis: Diagnosis) -> list[str]:
+    """Sizes that would be larger without their priors, by more than their own standard deviation, one sentence each.
+
+    For normal densities the readings alone would say `centre + (median - centre) / (1 - (sd / prior sd)^2)`.
+    """
+    sentences = []
+    for sized in diagnosis.sized_causes:
+        for key, one in sized.quantities.items():
+            parameter = diagnosis.extended_rig.parameters.get(f"{sized.cause.label}.{key}")
+            prior = parameter.prior if parameter is not None else None
+            if not isinstance(prior, Normal) or not 0.0 < one.sd < MOST_OF_PRIOR * prior.sd:
+                continue
+            alone = prior.mean + (one.median - prior.mean) / (1.0 - (one.sd / prior.sd) ** 2)
+            if abs(alone - one.median) > one.sd:
+                sentences.append(
+                    f"The prior of {sized.name} holds its {_quantity(key)} back: {size_with_unit(one.median, one.unit)} with a prior of "
+                    f"± {size_with_unit(prior.sd, one.unit)}, about {size_with_unit(alone, one.unit)} without. If such a size is possible, "
+                    "state a wider prior in the rig file."
+                )
+    return sentences
 
 
 def _what(diagnosis: Diagnosis) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
-from estimator.diagnosis.headline import headline, tension_words
+from estimator.diagnosis.headline import headline, held_back, tension_words
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
 from estimator.reporting.page import ReportPage, render_report
@@ -32,6 +32,7 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
 
 def _warnings(diagnosis: Diagnosis) -> list[str]:
     warnings = [words] if (words := tension_words(diagnosis)) else []
+    warnings += held_back(diagnosis)
     improvement = diagnosis.improvement
     if improvement is None:
         warnings.append("No readings were kept out of the fits, so the extension is not validated.")

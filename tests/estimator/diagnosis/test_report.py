@@ -6,6 +6,8 @@ import html
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -14,12 +16,13 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.headline import headline
+from estimator.diagnosis.headline import headline, held_back
 from estimator.diagnosis.hypotheses.search import Addition
 from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
@@ -79,6 +82,21 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     first = headline(calm)[0]
     assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
     assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
+
+
+def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(
+    diagnosis: Diagnosis,
+) -> None:
+    """Half of the information from the prior: the readings alone would say twice as much."""
+    assert held_back(diagnosis) == []
+    (sized, *_) = diagnosis.sized_causes
+    half = Interval(1e-4, 5e-6, (9e-5, 1.1e-4), "T")
+    prior = Normal(0.0, 5e-6 * 2**0.5)
+    parameter = diagnosis.extended_rig.parameters[f"{sized.cause.label}.x_T"]
+    rig = diagnosis.extended_rig.with_parameters([replace(parameter, prior=prior)])
+    held = SimpleNamespace(sized_causes=(replace(sized, quantities={"x_T": half}),), extended_rig=rig)
+    (sentence,) = held_back(cast("Diagnosis", held))
+    assert "holds its x back: 100 µT with a prior of ± 7.1 µT, about 200 µT without" in sentence
 
 
 def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
