@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -15,6 +16,7 @@ from estimator.errors import InvalidInput
 
 DEATHS_ALLOWED = 3  # workers that may die on one job before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
+LOOKS = 10
 ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 # With this variable, Dask returns memory to the system at once, and a fit takes up to twice as long.
 TRIM_VARIABLE = "MALLOC_TRIM_THRESHOLD_"
@@ -84,7 +86,12 @@ class Cluster:
     def stop(self, future: Future[Any]) -> None:
         """End a call that was started; the worker that is at it is replaced, where a nanny can do that."""
         try:
-            at_it = [worker for worker, keys in self._client.processing().items() if future.key in keys]
+            at_it: list[str] = []
+            for _ in range(LOOKS):  # a call that has just begun is not at a worker yet
+                at_it = [worker for worker, keys in self._client.processing().items() if future.key in keys]
+                if at_it or future.status != "pending":
+                    break
+                time.sleep(0.1)
             self._client.cancel([future], force=True)
             if at_it:
                 self._client.restart_workers(at_it, timeout=PATIENCE_S, raise_for_error=False)

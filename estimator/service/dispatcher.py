@@ -21,7 +21,7 @@ from estimator.errors import CoilcalError
 from estimator.service.job_queue import FAILED, RUNNING, JobQueue
 from estimator.service.schema import Job
 from estimator.service.settings import Settings
-from estimator.service.work import JOB, RESULT, run_job
+from estimator.service.work import JOB, RESULT, STOP, run_job
 from estimator.store.files import write_text
 from estimator.store.journal import sync
 
@@ -115,13 +115,13 @@ class Dispatcher:
             ending = outcome(running.future)
             most_s = 3600.0 * self._settings.most_job_hours
             if states.get(job_id) != RUNNING:
-                workers.stop(running.future)
+                self._end(workers, job_id, running)
             elif ending is not None:
                 self._record(job_id, ending)
             elif time.monotonic() - running.begin_s > most_s:
                 fault = f"job must end within {self._settings.most_job_hours:g} h; it took longer"
-                workers.stop(running.future)
                 self._queue.end(job_id, {"state": FAILED, "fault": fault})
+                self._end(workers, job_id, running)
             else:
                 continue
             del self._running[job_id]
@@ -143,6 +143,11 @@ class Dispatcher:
         call = run_job, (str(folder.absolute()), str(self._session_path(job.session_id).absolute()))
         self._running[job.id] = _Running(workers.start(call, self._wake.set), time.monotonic())
         log.info("job begins", extra={"job": job.id, "start": job.starts})
+
+    def _end(self, workers: Cluster, job_id: str, running: _Running) -> None:
+        """End the work of a job, by its own hand where it looks soon enough, else with its worker."""
+        (self.folder(job_id) / STOP).touch()
+        workers.stop(running.future)
 
     def _record(self, job_id: str, ending: str) -> None:
         if ending == "lost":

@@ -20,7 +20,7 @@ MEDIA_TYPE = "application/problem+json"
 MOST_SHOWN = 200
 SENTENCE = re.compile(
     r"(?P<thing>.+?) (?P<rule>(?:must|is not|is missing|takes) .*?)"
-    r"(?:[;,] (?:received |it is |there (?:is|are) )?(?P<value>.*?))?"
+    r"(?:; (?:received )?(?P<value>.*?))?"
     r"(?: \((?P<place>[^()]*)\))?\.?"
 )
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")

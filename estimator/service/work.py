@@ -25,7 +25,13 @@ CALIBRATION, DIAGNOSIS = "calibration", "diagnosis"
 REPORT = "report.html"
 PROGRESS_EVERY_S = 0.2
 
+STOP = "stop"  # a file that says that the job must end, for workers that cannot be replaced
+
 Tell = Callable[[str, Mapping[str, Any]], None]
+
+
+class Stopped(BaseException):
+    """The job was cancelled, or its time is over; no `except Exception` on the way holds this up."""
 
 
 def run_job(folder: str, session: str) -> None:
@@ -40,10 +46,14 @@ def run_job(folder: str, session: str) -> None:
     with _only_worker(path):
         if (path / RESULT).exists():
             return
+        if (path / STOP).exists():
+            return
         job = json.loads((path / JOB).read_text(encoding="utf-8"))
-        tell = _teller(path / PROGRESS)
+        tell = _teller(path)
         try:
             result = {"state": "done", "fault": None, **WORK[job["kind"]](job, path, Path(session), tell)}
+        except Stopped:
+            return
         except CoilcalError as error:
             result = {"state": "failed", "fault": str(error)}
         write_text(path / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
@@ -165,17 +175,19 @@ def _is_converged(out: Path) -> bool:
         return False
 
 
-def _teller(path: Path) -> Tell:
-    """Appends lines of progress to a file; what repeats its words comes five times a second at most."""
+def _teller(folder: Path) -> Tell:
+    """Appends lines of progress to a file; what repeats its words comes five times a second at most. Ends a job that must end."""
     last_words, last_s = "", 0.0
 
     def tell(words: str, numbers: Mapping[str, Any]) -> None:
         nonlocal last_words, last_s
+        if (folder / STOP).exists():
+            raise Stopped
         if words == last_words and time.monotonic() - last_s < PROGRESS_EVERY_S:
             return
         last_words, last_s = words, time.monotonic()
         line = {"time_s": round(time.time(), 3), "words": words, **_finite(numbers)}
-        with path.open("a", encoding="utf-8") as file:
+        with (folder / PROGRESS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
     return tell
