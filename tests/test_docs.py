@@ -14,7 +14,8 @@ from estimator.cli.main import main
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.readings.metrics import ErrorMetrics
-from tests.documented import CAUSES, COMMANDS, SUMMARY, keys, section
+from estimator.service.settings import KEYS, Settings
+from tests.documented import CAUSES, COMMANDS, SERVICE, SUMMARY, keys, section
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
@@ -96,8 +97,26 @@ def test_every_command_is_listed() -> None:
     names = []
     for name, command in main.commands.items():
         subcommands = command.list_commands(context) if isinstance(command, click.Group) else [""]
+        if isinstance(command, click.Group) and command.invoke_without_command:
+            subcommands = ["", *subcommands]
         names += [f"coilcal {name} {subcommand}".strip() for subcommand in subcommands]
     assert sorted(key for key in keys(COMMANDS) if key.startswith("coilcal")) == sorted(names)
+
+
+def test_every_setting_of_the_service_is_listed_with_its_default() -> None:
+    listed = {
+        key: value
+        for keys_cell, values_cell in re.findall(
+            r"^\| (`[a-z_A-Z`, ]+`) \| ([^|]+) \|", section(SERVICE), re.MULTILINE
+        )
+        for key, value in zip(
+            re.findall(r"`(\w+)`", keys_cell), values_cell.replace("`", "").split(", "), strict=True
+        )
+    }
+    defaults = Settings()
+    assert {key: value.replace("none", "") for key, value in listed.items()} == {
+        key: re.sub(r"^\(\)$|\.0$", "", str(getattr(defaults, key))).replace("False", "false") for key in KEYS
+    }
 
 
 def test_error_keys_are_those_of_the_metrics() -> None:

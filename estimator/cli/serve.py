@@ -21,7 +21,9 @@ config_option = click.option(
     "--config", type=click.Path(path_type=Path), help="YAML file of settings; every key has a default."
 )
 data_option = click.option(
-    "--data", type=click.Path(path_type=Path), help="Folder of everything that is kept; ./coilcal-data by default."
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of everything that is kept; ./coilcal-data by default.",
 )
 
 
@@ -37,8 +39,12 @@ class ServeGroup(click.Group):
 @click.group("serve", cls=ServeGroup, invoke_without_command=True)
 @config_option
 @data_option
-@click.option("--host", help="Address to listen at; 127.0.0.1 by default. Any other than loopback needs tokens.")
-@click.option("--port", type=click.IntRange(0, 65_535), help="Port to listen at; 8765 by default, 0 takes a free one.")
+@click.option(
+    "--host", help="Address to listen at; 127.0.0.1 by default. Any other than loopback needs tokens."
+)
+@click.option(
+    "--port", type=click.IntRange(0, 65_535), help="Port to listen at; 8765 by default, 0 takes a free one."
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes that run jobs.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the jobs instead.")
 @click.option("--check", is_flag=True, help="Say what would be done, and end.")
@@ -166,5 +172,10 @@ def _with_extra() -> Iterator[None]:
 
 
 def _plan_text(plan: dict[str, Any]) -> str:
-    lines = [f"would serve at {plan['address']}", f"tokens: {plan['tokens']}", f"jobs on: {plan['workers']}", "settings:"]
+    lines = [
+        f"would serve at {plan['address']}",
+        f"tokens: {plan['tokens']}",
+        f"jobs on: {plan['workers']}",
+        "settings:",
+    ]
     return "\n".join(lines + [f"  {key}: {value}" for key, value in plan["settings"].items()])

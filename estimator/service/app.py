@@ -61,7 +61,9 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED)
     app.add_middleware(Guard, settings=settings, database=core.database)
-    unguarded = [path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC]
+    unguarded = [
+        path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC
+    ]
     if unguarded:
         raise RuntimeError(f"every route must ask for a scope; {unguarded} do not")
     return app

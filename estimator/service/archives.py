@@ -76,8 +76,18 @@ def _unpack(body: bytes, folder: Path, most_bytes: int) -> None:
                 _check_member(member)
                 if not member.is_dir():
                     left -= _unpack_file(archive, member, folder, left, most_bytes)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
-        raise Problem(422, "archive", f"must be a zip file that can be read: {type(error).__name__}") from error
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        ValueError,
+        OSError,
+    ) as error:
+        raise Problem(
+            422, "archive", f"must be a zip file that can be read: {type(error).__name__}"
+        ) from error
 
 
 def _unpack_file(
@@ -91,7 +101,9 @@ def _unpack_file(
         while piece := source.read(PIECE):
             size += len(piece)
             if size > left:
-                raise Problem(413, "archive", f"must have at most {most_bytes} bytes when unpacked; it has more")
+                raise Problem(
+                    413, "archive", f"must have at most {most_bytes} bytes when unpacked; it has more"
+                )
             target.write(piece)
     return size
 
@@ -103,7 +115,12 @@ def _check_member(member: zipfile.ZipInfo) -> None:
     if is_odd or path.is_absolute() or ".." in path.parts or not path.parts:
         raise Problem(422, "archive", "must hold plain relative names", name)
     if len(name) > MOST_NAME or len(path.parts) > MOST_LEVELS:
-        raise Problem(422, "archive", f"must hold names of at most {MOST_NAME} characters and {MOST_LEVELS} levels", name)
+        raise Problem(
+            422,
+            "archive",
+            f"must hold names of at most {MOST_NAME} characters and {MOST_LEVELS} levels",
+            name,
+        )
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise Problem(422, "archive", "must hold files and folders only", name)

@@ -40,7 +40,11 @@ class Core:
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)
         self.jobs = Dispatcher(
-            self.queue, settings, self.data / JOBS, self.sessions.path, lambda rig_id: self.rig_version(rig_id).text
+            self.queue,
+            settings,
+            self.data / JOBS,
+            self.sessions.path,
+            lambda rig_id: self.rig_version(rig_id).text,
         )
         self.n_streams = 0
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
@@ -80,7 +84,9 @@ def _locked(data: Path) -> int:
         data.mkdir(parents=True, exist_ok=True, mode=0o700)
         descriptor = os.open(data / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
-        raise InvalidInput(f"data must be a folder that can be written; {data} is not: {reason(error)}") from error
+        raise InvalidInput(
+            f"data must be a folder that can be written; {data} is not: {reason(error)}"
+        ) from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:

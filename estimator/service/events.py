@@ -37,7 +37,9 @@ async def events_of(
         raise Problem(429, "event streams", rule, headers={"Retry-After": "10"})
     job = await run_in_threadpool(info)
     path = core.jobs.folder(job_id) / PROGRESS
-    n_known = int(last_event_id) if last_event_id and last_event_id.isascii() and last_event_id.isdecimal() else 0
+    n_known = (
+        int(last_event_id) if last_event_id and last_event_id.isascii() and last_event_id.isdecimal() else 0
+    )
     core.n_streams += 1
     try:
         lines = _Lines(path)

@@ -74,12 +74,16 @@ class Guard:
         name = name if name.endswith("]") else name.rpartition(":")[0] or name
         is_any = self._settings.host in ("0.0.0.0", "::") and _is_address(name)
         if name not in self._hosts and not is_any:
-            raise Problem(403, "host", "must be the service's address or one of allowed_hosts", name, "header Host")
+            raise Problem(
+                403, "host", "must be the service's address or one of allowed_hosts", name, "header Host"
+            )
         origin = headers.get("origin")
         if origin is not None and origin != f"{scheme}://{host}":
             raise Problem(403, "origin", "must be the service itself", origin, "header Origin")
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
-            raise Problem(403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site")
+            raise Problem(
+                403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site"
+            )
 
     async def _caller(self, path: str, headers: Headers) -> Caller | None:
         if path in PUBLIC:
@@ -88,7 +92,9 @@ class Guard:
         if not self._settings.needs_tokens and not secret:
             return NOBODY_ELSE
         if kind.lower() != "bearer" or not secret:
-            raise Problem(401, "token", "must be given", place="header Authorization: Bearer", headers=CHALLENGE)
+            raise Problem(
+                401, "token", "must be given", place="header Authorization: Bearer", headers=CHALLENGE
+            )
         caller = await run_in_threadpool(caller_of, self._database, secret.strip())
         if caller is None:
             raise Problem(
@@ -99,7 +105,9 @@ class Guard:
     def _limited(self, headers: Headers, receive: Receive) -> Receive:
         """A body that ends with a refusal where it is too long or takes too long."""
         if headers.get("content-encoding", "identity") != "identity":
-            raise Problem(415, "body", "must not be encoded", headers["content-encoding"], "header Content-Encoding")
+            raise Problem(
+                415, "body", "must not be encoded", headers["content-encoding"], "header Content-Encoding"
+            )
         most, most_s = self._settings.most_body_bytes, self._settings.most_body_s
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdecimal()) or int(length[:20]) > most:

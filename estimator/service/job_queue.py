@@ -42,14 +42,23 @@ class JobQueue:
         if key is not None:
             known = db.scalar(select(Job).where(Job.user == user, Job.idempotency_key == key))
             if known is not None:
-                if any(getattr(known, name) != job[name] for name in ("kind", "session_id", "rig_id", "options")):
+                if any(
+                    getattr(known, name) != job[name] for name in ("kind", "session_id", "rig_id", "options")
+                ):
                     raise Problem(
-                        409, "idempotency key", "must be used for one job; another has it", key, "header Idempotency-Key"
+                        409,
+                        "idempotency key",
+                        "must be used for one job; another has it",
+                        key,
+                        "header Idempotency-Key",
                     )
                 return known, False
         waiting = db.scalars(select(Job.user).where(Job.state == QUEUED)).all()
         most, most_of_user = self._settings.most_queued, self._settings.most_queued_per_user
-        for thing, n, limit in (("queue", len(waiting), most), (f"queue of {user}", waiting.count(user), most_of_user)):
+        for thing, n, limit in (
+            ("queue", len(waiting), most),
+            (f"queue of {user}", waiting.count(user), most_of_user),
+        ):
             if n >= limit:
                 rule = f"must hold at most {limit} jobs that wait; it is full"
                 raise Problem(429, thing, rule, headers={"Retry-After": str(RETRY_AFTER_S)})

@@ -28,7 +28,9 @@ from estimator.store.growing import new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, is_growing, load_session, seal
 
-MOST_IN_MEMORY = 256  # journals that stay open; those longest unused are closed, and opened again when they are needed
+MOST_IN_MEMORY = (
+    256  # journals that stay open; those longest unused are closed, and opened again when they are needed
+)
 
 
 @dataclass
@@ -88,7 +90,9 @@ class OpenSessions:
         with self._writer(session_id) as writer:
             n = len(writer.checksums)
             if readings[0].sequence > n:
-                raise Problem(409, "sequence", f"must continue at {n}, where the session ends", readings[0].sequence)
+                raise Problem(
+                    409, "sequence", f"must continue at {n}, where the session ends", readings[0].sequence
+                )
             if readings[-1].sequence >= self._most_readings:
                 rule = f"must have at most {self._most_readings} readings"
                 raise Problem(409, "session", rule, readings[-1].sequence + 1)

@@ -104,9 +104,9 @@ def answer(
     headers: Mapping[str, str] | None = None,
 ) -> Response:
     """The answer that tells of a refusal."""
-    body = ProblemBody(
-        title=HTTPStatus(status).phrase, status=status, detail=sentence, request_id=request_id, **parts
-    )
+    title = HTTPStatus(status).phrase
+    told = {"title": title, "status": status, "detail": sentence, "request_id": request_id, **parts}
+    body = ProblemBody.model_validate(told)
     return JSONResponse(body.model_dump(), status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
 
 
@@ -122,7 +122,6 @@ def install(app: FastAPI, data: str) -> None:
         app: The application.
         data: Folder of the service, which answers do not name.
     """
-
     upload = re.compile(rf"{re.escape(data)}/uploads/[^/]+/")
 
     def without_folder(text: str) -> str:
@@ -182,7 +181,10 @@ def of_validation(errors: Sequence[Any], where: str | None = None) -> Problem:
 
 
 RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"description": text, "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+    status: {
+        "description": text,
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
     for status, text in {
         400: "The request cannot be read.",
         401: "There is no token, or one that is wrong, expired or revoked.",

@@ -29,12 +29,17 @@ class Reading(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    sequence: Annotated[int, Field(ge=0, le=MOST_REPEATS, description="Number of the reading, from 0, without gaps.")]
+    sequence: Annotated[
+        int, Field(ge=0, le=MOST_REPEATS, description="Number of the reading, from 0, without gaps.")
+    ]
     time_s: Annotated[Number, Field(description="Time since any fixed instant of the session.")]
-    current_A: Annotated[dict[str, Number], Field(description="Of every coil; positive out of the red terminal.")]
+    current_A: Annotated[
+        dict[str, Number], Field(description="Of every coil; positive out of the red terminal.")
+    ]
     motion: Annotated[dict[str, Six], Field(description="The six numbers of every mover, in SI.")] = {}
     field_T: Annotated[
-        dict[str, Triple], Field(description="By sensor, in its frame; null for a component that was not measured.")
+        dict[str, Triple],
+        Field(description="By sensor, in its frame; null for a component that was not measured."),
     ]
     measured_A: Annotated[dict[str, Number], Field(description="Currents that the supplies measured.")] = {}
     temperature_C: Annotated[dict[str, Number | None], Field(description="Of coils and sensors.")] = {}
@@ -102,7 +107,9 @@ def _check_names(reading: Reading, rig: Rig, place: str) -> None:
     _check("measured_A", reading.measured_A, coils, [], place)
     _check("temperature_C", reading.temperature_C, [*coils, *sensors], [], place)
     if not any(value is not None for values in reading.field_T.values() for value in values):
-        raise Problem(422, "field_T", "must have at least one component that was measured; there is none", place=place)
+        raise Problem(
+            422, "field_T", "must have at least one component that was measured; there is none", place=place
+        )
 
 
 def _check(

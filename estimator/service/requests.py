@@ -61,7 +61,9 @@ def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes
     async def body(request: Request) -> bytes:
         received = request.headers.get("content-type", "").partition(";")[0].strip().lower()
         if received not in media_types:
-            raise Problem(415, "body", f"must be {' or '.join(media_types)}", received or "none", "header Content-Type")
+            raise Problem(
+                415, "body", f"must be {' or '.join(media_types)}", received or "none", "header Content-Type"
+            )
         return await request.body()
 
     return body
@@ -96,7 +98,9 @@ def page_of(
         rows = rows.where(key < _key(cursor))
     found = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
     last = found[limit - 1] if len(found) > limit else None
-    following = None if last is None else base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
+    following = (
+        None if last is None else base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
+    )
     return Page(items=[shape(row) for row in found[:limit]], next=following)
 
 

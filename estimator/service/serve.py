@@ -69,7 +69,11 @@ def address_of(settings: Settings, port: int) -> str:
 
 def _check_tokens(settings: Settings) -> None:
     if settings.needs_tokens and not _n_tokens(settings):
-        why = "because require_tokens is set" if settings.is_loopback else f"because {settings.host} is not loopback"
+        why = (
+            "because require_tokens is set"
+            if settings.is_loopback
+            else f"because {settings.host} is not loopback"
+        )
         raise InvalidInput(
             f"tokens must be there before the service starts, {why}; there is none in {settings.data} "
             "(coilcal serve token create makes one)"

@@ -172,6 +172,8 @@ def _from_text(key: str, text: str) -> Any:
             return {"true": True, "false": False}.get(text.lower(), text)
         if isinstance(default, tuple):
             return [word for word in text.split(",") if word]
-        return type(default)(text) if isinstance(default, int | float) else text
+        if isinstance(default, float):
+            return float(text)
+        return int(text) if isinstance(default, int) else text
     except ValueError:
         return text

@@ -71,12 +71,16 @@ def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
 
     def on_stage(stage: Stage) -> None:
         sampling = stage.sampling
-        numbers = {} if sampling is None else {
-            "step": sampling.step,
-            "smallest_ess": sampling.smallest_ess,
-            "target_ess": sampling.target_ess,
-            "largest_rhat": sampling.largest_rhat,
-        }
+        numbers = (
+            {}
+            if sampling is None
+            else {
+                "step": sampling.step,
+                "smallest_ess": sampling.smallest_ess,
+                "target_ess": sampling.target_ess,
+                "largest_rhat": sampling.largest_rhat,
+            }
+        )
         tell(stage.name, numbers)
 
     if _is_converged(out):  # a kill came between the posterior and the page
@@ -108,12 +112,15 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
     from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.progress import Progress
     from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS as DIAGNOSIS_FILE
+    from estimator.diagnosis.result import CALIBRATION_FOLDER
+    from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
     from estimator.store.session import load_session
 
     options = job["options"]
     out = folder / DIAGNOSIS
-    if (out / DIAGNOSIS_FILE).exists():  # a kill came before the page, which needs fits that are no longer remembered
+    if (
+        out / DIAGNOSIS_FILE
+    ).exists():  # a kill came before the page, which needs fits that are no longer remembered
         shutil.rmtree(out)
     limits = {name: options[name] for name in ("most_causes", "minutes") if options[name] is not None}
     readings = {name: options[name] for name in ("most_readings",) if options[name] is not None}
@@ -195,7 +202,8 @@ def _teller(folder: Path) -> Tell:
 
 def _finite(numbers: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        name: None if isinstance(value, float) and value - value != 0.0 else value for name, value in numbers.items()
+        name: None if isinstance(value, float) and value - value != 0.0 else value
+        for name, value in numbers.items()
     }
 
 

@@ -159,7 +159,9 @@ def predict(core: CoreOf, caller: Reader, calibration_id: Id, body: Question) ->
     known = [mover.name for mover in calibration.rig.movers]
     for name in motion:
         if name not in known:
-            raise Problem(422, "motion", f"must name movers of the rig ({', '.join(known) or 'none'})", name, "body")
+            raise Problem(
+                422, "motion", f"must name movers of the rig ({', '.join(known) or 'none'})", name, "body"
+            )
     answers: dict[str, list[Any]] = {}
 
     def add(**parts: torch.Tensor) -> None:

@@ -66,7 +66,8 @@ class NewJob(BaseModel):
 
     session_id: Annotated[str, Field(pattern=ID, description="A closed session.")]
     rig_id: Annotated[
-        str | None, Field(pattern=ID, description="Another description of the session's rig; its own where left out.")
+        str | None,
+        Field(pattern=ID, description="Another description of the session's rig; its own where left out."),
     ] = None
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")] = 0
 
@@ -82,7 +83,9 @@ class NewDiagnosis(NewJob):
     """A diagnosis to make."""
 
     has_posterior: Annotated[bool, Field(description="Sample the posterior of the extended rig.")] = False
-    minutes: Annotated[float | None, Field(gt=0, le=1e5, allow_inf_nan=False, description="Time for the search.")] = None
+    minutes: Annotated[
+        float | None, Field(gt=0, le=1e5, allow_inf_nan=False, description="Time for the search.")
+    ] = None
     most_causes: Annotated[int | None, Field(ge=0, le=50)] = None
     most_readings: Annotated[int | None, Field(ge=20, le=100_000)] = None
 
@@ -100,7 +103,9 @@ class JobInfo(BaseModel):
     started: str | None
     ended: str | None
     user: str
-    starts: Annotated[int, Field(description="How often it was begun; above 1 where the service or a worker was killed.")]
+    starts: Annotated[
+        int, Field(description="How often it was begun; above 1 where the service or a worker was killed.")
+    ]
     fault: str | None
 
 

@@ -58,7 +58,9 @@ def readyz(core: CoreOf, response: Response) -> Health:
     """Requests are served and jobs can run."""
     if not core.jobs.is_ready:
         fault = core.jobs.fault
-        rule = "must be ready; it is starting" if fault is None else "must be ready; its workers cannot be had"
+        rule = (
+            "must be ready; it is starting" if fault is None else "must be ready; its workers cannot be had"
+        )
         raise Problem(503, "service", rule, headers={"Retry-After": "2"})
     with core.database.reading() as db:
         db.scalar(select(func.count()).select_from(Job))
@@ -70,7 +72,9 @@ def readyz(core: CoreOf, response: Response) -> Health:
 def state(core: CoreOf, caller: Reader) -> State:
     """Version, caller and queue."""
     with core.database.reading() as db:
-        n = {name: db.scalar(select(func.count()).where(Job.state == name)) or 0 for name in (QUEUED, RUNNING)}
+        n = {
+            name: db.scalar(select(func.count()).where(Job.state == name)) or 0 for name in (QUEUED, RUNNING)
+        }
     return State(
         version=version("coilcal"),
         user=caller.user,

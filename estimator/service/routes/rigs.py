@@ -86,7 +86,12 @@ def info_of(row: RigVersion) -> RigInfo:
     return RigInfo(id=row.id, name=row.name, hash=row.hash, created=row.created, user=row.user)
 
 
-@router.post("", status_code=201, openapi_extra=BODY, responses={200: {"model": RigInfo, "description": "It was there."}})
+@router.post(
+    "",
+    status_code=201,
+    openapi_extra=BODY,
+    responses={200: {"model": RigInfo, "description": "It was there."}},
+)
 def upload_rig(request: Request, response: Response, core: CoreOf, caller: Writer, body: Text) -> RigInfo:
     """Keep a rig file. The same text again is the same version."""
     rig, text = rig_of(body)
@@ -94,7 +99,9 @@ def upload_rig(request: Request, response: Response, core: CoreOf, caller: Write
     with core.database.writing() as db:
         row = db.scalar(select(RigVersion).where(RigVersion.hash == digest))
         if row is None:
-            row = RigVersion(id=new_id(), name=rig.name, hash=digest, text=text, created=now(), user=caller.user)
+            row = RigVersion(
+                id=new_id(), name=rig.name, hash=digest, text=text, created=now(), user=caller.user
+            )
             db.add(row)
             audited(db, request, caller, "rig.upload", row.id)
         else:
@@ -114,7 +121,9 @@ def list_rigs(
     caller: Reader,  # noqa: ARG001
     limit: Limit = 50,
     cursor: Cursor = None,
-    name: Annotated[str | None, Query(max_length=200, description="Versions of the rig of this name only.")] = None,
+    name: Annotated[
+        str | None, Query(max_length=200, description="Versions of the rig of this name only.")
+    ] = None,
 ) -> Page[RigInfo]:
     """Versions of rigs, newest first."""
     rows = select(RigVersion)
@@ -134,7 +143,14 @@ def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG00
     return info_of(row)
 
 
-@router.get("/{rig_id}/text", response_class=Response, responses={200: {"content": {"application/yaml": {"schema": {"type": "string"}}}}, 304: {"description": "It has not changed."}})
+@router.get(
+    "/{rig_id}/text",
+    response_class=Response,
+    responses={
+        200: {"content": {"application/yaml": {"schema": {"type": "string"}}}},
+        304: {"description": "It has not changed."},
+    },
+)
 def get_rig_text(request: Request, core: CoreOf, caller: Reader, rig_id: Id) -> Response:  # noqa: ARG001
     """The text of a rig file, as it was uploaded."""
     with core.database.reading() as db:

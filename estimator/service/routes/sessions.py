@@ -52,7 +52,9 @@ class NewSession(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     rig_id: Annotated[str, Field(pattern=ID)]
-    source: Annotated[str, Field(min_length=1, max_length=500, description="Origin of the readings, in words.")]
+    source: Annotated[
+        str, Field(min_length=1, max_length=500, description="Origin of the readings, in words.")
+    ]
 
 
 class SessionInfo(BaseModel):
@@ -122,7 +124,9 @@ def create_session(request: Request, core: CoreOf, caller: Writer, body: NewSess
 
 
 @router.post(
-    "/import-csv", status_code=201, openapi_extra=documented_body("text/csv", "Readings, units in the header.")
+    "/import-csv",
+    status_code=201,
+    openapi_extra=documented_body("text/csv", "Readings, units in the header."),
 )
 def import_csv(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, body: Csv) -> SessionInfo:
     """Make a closed session of a readings CSV."""
@@ -161,7 +165,7 @@ def list_sessions(
     limit: Limit = 50,
     cursor: Cursor = None,
     rig_id: Annotated[str | None, Query(pattern=ID)] = None,
-    hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,  # noqa: A002  as in the answers
+    hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,
 ) -> Page[SessionInfo]:
     """Sessions, newest first."""
     rows = select(SessionRow)
@@ -212,7 +216,10 @@ def close_session(request: Request, core: CoreOf, caller: Writer, session_id: Id
 
 def _download(kind: str) -> dict[str, Any]:
     content = {kind: {"schema": {"type": "string", "format": "binary"}}}
-    return {"response_class": Response, "responses": {200: {"content": content}, 304: {"description": "Unchanged."}}}
+    return {
+        "response_class": Response,
+        "responses": {200: {"content": content}, 304: {"description": "Unchanged."}},
+    }
 
 
 @router.get("/{session_id}/session.zip", **_download("application/zip"))
@@ -221,7 +228,9 @@ def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id)
     row = closed_row_of(core, session_id)
     name = {"Content-Disposition": 'attachment; filename="session.zarr.zip"'}
     path = core.sessions.path(session_id)
-    return with_etag(request, str(row.hash), lambda: Response(zipped(path), headers=name, media_type="application/zip"))
+    return with_etag(
+        request, str(row.hash), lambda: Response(zipped(path), headers=name, media_type="application/zip")
+    )
 
 
 @router.get("/{session_id}/readings.csv", **_download("text/csv"))

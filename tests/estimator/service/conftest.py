@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -43,6 +44,7 @@ class Served:
         line = self.process.stdout.readline().decode()
         assert " at http" in line, (line, self.process.communicate())
         self.url = line.split()[-1]
+        self.client = httpx.Client(base_url=self.url, timeout=60)
 
     def kill(self) -> None:
         """As `kill -9` does."""
@@ -67,6 +69,7 @@ def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 
     yield start
     for service in services:
+        service.client.close()
         if service.process.poll() is None:
             service.kill()
 
@@ -75,7 +78,9 @@ def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     """A service in this process, with a worker."""
     settings = Settings(data=tmp_path_factory.mktemp("service") / "data", workers=1, most_body_MB=2.0)
-    with TestClient(create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False) as client:
+    with TestClient(
+        create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
+    ) as client:
         yield client
 
 
@@ -123,8 +128,6 @@ def begin_session(client: httpx.Client, rig_id: str) -> str:
 
 def lines_of(session: Session, rig: Rig, first: int = 0, last: int | None = None) -> bytes:
     """Readings of a session with one sensor as the service takes them."""
-    import json
-
     o = session.observations
     lines = []
     for row in range(first, len(o) if last is None else last):

@@ -40,15 +40,22 @@ def test_a_second_migration_changes_nothing(database: Database) -> None:
 
 def test_wal_full_synchronisation_and_foreign_keys_are_on(database: Database) -> None:
     with database.engine.connect() as connection:
-        asked = [connection.execute(text(f"PRAGMA {name}")).scalar() for name in ("journal_mode", "synchronous", "foreign_keys")]
+        asked = [
+            connection.execute(text(f"PRAGMA {name}")).scalar()
+            for name in ("journal_mode", "synchronous", "foreign_keys")
+        ]
     assert asked == ["wal", 2, 1]
 
 
 def test_a_session_needs_its_rig_and_a_failed_write_leaves_nothing(database: Database) -> None:
-    with pytest.raises(IntegrityError), database.writing() as db:
-        db.add(Audit(time=now(), user="u", request_id="r", action="a", target="t"))
-        db.flush()
-        db.add(SessionRow(id=new_id(), rig_id="none", source="s", state="open", created=now(), user="u"))
+    def add() -> None:
+        with database.writing() as db:
+            db.add(Audit(time=now(), user="u", request_id="r", action="a", target="t"))
+            db.flush()
+            db.add(SessionRow(id=new_id(), rig_id="none", source="s", state="open", created=now(), user="u"))
+
+    with pytest.raises(IntegrityError):
+        add()
     with database.reading() as db:
         assert db.scalars(select(Audit)).all() == []
 

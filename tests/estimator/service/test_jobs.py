@@ -75,7 +75,9 @@ def test_a_prediction_has_the_numbers_of_the_python_api(
         "field_T": in_process.field(points_m, currents_A),
         "gradient_T_per_m": in_process.gradient(points_m, currents_A),
     }
-    expected["field_lower_T"], expected["field_upper_T"] = in_process.field_interval(points_m, currents_A, 0.8)
+    expected["field_lower_T"], expected["field_upper_T"] = in_process.field_interval(
+        points_m, currents_A, 0.8
+    )
     ends = in_process.gradient_interval(points_m, currents_A, 0.8)
     expected["gradient_lower_T_per_m"], expected["gradient_upper_T_per_m"] = ends
     received = answer.json()
@@ -83,7 +85,9 @@ def test_a_prediction_has_the_numbers_of_the_python_api(
     for name, tensor in expected.items():
         assert torch.equal(torch.tensor(received[name][:2], dtype=torch.float64), tensor[:2]), name
         assert bool(torch.isnan(tensor[2]).all())
-        assert json.dumps(received[name][2]).replace("[", "").replace("]", "") == ", ".join(["null"] * tensor[2].numel())
+        assert json.dumps(received[name][2]).replace("[", "").replace("]", "") == ", ".join(
+            ["null"] * tensor[2].numel()
+        )
     is_between = (ends[0] <= expected["gradient_T_per_m"]) & (expected["gradient_T_per_m"] <= ends[1])
     assert bool(is_between[:2].all())
 
@@ -94,8 +98,18 @@ def test_predictions_refuse_what_the_rig_has_not(result: dict[str, Any], api: Te
     assert refusal(api.post(path, json=body), 422)["value"] == "'coil7'"
     body = {"points_m": [[0, 0, 0]], "currents_A": {"coil1": 1}, "motion": {"arm9": [0] * 6}}
     assert refusal(api.post(path, json=body), 422)["value"] == "arm9"
-    assert refusal(api.post(path, content=b'{"points_m": [[0, 0, NaN]], "currents_A": {}}', headers={"Content-Type": "application/json"}), 422)
-    assert refusal(api.post(path, json={"points_m": [[0, 0, 0]] * 20_001, "currents_A": {}}), 413)["value"] == "20001"
+    assert refusal(
+        api.post(
+            path,
+            content=b'{"points_m": [[0, 0, NaN]], "currents_A": {}}',
+            headers={"Content-Type": "application/json"},
+        ),
+        422,
+    )
+    assert (
+        refusal(api.post(path, json={"points_m": [[0, 0, 0]] * 20_001, "currents_A": {}}), 413)["value"]
+        == "20001"
+    )
 
 
 def test_the_report_runs_nothing(job: dict[str, Any], api: TestClient) -> None:
@@ -152,7 +166,9 @@ def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, An
     collected: list[dict[str, Any]] = []
     cursor: str | None = None
     while True:
-        page = api.get("/v1/jobs", params={"limit": 1, **({} if cursor is None else {"cursor": cursor})}).json()
+        page = api.get(
+            "/v1/jobs", params={"limit": 1, **({} if cursor is None else {"cursor": cursor})}
+        ).json()
         collected += page["items"]
         cursor = page["next"]
         if cursor is None:
@@ -169,7 +185,9 @@ def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, sessi
     assert (job["state"], job["fault"]) == ("done", None)
     result = api.get(f"/v1/jobs/{job['id']}/result").json()
     assert result["result"]["verdict"] in ("named", "indistinguishable", "unexplained", "nothing_found")
-    assert result["extended_rig"].startswith("schema_version") or "schema_version: 1" in result["extended_rig"]
+    assert (
+        result["extended_rig"].startswith("schema_version") or "schema_version: 1" in result["extended_rig"]
+    )
     assert "Diagnosis" in api.get(f"/v1/jobs/{job['id']}/report").text
 
 
@@ -197,10 +215,14 @@ def test_a_full_queue_says_when_to_ask_again(queue: tuple[TestClient, str]) -> N
     assert refusal(answer, 429)["thing"] == "queue of local"
     assert int(answer.headers["retry-after"]) > 0
     add(client, session_id, "anne")
-    assert refusal(client.post("/v1/jobs/calibrate", json={"session_id": session_id}), 429)["thing"] == "queue"
+    assert (
+        refusal(client.post("/v1/jobs/calibrate", json={"session_id": session_id}), 429)["thing"] == "queue"
+    )
 
 
-def test_users_take_turns_and_none_has_more_than_its_share(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes) -> None:
+def test_users_take_turns_and_none_has_more_than_its_share(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
     client = idle(most_running_per_user=2)
     session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
     for user in ("anne", "anne", "anne", "bo"):

@@ -25,7 +25,7 @@ from tests.estimator.service.conftest import (
     wait_for,
 )
 
-STEPS = 600
+STEPS = 400
 LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}
 
 
@@ -34,10 +34,11 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
 ) -> None:
     body = lines_of(small_session, small_rig).splitlines(keepends=True)
     lines = [  # many, so that the kill falls between them
-        json.dumps({**json.loads(body[i % len(body)]), "sequence": i, "time_s": float(i)}).encode() + b"\n" for i in range(5000)
+        json.dumps({**json.loads(body[i % len(body)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
+        for i in range(5000)
     ]
     service = served()
-    client = httpx.Client(base_url=service.url, timeout=60)
+    client = service.client
     session_id = begin_session(client, upload_rig(client, rig_text))
     acknowledged = 0
 
@@ -59,11 +60,13 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
     assert 200 <= acknowledged < len(lines)
 
     service = served()
-    client = httpx.Client(base_url=service.url, timeout=60)
+    client = service.client
     n = client.get(f"/v1/sessions/{session_id}").json()["n_readings"]
     assert acknowledged <= n <= acknowledged + 20
     first = max(0, acknowledged - 20)
-    answer = append(client, session_id, b"".join(lines[first : first + 60]))  # what a client would send again, and more
+    answer = append(
+        client, session_id, b"".join(lines[first : first + 60])
+    )  # what a client would send again, and more
     assert answer.json() == {"n_readings": first + 60, "n_new": first + 60 - n}
     closed = client.post(f"/v1/sessions/{session_id}/close").json()
     stored = load_session(tmp_path / "data" / "sessions" / f"{session_id}.zarr").observations
@@ -86,7 +89,7 @@ def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
     served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
 ) -> None:
     service = served()
-    client = httpx.Client(base_url=service.url, timeout=60)
+    client = service.client
     session = import_csv(client, upload_rig(client, rig_text), readings_csv)
     body = {"session_id": session["id"], "seed": 5, "settings": LONG}
 
@@ -95,13 +98,13 @@ def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
 
     killed, waiting = ask(), ask()
     folder = tmp_path / "data" / "jobs" / killed
-    for n_steps in (100, 300):  # a kill at each
+    for n_steps in (100, 200):  # a kill at each
         while steps_of(folder) < n_steps:
             time.sleep(0.005)
         service.kill()
         assert not (folder / "result.json").exists()
         service = served()
-        client = httpx.Client(base_url=service.url, timeout=60)
+        client = service.client
     job, other = wait_for(client, killed), wait_for(client, waiting)
     assert (job["state"], job["starts"]) == ("done", 3)
     assert (other["state"], other["starts"]) == ("done", 1)
@@ -119,7 +122,7 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
     served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
 ) -> None:
     service = served()
-    client = httpx.Client(base_url=service.url, timeout=60)
+    client = service.client
     session = import_csv(client, upload_rig(client, rig_text), readings_csv)
     body: dict[str, Any] = {"session_id": session["id"], "settings": {**QUICK, "target_ess": 3000.0}}
     job_id = client.post("/v1/jobs/calibrate", json=body).json()["id"]
@@ -127,7 +130,7 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
         time.sleep(0.005)
     assert service.end() == 0
     service = served()
-    job = wait_for(httpx.Client(base_url=service.url, timeout=60), job_id)
+    job = wait_for(service.client, job_id)
     assert (job["state"], job["starts"]) == ("done", 2)
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from fastapi import FastAPI
 from sqlalchemy import select, update
 from starlette.testclient import TestClient
@@ -54,10 +56,6 @@ def tokens(app: FastAPI) -> dict[str, str]:
 
 
 def routes() -> list[tuple[str, str, Scope | None]]:
-    settings = Settings(data=Path("/nonexistent"))
-    del settings
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         made = create_app(Settings(data=Path(folder)), has_workers=False)
         found = [(method, path, scope) for (method, path), scope in scopes_by_route(made).items()]
@@ -80,7 +78,7 @@ def test_the_table_holds_every_path_of_the_schema(app: FastAPI) -> None:
     assert len(ROUTES) > 30
 
 
-@pytest.mark.parametrize(("method", "path", "scope"), ROUTES, ids=lambda value: str(value))
+@pytest.mark.parametrize(("method", "path", "scope"), ROUTES, ids=str)
 def test_every_route_refuses_tokens_that_are_missing_wrong_expired_or_too_weak(
     client: TestClient, tokens: dict[str, str], method: str, path: str, scope: Scope | None
 ) -> None:
@@ -108,10 +106,12 @@ def test_changes_need_more_than_read() -> None:
             assert scope.includes(Scope.WRITE), path
 
 
-def test_an_application_with_a_route_without_scope_is_not_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_application_with_a_route_without_scope_is_not_made(
+    tmp_path: Path,
+) -> None:
     forgotten = app_module.operation.router
     before = list(forgotten.routes)
-    forgotten.add_api_route("/v1/forgotten", lambda: {})
+    forgotten.add_api_route("/v1/forgotten", dict)
     try:
         with pytest.raises(RuntimeError, match="/v1/forgotten"):
             create_app(Settings(data=tmp_path / "data"), has_workers=False)
@@ -154,11 +154,15 @@ def test_tokens_are_kept_as_hashes_and_changes_are_audited(
         ({"Sec-Fetch-Site": "cross-site"}, "site"),
     ],
 )
-def test_pages_of_other_sites_reach_nothing(idle: Callable[..., TestClient], headers: dict[str, str], thing: str) -> None:
+def test_pages_of_other_sites_reach_nothing(
+    idle: Callable[..., TestClient], headers: dict[str, str], thing: str
+) -> None:
     """At loopback there are no tokens, but browsers of this computer visit other sites."""
     loopback = idle()
     assert refusal(loopback.get("/v1/state", headers=headers), 403)["thing"] == thing
-    answer = loopback.get("/v1/state", headers={"Origin": "http://127.0.0.1:8765", "Sec-Fetch-Site": "same-origin"})
+    answer = loopback.get(
+        "/v1/state", headers={"Origin": "http://127.0.0.1:8765", "Sec-Fetch-Site": "same-origin"}
+    )
     assert answer.json()["user"] == "local"
     assert "access-control-allow-origin" not in answer.headers
     assert answer.headers["x-content-type-options"] == "nosniff"
@@ -174,7 +178,9 @@ def test_bodies_are_limited_whatever_they_claim(client: TestClient, tokens: dict
 
     assert refusal(client.post("/v1/rigs", content=pieces(), headers=headers), 413)["thing"] == "body"
     json_headers = {**headers, "Content-Type": "application/json"}
-    assert refusal(client.post("/v1/sessions", content=pieces(), headers=json_headers), 413)["thing"] == "body"
+    assert (
+        refusal(client.post("/v1/sessions", content=pieces(), headers=json_headers), 413)["thing"] == "body"
+    )
     encoded = {**headers, "Content-Encoding": "gzip"}
     assert refusal(client.post("/v1/rigs", content=b"a", headers=encoded), 415)["value"] == "gzip"
     refusal(client.post("/v1/rigs", content=b"a" * 100_001), 401)  # before the body is looked at
@@ -191,7 +197,14 @@ def test_loopback_alone_needs_no_tokens() -> None:
 def test_tokens_have_names_and_times(tmp_path: Path) -> None:
     database = Database(tmp_path / "tokens.sqlite")
     database.migrate()
-    for user, days in (("", 1), ("a b", 1), ("x" * 65, 1), ("anne", 0), ("anne", 1e9), ("anne", float("nan"))):
+    for user, days in (
+        ("", 1),
+        ("a b", 1),
+        ("x" * 65, 1),
+        ("anne", 0),
+        ("anne", 1e9),
+        ("anne", float("nan")),
+    ):
         with pytest.raises(InvalidInput):
             create_token(database, user, Scope.READ, days)
     secret, token_id = create_token(database, "anne", Scope.READ, 1)
@@ -204,7 +217,9 @@ def test_tokens_have_names_and_times(tmp_path: Path) -> None:
 def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path: Path) -> None:
     path = tmp_path / "service.yaml"
     path.write_text("host: 0.0.0.0\nmost_job_hours: 3\nallowed_hosts: [lab.example]\n", encoding="utf-8")
-    settings = load_settings(path, {"COILCAL_PORT": "9000", "COILCAL_MOST_JOB_HOURS": "2.5", "COILCAL_REQUIRE_TOKENS": "true"})
+    settings = load_settings(
+        path, {"COILCAL_PORT": "9000", "COILCAL_MOST_JOB_HOURS": "2.5", "COILCAL_REQUIRE_TOKENS": "true"}
+    )
     assert (settings.host, settings.port, settings.most_job_hours) == ("0.0.0.0", 9000, 2.5)
     assert (settings.allowed_hosts, settings.require_tokens) == (("lab.example",), True)
     for text, words in (
@@ -216,19 +231,19 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
         ("allowed_hosts: lab.example", "allowed_hosts must be a list of words"),
     ):
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(InvalidInput, match=words.replace("'", ".").replace(".", r"\.") if "'" not in words else "port must be a whole number"):
+        with pytest.raises(InvalidInput, match=re.escape(words)):
             load_settings(path, {})
     with pytest.raises(InvalidInput, match="COILCAL_WORKERS"):
         load_settings(None, {"COILCAL_WORKERS": "many"})
 
 
 def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopback(tmp_path: Path) -> None:
-    from click.testing import CliRunner
-
     def run(*words: str) -> Any:
         return CliRunner().invoke(main, ["serve", *words, "--data", str(tmp_path / "data")])
 
-    refused = CliRunner().invoke(main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")])
+    refused = CliRunner().invoke(
+        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
+    )
     assert refused.exit_code == 2
     assert "tokens must be there before the service starts" in refused.stderr
     assert not (tmp_path / "data").exists()
@@ -238,9 +253,13 @@ def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopbac
     listed = run("token", "list")
     token_id = listed.stdout.splitlines()[1].split()[0]
     assert made.stdout.strip() not in listed.stdout
-    checked = CliRunner().invoke(main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")])
+    checked = CliRunner().invoke(
+        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
+    )
     assert "needed; 1 are valid" in checked.stdout
     assert run("token", "revoke", token_id).exit_code == 0
     assert run("token", "revoke", "nope").exit_code == 2
-    refused = CliRunner().invoke(main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")])
+    refused = CliRunner().invoke(
+        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
+    )
     assert refused.exit_code == 2

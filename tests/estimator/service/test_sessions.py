@@ -44,21 +44,34 @@ def test_a_rig_is_one_version_by_its_text(client: TestClient, rig_text: str) -> 
     assert first.json()["id"] != other.json()["id"]
     text = client.get(f"/v1/rigs/{first.json()['id']}/text")
     assert text.text == rig_text
-    assert client.get(f"/v1/rigs/{first.json()['id']}/text", headers={"If-None-Match": text.headers["etag"]}).status_code == 304
-    names = client.post("/v1/rigs/validate", content=rig_text, headers={"Content-Type": "application/yaml"}).json()
+    assert (
+        client.get(
+            f"/v1/rigs/{first.json()['id']}/text", headers={"If-None-Match": text.headers["etag"]}
+        ).status_code
+        == 304
+    )
+    names = client.post(
+        "/v1/rigs/validate", content=rig_text, headers={"Content-Type": "application/yaml"}
+    ).json()
     assert (names["coils"], names["sensors"], names["movers"]) == (["coil1"], ["hall"], ["arm1"])
     assert len(client.get("/v1/rigs", params={"name": "small"}).json()["items"]) == 2
 
 
 def test_a_faulty_rig_is_refused_with_thing_rule_value_and_line(client: TestClient, rig_text: str) -> None:
     faulty = rig_text.replace("wire_radius_mm: 0.98", "wire_radius_mm: -0.98")
-    problem = refusal(client.post("/v1/rigs", content=faulty, headers={"Content-Type": "application/yaml"}), 422)
+    problem = refusal(
+        client.post("/v1/rigs", content=faulty, headers={"Content-Type": "application/yaml"}), 422
+    )
     assert problem["thing"] == "coils.coil1.wire_radius_mm"
     assert problem["rule"].startswith("must be")
     assert problem["place"] == "body, line 10"
     assert problem["value"] == "-0.98"
-    bomb = "a: &a [1,2]\n" + "".join(f"{c}: &{c} [{', '.join([f'*{p}'] * 9)}]\n" for p, c in zip("abcdefgh", "bcdefghi", strict=True))
-    problem = refusal(client.post("/v1/rigs", content=bomb, headers={"Content-Type": "application/yaml"}), 422)
+    bomb = "a: &a [1,2]\n" + "".join(
+        f"{c}: &{c} [{', '.join([f'*{p}'] * 9)}]\n" for p, c in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    problem = refusal(
+        client.post("/v1/rigs", content=bomb, headers={"Content-Type": "application/yaml"}), 422
+    )
     assert "must hold at most" in problem["detail"]
 
 
@@ -87,10 +100,16 @@ def test_a_gap_another_reading_and_too_many_are_refused(
 ) -> None:
     lines = lines_of(small_session, small_rig).splitlines(keepends=True)
     assert append(client, session_id, lines[0]).status_code == 200
-    assert refusal(append(client, session_id, lines[2]), 409)["rule"] == "must continue at 1, where the session ends"
+    assert (
+        refusal(append(client, session_id, lines[2]), 409)["rule"]
+        == "must continue at 1, where the session ends"
+    )
     other = json.dumps({**json.loads(lines[0]), "repeat": 3}).encode()
     assert refusal(append(client, session_id, other), 409)["thing"] == "reading 0"
-    assert refusal(append(client, session_id, b"".join(lines[1:36])), 409)["rule"] == "must have at most 30 readings"
+    assert (
+        refusal(append(client, session_id, b"".join(lines[1:36])), 409)["rule"]
+        == "must have at most 30 readings"
+    )
     assert refusal(append(client, session_id, lines[1] + lines[3]), 422)["place"] == "body, line 2"
     early = json.dumps({**json.loads(lines[1]), "time_s": 0.0}).encode()
     assert "later" in refusal(append(client, session_id, early), 422)["rule"]
@@ -114,7 +133,12 @@ def test_a_gap_another_reading_and_too_many_are_refused(
     ],
 )
 def test_a_reading_that_is_none_of_the_rig_is_refused_with_its_line(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig, change: dict[str, Any], thing: str
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    change: dict[str, Any],
+    thing: str,
 ) -> None:
     good, next_good = lines_of(small_session, small_rig, 0, 2).splitlines(keepends=True)
     bad = json.dumps({**json.loads(next_good), **change}).encode()
@@ -136,7 +160,9 @@ def test_open_sessions_are_limited_and_an_empty_one_is_not_closed(client: TestCl
     answer = client.post("/v1/sessions", json={"rig_id": rig_id, "source": "a test"})
     assert refusal(answer, 429)["thing"] == "open sessions"
     assert "must hold a reading" in refusal(client.post(f"/v1/sessions/{first}/close"), 409)["detail"]
-    assert "closed first" in refusal(client.post("/v1/jobs/calibrate", json={"session_id": first}), 409)["rule"]
+    assert (
+        "closed first" in refusal(client.post("/v1/jobs/calibrate", json={"session_id": first}), 409)["rule"]
+    )
 
 
 def test_csv_and_zip_come_back_as_they_went(
@@ -209,7 +235,9 @@ def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
     assert not (data.parent / "outside").exists()
 
 
-def test_a_session_with_an_altered_byte_is_refused(client: TestClient, rig_id: str, small_session: Session, tmp_path: Path) -> None:
+def test_a_session_with_an_altered_byte_is_refused(
+    client: TestClient, rig_id: str, small_session: Session, tmp_path: Path
+) -> None:
     small_session.save(tmp_path / "small.zarr")
     chunk = next((tmp_path / "small.zarr" / "field_sensor_T").rglob("c/*/*"))
     content = bytearray(chunk.read_bytes())
@@ -218,7 +246,12 @@ def test_a_session_with_an_altered_byte_is_refused(client: TestClient, rig_id: s
     assert "damaged" in refusal(send_zip(client, rig_id, zipped(tmp_path / "small.zarr")), 422)["detail"]
 
 
-def test_a_session_of_another_rig_is_refused(client: TestClient, two_coils_text: str, small_session: Session, tmp_path: Path) -> None:
+def test_a_session_of_another_rig_is_refused(
+    client: TestClient, two_coils_text: str, small_session: Session, tmp_path: Path
+) -> None:
     small_session.save(tmp_path / "small.zarr")
     other = upload_rig(client, two_coils_text)
-    assert "must be those of the session" in refusal(send_zip(client, other, zipped(tmp_path / "small.zarr")), 422)["detail"]
+    assert (
+        "must be those of the session"
+        in refusal(send_zip(client, other, zipped(tmp_path / "small.zarr")), 422)["detail"]
+    )

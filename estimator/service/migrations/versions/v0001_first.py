@@ -39,7 +39,9 @@ def upgrade() -> None:
     op.create_table(
         "sessions",
         sa.Column("id", sa.String(), primary_key=True),
-        sa.Column("rig_id", sa.String(), sa.ForeignKey("rig_versions.id", name="fk_sessions_rig_id"), nullable=False),
+        sa.Column(
+            "rig_id", sa.String(), sa.ForeignKey("rig_versions.id", name="fk_sessions_rig_id"), nullable=False
+        ),
         sa.Column("source", sa.String(), nullable=False),
         sa.Column("state", sa.String(), nullable=False),
         sa.Column("created", sa.String(), nullable=False),
@@ -56,7 +58,9 @@ def upgrade() -> None:
         sa.Column("user", sa.String(), nullable=False),
         sa.Column("kind", sa.String(), nullable=False),
         sa.Column("state", sa.String(), nullable=False),
-        sa.Column("session_id", sa.String(), sa.ForeignKey("sessions.id", name="fk_jobs_session_id"), nullable=False),
+        sa.Column(
+            "session_id", sa.String(), sa.ForeignKey("sessions.id", name="fk_jobs_session_id"), nullable=False
+        ),
         sa.Column("rig_id", sa.String(), sa.ForeignKey("rig_versions.id", name="fk_jobs_rig_id")),
         sa.Column("options", sa.JSON(), nullable=False),
         sa.Column("idempotency_key", sa.String()),
@@ -74,8 +78,15 @@ def upgrade() -> None:
     op.create_table(
         "calibrations",
         sa.Column("id", sa.String(), primary_key=True),
-        sa.Column("job_id", sa.String(), sa.ForeignKey("jobs.id", name="fk_calibrations_job_id"), nullable=False),
-        sa.Column("session_id", sa.String(), sa.ForeignKey("sessions.id", name="fk_calibrations_session_id"), nullable=False),
+        sa.Column(
+            "job_id", sa.String(), sa.ForeignKey("jobs.id", name="fk_calibrations_job_id"), nullable=False
+        ),
+        sa.Column(
+            "session_id",
+            sa.String(),
+            sa.ForeignKey("sessions.id", name="fk_calibrations_session_id"),
+            nullable=False,
+        ),
         sa.Column("rig_name", sa.String(), nullable=False),
         sa.Column("created", sa.String(), nullable=False),
         sa.Column("user", sa.String(), nullable=False),
