@@ -104,18 +104,18 @@ def test_every_command_is_listed() -> None:
 
 
 def test_every_setting_of_the_service_is_listed_with_its_default() -> None:
-    listed = {
-        key: value
-        for keys_cell, values_cell in re.findall(
-            r"^\| (`[a-z_A-Z`, ]+`) \| ([^|]+) \|", section(SERVICE), re.MULTILINE
+    rows = re.findall(r"^\| (`.+?`) \| ([^|]+) \|", section(SERVICE), re.MULTILINE)
+    listed: dict[str, str] = {}
+    for names, values in rows:
+        words = re.findall(r"`(\w+)`", names)
+        listed |= dict(
+            zip(words, (values.replace("`", "").split(", ") * len(words))[: len(words)], strict=True)
         )
-        for key, value in zip(
-            re.findall(r"`(\w+)`", keys_cell), values_cell.replace("`", "").split(", "), strict=True
-        )
-    }
-    defaults = Settings()
-    assert {key: value.replace("none", "") for key, value in listed.items()} == {
-        key: re.sub(r"^\(\)$|\.0$", "", str(getattr(defaults, key))).replace("False", "false") for key in KEYS
+    shown = {Path("coilcal-data"): "coilcal-data", "": "none", (): "none"}
+    defaults = {key: getattr(Settings(), key) for key in KEYS}
+    defaults |= {"require_tokens": str(Settings().require_tokens).lower()}
+    assert listed == {
+        key: shown.get(v, f"{v:g}" if isinstance(v, float) else str(v)) for key, v in defaults.items()
     }
 
 

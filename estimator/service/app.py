@@ -16,7 +16,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
 from estimator.service.problems import RESPONSES, ProblemBody, install
-from estimator.service.requests import Needs
+from estimator.service.requests import Needs, Reader
 from estimator.service.routes import calibrations, jobs, operation, rigs, sessions
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
@@ -91,7 +91,7 @@ def _add_schema(app: FastAPI) -> None:
     """Serve the OpenAPI schema, which has the form of refusals and the tokens too."""
 
     @app.get("/v1/openapi.json", include_in_schema=False)
-    def openapi(caller: operation.Reader) -> dict[str, Any]:  # noqa: ARG001
+    def openapi(caller: Reader) -> dict[str, Any]:  # noqa: ARG001
         return app.openapi()
 
     make = app.openapi

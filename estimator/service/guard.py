@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import logging
+import time
 import uuid
 from urllib.parse import urlsplit
 
@@ -30,6 +32,7 @@ SECURITY_HEADERS = {
 }
 DEFAULT_POLICY = "default-src 'none'; frame-ancestors 'none'"
 CHALLENGE = {"WWW-Authenticate": 'Bearer realm="coilcal"'}
+log = logging.getLogger("coilcal.service")
 
 
 class Guard:
@@ -48,8 +51,14 @@ class Guard:
         request_id = uuid.uuid4().hex
         scope["request_id"] = request_id
 
+        begin_s = time.monotonic()
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
+                caller = scope.get("caller")
+                told = {"request_id": request_id, "method": scope["method"], "path": scope["path"]}
+                told |= {"status": message["status"], "user": None if caller is None else caller.user}
+                log.info("request", extra={**told, "took_s": round(time.monotonic() - begin_s, 4)})
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
                 headers.setdefault("Content-Security-Policy", DEFAULT_POLICY)

