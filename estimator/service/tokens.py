@@ -1,7 +1,7 @@
 """Tokens: made once, shown once, kept as a hash, and looked up by it.
 
-A token holds 256 random bits, so SHA-256 is enough: nobody can try them all. Slow hashes are for words that people choose, and one would cost
-every request a tenth of a second.
+A token holds 256 random bits, so SHA-256 is enough: nobody can try them all. Slow hashes are for words that people choose, and one would
+cost every request a tenth of a second.
 """
 
 from __future__ import annotations

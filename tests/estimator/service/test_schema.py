@@ -40,8 +40,8 @@ def test_no_request_made_from_the_schema_gives_a_fault(
     n_asked, faults = 0, []
     for result in schema.get_all_operations():
         operation = result.ok()
-        if operation.path.endswith(("/import-zip", "/events")):
-            continue  # schemathesis makes no zip files, and reads no streams
+        if operation.path.endswith(("/import-zip", "/import-csv", "/readings", "/events")):
+            continue  # schemathesis makes no such bodies, and reads no streams
         try:
             n_asked += ask(operation)
         except FailureGroup as group:

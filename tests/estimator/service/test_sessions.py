@@ -95,6 +95,40 @@ def test_appended_readings_are_those_of_the_session(
     assert "must be open" in refusal(append(client, session_id, lines[0]), 409)["detail"]
 
 
+def test_readings_are_on_disk_before_the_answer_with_one_wait_for_all(
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    journal = client.app.state.core.sessions.path(session_id) / "journal.jsonl"
+    sizes: list[int] = []
+    monkeypatch.setattr("estimator.store.journal.os.fsync", lambda _: sizes.append(journal.stat().st_size))
+    assert append(client, session_id, lines_of(small_session, small_rig, 0, 10)).status_code == 200
+    assert sizes == [journal.stat().st_size]
+
+
+def test_a_full_disk_is_said_in_words_and_the_readings_can_be_sent_again(
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body = lines_of(small_session, small_rig, 0, 10)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("estimator.store.journal.os.pwrite", full)
+        problem = refusal(append(client, session_id, body), 422)
+    assert "No space left on device" in problem["detail"]
+    assert str(client.app.state.core.data) not in problem["detail"]
+    assert append(client, session_id, body).json() == {"n_readings": 10, "n_new": 10}
+
+
 def test_a_gap_another_reading_and_too_many_are_refused(
     client: TestClient, session_id: str, small_session: Session, small_rig: Rig
 ) -> None:
