@@ -152,7 +152,7 @@ WORDS: Mapping[type, str] = {
 
 def _typed(key: str, value: Any, place: str) -> Any:
     """A value of the file as the settings take it, or a refusal."""
-    kind = str if key == "data" else type(KEYS[key].default)
+    kind: Any = str if key == "data" else type(KEYS[key].default)
     if kind is tuple:
         is_right = isinstance(value, list) and all(isinstance(word, str) for word in value)
     elif kind is float:
