@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -100,6 +100,9 @@ bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
 
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
 	$(RUN) scripts.benchmarks.batch
+
+bench-service: $(INSTALLED)  # an appended batch and a prediction over HTTP
+	$(RUN) scripts.benchmarks.service
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'

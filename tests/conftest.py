@@ -50,7 +50,7 @@ REAL_TIME = (
 # among them, since beartype draws at random what it checks, and Hypothesis refuses that inside a strategy.
 WHOLE = (
     HERE / "hidden",
-    *(HERE / f"estimator/{name}" for name in ("batching", "cli", "live", "recalibration")),
+    *(HERE / f"estimator/{name}" for name in ("batching", "cli", "live", "recalibration", "service")),
     *(
         HERE / f"estimator/{name}.py"
         for name in (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 FORMATS = Path(__file__).parents[1] / "docs" / "file-formats.md"
 SUMMARY, DIAGNOSIS = "summary.json and posterior.zarr", "diagnosis.json and rig_extended.yaml"
-COMMANDS, CAUSES = "Commands", "Names of causes"
+COMMANDS, CAUSES, SERVICE = "Commands", "Names of causes", "The service"
 
 
 def section(title: str) -> str:

@@ -14,7 +14,8 @@ from estimator.cli.main import main
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.readings.metrics import ErrorMetrics
-from tests.documented import CAUSES, COMMANDS, SUMMARY, keys, section
+from estimator.service.settings import KEYS, Settings
+from tests.documented import CAUSES, COMMANDS, SERVICE, SUMMARY, keys, section
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
@@ -96,8 +97,26 @@ def test_every_command_is_listed() -> None:
     names = []
     for name, command in main.commands.items():
         subcommands = command.list_commands(context) if isinstance(command, click.Group) else [""]
+        if isinstance(command, click.Group) and command.invoke_without_command:
+            subcommands = ["", *subcommands]
         names += [f"coilcal {name} {subcommand}".strip() for subcommand in subcommands]
     assert sorted(key for key in keys(COMMANDS) if key.startswith("coilcal")) == sorted(names)
+
+
+def test_every_setting_of_the_service_is_listed_with_its_default() -> None:
+    rows = re.findall(r"^\| (`.+?`) \| ([^|]+) \|", section(SERVICE), re.MULTILINE)
+    listed: dict[str, str] = {}
+    for names, values in rows:
+        words = re.findall(r"`(\w+)`", names)
+        listed |= dict(
+            zip(words, (values.replace("`", "").split(", ") * len(words))[: len(words)], strict=True)
+        )
+    shown = {Path("coilcal-data"): "coilcal-data", "": "none", (): "none"}
+    defaults = {key: getattr(Settings(), key) for key in KEYS}
+    defaults |= {"require_tokens": str(Settings().require_tokens).lower()}
+    assert listed == {
+        key: shown.get(v, f"{v:g}" if isinstance(v, float) else str(v)) for key, v in defaults.items()
+    }
 
 
 def test_error_keys_are_those_of_the_metrics() -> None:

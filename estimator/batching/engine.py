@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import dask
-from distributed import Client, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm.core import CommClosedError
 
 from estimator.errors import InvalidInput
 
 DEATHS_ALLOWED = 3  # workers that may die on one job before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
+LOOKS = 10
 ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 # With this variable, Dask returns memory to the system at once, and a fit takes up to twice as long.
 TRIM_VARIABLE = "MALLOC_TRIM_THRESHOLD_"
@@ -62,6 +64,40 @@ class Cluster:
             f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(unfinished)} jobs left)"
         )
 
+    def start(self, call: Call, on_end: Callable[[], None]) -> Future[Any]:
+        """Begin a call and return at once.
+
+        Args:
+            call: What to call.
+            on_end: Called from another thread when it has ended, however it did.
+        Returns: What `outcome` and `stop` take.
+        Raises:
+            InvalidInput: The scheduler was lost and not replaced.
+        """
+        function, arguments = call
+        try:
+            future = self._client.submit(function, *arguments, pure=False)
+        except (CommClosedError, TimeoutError, OSError):
+            self._reconnect()
+            future = self._client.submit(function, *arguments, pure=False)
+        future.add_done_callback(lambda _: on_end())
+        return future
+
+    def stop(self, future: Future[Any]) -> None:
+        """End a call that was started; the worker that is at it is replaced, where a nanny can do that."""
+        try:
+            at_it: list[str] = []
+            for _ in range(LOOKS):  # a call that has just begun is not at a worker yet
+                at_it = [worker for worker, keys in self._client.processing().items() if future.key in keys]
+                if at_it or future.status != "pending":
+                    break
+                time.sleep(0.1)
+            self._client.cancel([future], force=True)
+            if at_it:
+                self._client.restart_workers(at_it, timeout=PATIENCE_S, raise_for_error=False)
+        except (CommClosedError, TimeoutError, OSError):
+            return  # its scheduler is lost, and the call with it
+
     def _results(self, calls: Mapping[Hashable, Call]) -> Iterator[tuple[Hashable, Any]]:
         """Results as they come. Errors of the consumer are not raised in here, so they are not taken for a lost scheduler."""
         try:
@@ -91,6 +127,18 @@ class Cluster:
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
+
+
+def outcome(future: Future[Any]) -> str | None:
+    """How a call that was started has ended.
+
+    Returns: `done`; `lost`, if it has to be made again; the reason, if it failed; None while it runs.
+    """
+    if future.status == "pending":
+        return None
+    if future.status == "error":
+        return _words(future.exception())
+    return "done" if future.status == "finished" else "lost"
 
 
 @contextmanager

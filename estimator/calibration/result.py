@@ -111,14 +111,30 @@ class Calibration:
         Raises:
             InvalidInput: Level outside (0, 1), or as in `field`.
         """
-        if not 0.0 < level < 1.0:
-            raise InvalidInput(f"level must lie between 0 and 1; received {level}")
+        _check_level(level)
         room = self.room(points_m, motion)
-        n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
-        fields = fields.expand(n_draws, len(points_m), 3)  # no batch where no coil is free
-        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=fields.dtype)
-        lower, upper = torch.quantile(fields, tails, dim=0)
+        return self._ends(fields, (len(points_m), 3), level)
+
+    def gradient_interval(
+        self,
+        points_m: Float[Tensor, "point 3"],
+        currents_A: Mapping[str, float],
+        level: float = 0.9,
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> tuple[Float[Tensor, "point 3 3"], Float[Tensor, "point 3 3"]]:
+        """Credible interval of each dB_i / dx_j, in T/m; as `field_interval`."""
+        _check_level(level)
+        room = self.room(points_m, motion)
+        gradients = room.gradient_T_per_m(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
+        return self._ends(gradients, (len(points_m), 3, 3), level)
+
+    def _ends(self, values: Tensor, shape: tuple[int, ...], level: float) -> tuple[Tensor, Tensor]:
+        """Ends of the central interval over the draws on the first axis."""
+        n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
+        values = values.expand(n_draws, *shape)  # no batch where no coil is free
+        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=values.dtype)
+        lower, upper = torch.quantile(values, tails, dim=0)
         return lower, upper
 
     def room(
@@ -272,6 +288,11 @@ class Calibration:
             if not math.isfinite(currents_A[name]):
                 raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
+
+
+def _check_level(level: float) -> None:
+    if not 0.0 < level < 1.0:
+        raise InvalidInput(f"level must lie between 0 and 1; received {level}")
 
 
 def _check_numbers(

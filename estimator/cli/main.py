@@ -21,6 +21,7 @@ from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
 from estimator.cli.rig_simulator import rig_simulator_command
+from estimator.cli.serve import serve_group
 from estimator.cli.simulate import simulate_command
 
 
@@ -59,5 +60,6 @@ for command in (
     rig_simulator_command,
     acquire_command,
     live_command,
+    serve_group,
 ):
     main.add_command(command)

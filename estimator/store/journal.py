@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -45,7 +45,7 @@ class Journal:
         self._descriptor, self._path = descriptor, path
         self.header: Entry = {}
         self.entries: list[Entry] = []
-        self._end = 0
+        self._n_lines, self._end = 0, 0
 
     @classmethod
     def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
@@ -67,7 +67,7 @@ class Journal:
         journal = cls(descriptor, folder / JOURNAL)
         try:
             _lock(descriptor, path)
-            journal._write(header)
+            journal._write([header])
             sync(begun)
             begun.rename(folder)  # from now on there is a session, and it has a header
             sync(folder.parent)
@@ -98,6 +98,7 @@ class Journal:
             _lock(descriptor, path)
             entries, journal._end = _parsed(path)
             journal.header, *journal.entries = entries
+            journal._n_lines = len(entries)
             os.ftruncate(descriptor, journal._end)
             os.pwrite(descriptor, b"\n", journal._end - 1)  # in case a crash lost only the line feed
         except OSError as error:
@@ -114,8 +115,20 @@ class Journal:
         Raises:
             InvalidInput: The entry cannot be written; the journal is unchanged, or closed.
         """
-        self._write(entry)
+        self._write([entry])
         self.entries.append(dict(entry))
+
+    def append_all(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Write entries and wait once; when this returns, all are on disk.
+
+        They are not kept in `entries`, so that whoever writes for hours needs no more memory with time. A crash leaves the first ones of
+        them, or none.
+
+        Raises:
+            InvalidInput: They cannot be written; the journal is unchanged, or closed.
+        """
+        if entries:
+            self._write(entries)
 
     def close(self) -> None:
         """Release the lock for another writer; a second call does nothing."""
@@ -131,12 +144,12 @@ class Journal:
     ) -> None:
         self.close()
 
-    def _write(self, entry: Mapping[str, Any]) -> None:
-        line = _line(len(self.entries) + bool(self.header), entry)
+    def _write(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        lines = b"".join(_line(number, entry) for number, entry in enumerate(entries, start=self._n_lines))
         try:
             n_written = 0
-            while n_written < len(line):
-                n_written += os.pwrite(self._descriptor, line[n_written:], self._end + n_written)
+            while n_written < len(lines):
+                n_written += os.pwrite(self._descriptor, lines[n_written:], self._end + n_written)
             os.fsync(self._descriptor)
         except OSError as error:
             try:
@@ -146,7 +159,8 @@ class Journal:
             raise InvalidInput(
                 f"session must be writable; {self._path.parent} is not: {reason(error)}"
             ) from error
-        self._end += len(line)
+        self._end += len(lines)
+        self._n_lines += len(entries)
 
 
 @contextmanager

@@ -1,0 +1,181 @@
+"""`coilcal serve`: the service over HTTP, and its tokens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from estimator.cli.options import json_option
+from estimator.cli.output import CoilcalCommand, explained_errors, show, use_threads
+from estimator.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from estimator.service.database import Database
+    from estimator.service.settings import Settings
+
+config_option = click.option(
+    "--config", type=click.Path(path_type=Path), help="YAML file of settings; every key has a default."
+)
+data_option = click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of everything that is kept; ./coilcal-data by default.",
+)
+
+
+class ServeGroup(click.Group):
+    """A group whose own call explains its faults as commands do."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Serve, or run a subcommand, which explains its own faults."""
+        with explained_errors(as_json=bool(ctx.params.get("as_json"))):
+            return super().invoke(ctx)
+
+
+@click.group("serve", cls=ServeGroup, invoke_without_command=True)
+@config_option
+@data_option
+@click.option(
+    "--host", help="Address to listen at; 127.0.0.1 by default. Any other than loopback needs tokens."
+)
+@click.option(
+    "--port", type=click.IntRange(0, 65_535), help="Port to listen at; 8765 by default, 0 takes a free one."
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes that run jobs.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the jobs instead.")
+@click.option("--check", is_flag=True, help="Say what would be done, and end.")
+@json_option
+@click.pass_context
+def serve_group(
+    ctx: click.Context,
+    config: Path | None,
+    data: Path | None,
+    host: str | None,
+    port: int | None,
+    workers: int | None,
+    scheduler: str | None,
+    check: bool,
+    as_json: bool,
+) -> None:
+    """Serve calibrations and diagnoses over HTTP.
+
+    Without any option the service keeps its data in ./coilcal-data and answers this computer only. It ends with Ctrl-C; what it was
+    working on goes on when it is started again, also after kill -9.
+    """
+    if ctx.invoked_subcommand is not None:
+        return
+    with _with_extra():
+        from estimator.service.serve import plan_of, serve
+        from estimator.service.settings import load_settings
+    settings = load_settings(config).with_options(
+        data=data, host=host, port=port, workers=workers, scheduler=scheduler
+    )
+    if check:
+        plan = plan_of(settings)
+        show(plan, _plan_text(plan), as_json)
+        return
+    use_threads(ctx.find_root().params.get("threads", 1))
+    serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"))
+
+
+@serve_group.group("token")
+def token_group() -> None:
+    """Make, list and revoke the tokens of a service."""
+
+
+@token_group.command("create", cls=CoilcalCommand)
+@click.option("--user", required=True, help="Whose token it is; jobs and changes go by this name.")
+@click.option(
+    "--scope",
+    type=click.Choice(["read", "write", "admin"]),
+    default="write",
+    show_default=True,
+    help="What it allows; each includes those before it.",
+)
+@click.option("--days", type=float, default=90.0, show_default=True, help="Time until it expires.")
+@config_option
+@data_option
+@json_option
+def create_command(
+    user: str, scope: str, days: float, config: Path | None, data: Path | None, as_json: bool
+) -> None:
+    """Make a token and print it, once: only its hash is kept."""
+    with _database(config, data) as database:
+        from estimator.service.tokens import Scope, create_token
+
+        secret, token_id = create_token(database, user, Scope(scope), days)
+    show({"id": token_id, "token": secret}, secret, as_json)
+
+
+@token_group.command("list", cls=CoilcalCommand)
+@config_option
+@data_option
+@json_option
+def list_command(config: Path | None, data: Path | None, as_json: bool) -> None:
+    """List tokens, without what they are."""
+    with _database(config, data) as database:
+        from estimator.service.tokens import all_tokens
+
+        keys = ("id", "user", "scope", "created", "expires", "revoked")
+        rows = [{key: getattr(token, key) for key in keys} for token in all_tokens(database)]
+    lines = [f"{'id':12}  {'user':20}  {'scope':5}  {'expires':24}  revoked"]
+    lines += [
+        f"{row['id']:12}  {row['user']:20}  {row['scope']:5}  {row['expires'][:19]:24}  {row['revoked'] or ''}"
+        for row in rows
+    ]
+    show({"tokens": rows}, "\n".join(lines), as_json)
+
+
+@token_group.command("revoke", cls=CoilcalCommand)
+@click.argument("token_id", metavar="ID")
+@config_option
+@data_option
+@json_option
+def revoke_command(token_id: str, config: Path | None, data: Path | None, as_json: bool) -> None:
+    """End a token now; a service that runs refuses it from the next request on."""
+    with _database(config, data) as database:
+        from estimator.service.tokens import revoke_token
+
+        revoke_token(database, token_id)
+    show({"revoked": token_id}, f"revoked {token_id}", as_json)
+
+
+@contextmanager
+def _database(config: Path | None, data: Path | None) -> Iterator[Database]:
+    with _with_extra():
+        from estimator.service.core import DATABASE
+        from estimator.service.database import Database
+        from estimator.service.settings import load_settings
+    settings: Settings = load_settings(config).with_options(data=data)
+    settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
+    database = Database(settings.data / DATABASE)
+    try:
+        database.migrate()
+        yield database
+    finally:
+        database.close()
+
+
+@contextmanager
+def _with_extra() -> Iterator[None]:
+    """Say which extra is missing where an import fails."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise InvalidInput(
+            f"coilcal serve needs {error.name}: install coilcal with its extra, pip install 'coilcal[service]'"
+        ) from error
+
+
+def _plan_text(plan: dict[str, Any]) -> str:
+    lines = [
+        f"would serve at {plan['address']}",
+        f"tokens: {plan['tokens']}",
+        f"jobs on: {plan['workers']}",
+        "settings:",
+    ]
+    return "\n".join(lines + [f"  {key}: {value}" for key, value in plan["settings"].items()])

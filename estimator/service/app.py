@@ -1,0 +1,108 @@
+"""The application: routes, what every request passes before them, and what begins and ends with the process."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute, iter_route_contexts
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware.gzip import GZipMiddleware
+
+from estimator.service.core import Core
+from estimator.service.guard import PUBLIC, Guard
+from estimator.service.problems import RESPONSES, ProblemBody, install
+from estimator.service.requests import Needs, Reader
+from estimator.service.routes import calibrations, jobs, operation, rigs, sessions
+from estimator.service.settings import Settings
+from estimator.service.tokens import Scope
+
+SMALLEST_GZIPPED = 1_000  # bytes
+DESCRIPTION = "Calibration of electromagnet coils, with credible intervals. Numbers are in SI."
+
+
+def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
+    """The service as an ASGI application; it takes the data folder at once, and gives it back when it is shut down.
+
+    Args:
+        settings: How it runs.
+        has_workers: False leaves jobs in the queue.
+    Raises:
+        InvalidInput: The data folder cannot be used.
+    """
+    core = Core(settings)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        if has_workers:
+            core.jobs.start()
+        yield
+        await run_in_threadpool(core.close)
+
+    app = FastAPI(
+        title="coilcal",
+        version=version("coilcal"),
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        responses=RESPONSES,
+        docs_url=None,  # they load scripts from elsewhere
+        redoc_url=None,
+        openapi_url=None,
+        redirect_slashes=False,
+    )
+    app.state.core = core
+    for module in (operation, rigs, sessions, jobs, calibrations):
+        app.include_router(module.router)
+    install(app, str(core.data))
+    _add_schema(app)
+    app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED)
+    app.add_middleware(Guard, settings=settings, database=core.database)
+    unguarded = [
+        path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC
+    ]
+    if unguarded:
+        raise RuntimeError(f"every route must ask for a scope; {unguarded} do not")
+    return app
+
+
+def scopes_by_route(app: FastAPI) -> dict[tuple[str, str], Scope | None]:
+    """Scope that each method and path asks for; None where it asks for none, or cannot say so."""
+    scopes: dict[tuple[str, str], Scope | None] = {}
+    for context in iter_route_contexts(app.routes):
+        route = context.original_route
+        scope = _scope_of(route.dependant) if isinstance(route, APIRoute) else None
+        for method in sorted(context.methods or {"any"}):
+            scopes[method, str(context.path)] = scope
+    return scopes
+
+
+def _scope_of(dependant: Dependant) -> Scope | None:
+    for part in dependant.dependencies:
+        if isinstance(part.call, Needs):
+            return part.call.scope
+    return None
+
+
+def _add_schema(app: FastAPI) -> None:
+    """Serve the OpenAPI schema, which has the form of refusals and the tokens too."""
+
+    @app.get("/v1/openapi.json", include_in_schema=False)
+    def openapi(caller: Reader) -> dict[str, Any]:  # noqa: ARG001
+        return app.openapi()
+
+    make = app.openapi
+
+    def schema() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            made = make()
+            components = made.setdefault("components", {})
+            components.setdefault("schemas", {})["Problem"] = ProblemBody.model_json_schema()
+            components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+            made["security"] = [{}, {"token": []}]  # none at loopback
+        return app.openapi_schema or make()
+
+    app.openapi = schema  # type: ignore[method-assign]

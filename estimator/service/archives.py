@@ -1,0 +1,128 @@
+"""Sessions as zip files: written for a download, and unpacked from an upload under limits, before the store's own checks."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+from estimator.errors import CoilcalError
+from estimator.service.problems import Problem
+from estimator.store.admission import MOST_FILES
+from estimator.store.session import Session, load_session
+
+MOST_NAME = 200  # characters
+MOST_LEVELS = 6  # folders inside each other; a session has four
+PIECE = 1 << 20
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def zipped(folder: Path) -> bytes:
+    """A folder as a zip file, always the same bytes for the same content; zarr has compressed it already."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            archive.writestr(zipfile.ZipInfo(path.relative_to(folder).as_posix()), path.read_bytes())
+    return buffer.getvalue()
+
+
+@contextmanager
+def unpacked_session(body: bytes, folder: Path, most_bytes: int) -> Iterator[Session]:
+    """The session in a zip file, unpacked for as long as the block lasts.
+
+    Args:
+        body: The zip file.
+        folder: Where to unpack; it must not exist, and is gone afterwards.
+        most_bytes: Size that it may have when unpacked.
+    Raises:
+        Problem: It is no zip file, is beyond a limit, or has a name that leads out of the folder.
+        CorruptStore: The store's checks refuse it.
+    """
+    try:
+        folder.mkdir(parents=True)
+        _unpack(body, folder, most_bytes)
+        if not (folder / "zarr.json").is_file():
+            raise Problem(422, "archive", "must hold the zarr.json of a session at its top; it holds none")
+        try:
+            session = load_session(folder)
+        except Problem:
+            raise
+        except CoilcalError as error:  # damage of an upload is a fault of the upload, not of the service
+            sentence = str(error).replace(f"{folder}/", "").replace(str(folder), "the archive")
+            raise UploadRefused(sentence) from error
+        yield session
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class UploadRefused(CoilcalError):
+    """What was uploaded is damaged, or no session."""
+
+
+def _unpack(body: bytes, folder: Path, most_bytes: int) -> None:
+    """Unpack by the bytes that come out, not by the sizes that the archive claims."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(body)) as archive:
+            members = archive.infolist()
+            if len(members) > MOST_FILES:
+                raise Problem(413, "archive", f"must hold at most {MOST_FILES} files", len(members))
+            left = most_bytes
+            for member in members:
+                _check_member(member)
+                if not member.is_dir():
+                    left -= _unpack_file(archive, member, folder, left, most_bytes)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        ValueError,
+        OSError,
+    ) as error:
+        raise Problem(
+            422, "archive", f"must be a zip file that can be read: {type(error).__name__}"
+        ) from error
+
+
+def _unpack_file(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path, left: int, most_bytes: int
+) -> int:
+    """Unpack one file; its size in bytes."""
+    path = folder.joinpath(*PurePosixPath(member.filename).parts)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    size = 0
+    with archive.open(member) as source, path.open("xb") as target:
+        while piece := source.read(PIECE):
+            size += len(piece)
+            if size > left:
+                raise Problem(
+                    413, "archive", f"must have at most {most_bytes} bytes when unpacked; it has more"
+                )
+            target.write(piece)
+    return size
+
+
+def _check_member(member: zipfile.ZipInfo) -> None:
+    name = member.filename
+    path = PurePosixPath(name)
+    is_odd = "\\" in name or ":" in name or not name.isprintable() or not name.isascii()
+    if is_odd or path.is_absolute() or ".." in path.parts or not path.parts:
+        raise Problem(422, "archive", "must hold plain relative names", name)
+    if len(name) > MOST_NAME or len(path.parts) > MOST_LEVELS:
+        raise Problem(
+            422,
+            "archive",
+            f"must hold names of at most {MOST_NAME} characters and {MOST_LEVELS} levels",
+            name,
+        )
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise Problem(422, "archive", "must hold files and folders only", name)
+    if member.flag_bits & 0x1 or member.compress_type not in METHODS:
+        raise Problem(422, "archive", "must be stored or deflated, without a password", name)

@@ -1,0 +1,95 @@
+"""Everything that routes work with, made once for an application."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import threading
+from collections import OrderedDict
+from pathlib import Path
+
+from sqlalchemy import select
+
+from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput, reason
+from estimator.service.database import Database
+from estimator.service.dispatcher import Dispatcher
+from estimator.service.job_queue import JobQueue
+from estimator.service.open_sessions import OpenSessions
+from estimator.service.schema import RigVersion
+from estimator.service.settings import Settings
+
+DATABASE, LOCK = "coilcal.sqlite", "lock"
+SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
+CALIBRATIONS_IN_MEMORY = 16
+
+
+class Core:
+    """The data folder with its database, sessions, jobs and calibrations; one process has it at a time.
+
+    Raises:
+        InvalidInput: Another process has the folder, or it cannot be written.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self.data = settings, settings.data.absolute()
+        self._lock = _locked(self.data)
+        self.database = Database(self.data / DATABASE)
+        self.database.migrate()
+        self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
+        self.queue = JobQueue(self.database, settings)
+        self.jobs = Dispatcher(
+            self.queue,
+            settings,
+            self.data / JOBS,
+            self.sessions.path,
+            lambda rig_id: self.rig_version(rig_id).text,
+        )
+        self.n_streams = 0
+        self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
+        self._loading = threading.Lock()
+        shutil.rmtree(self.uploads, ignore_errors=True)
+
+    @property
+    def uploads(self) -> Path:
+        """Folder of what is being unpacked; it does not survive."""
+        return self.data / UPLOADS
+
+    def rig_version(self, rig_id: str) -> RigVersion:
+        """A rig version that is known to be there."""
+        with self.database.reading() as db:
+            return db.scalars(select(RigVersion).where(RigVersion.id == rig_id)).one()
+
+    def calibration(self, folder: Path) -> Calibration:
+        """A calibration, checked when it is read; those used last stay in memory."""
+        with self._loading:
+            known = self._calibrations.pop(folder, None)
+            calibration = known if known is not None else Calibration.load(folder)
+            self._calibrations[folder] = calibration
+            while len(self._calibrations) > CALIBRATIONS_IN_MEMORY:
+                self._calibrations.popitem(last=False)
+            return calibration
+
+    def close(self) -> None:
+        """Hand everything back for the next process."""
+        self.jobs.stop()
+        self.sessions.close()
+        self.database.close()
+        os.close(self._lock)
+
+
+def _locked(data: Path) -> int:
+    try:
+        data.mkdir(parents=True, exist_ok=True, mode=0o700)
+        descriptor = os.open(data / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        raise InvalidInput(
+            f"data must be a folder that can be written; {data} is not: {reason(error)}"
+        ) from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        raise InvalidInput(f"data must be used by one service at a time; another uses {data}") from error
+    return descriptor

@@ -1,0 +1,162 @@
+"""Starts jobs on workers, ends those that were cancelled or took too long, and records what became of them.
+
+The state of a job's work is its folder, so nothing is lost with this process: the next one queues again what ran.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from distributed import Future
+
+from estimator.batching.engine import Cluster, cluster, outcome
+from estimator.errors import CoilcalError
+from estimator.service.job_queue import FAILED, RUNNING, JobQueue
+from estimator.service.schema import Job
+from estimator.service.settings import Settings
+from estimator.service.work import JOB, RESULT, STOP, run_job
+from estimator.store.files import write_text
+from estimator.store.journal import sync
+
+LOOK_EVERY_S = 0.5
+log = logging.getLogger("coilcal.service")
+
+
+@dataclass
+class _Running:
+    future: Future[Any]
+    begin_s: float
+
+
+class Dispatcher:
+    """A thread that keeps the workers busy.
+
+    Args:
+        queue: The jobs.
+        settings: Number of workers and the time that a job may take.
+        folder: Where jobs have their folders, each under its id.
+        session_path: Folder of a session, by its id.
+        rig_text: Text of a rig, by its id.
+    """
+
+    def __init__(
+        self,
+        queue: JobQueue,
+        settings: Settings,
+        folder: Path,
+        session_path: Callable[[str], Path],
+        rig_text: Callable[[str], str],
+    ) -> None:
+        self._queue, self._settings, self._folder = queue, settings, folder
+        self._session_path, self._rig_text = session_path, rig_text
+        self._running: dict[str, _Running] = {}
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._ready = threading.Event()
+        self.fault: str | None = None
+        self._thread = threading.Thread(target=self._run, name="coilcal dispatcher", daemon=True)
+
+    def start(self) -> None:
+        """Take back what an earlier process left, and begin."""
+        self._queue.take_back()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the workers; their jobs go on when the service starts again."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=60)
+
+    def wake(self) -> None:
+        """There is something new in the queue, or to cancel."""
+        self._wake.set()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether jobs can run."""
+        return self._ready.is_set() and self._thread.is_alive()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the service ends."""
+        return self._stopping.is_set()
+
+    def folder(self, job_id: str) -> Path:
+        """Folder of a job."""
+        return self._folder / job_id
+
+    def _run(self) -> None:
+        scheduler = self._settings.scheduler or None
+        workers = None if scheduler else self._settings.n_workers
+        try:
+            with cluster(workers, scheduler) as workers_of_jobs:
+                self._ready.set()
+                while not self._stopping.is_set():
+                    self._look(workers_of_jobs)
+                    self._wake.wait(LOOK_EVERY_S)
+                    self._wake.clear()
+        except Exception as error:
+            self.fault = str(error) if isinstance(error, CoilcalError) else type(error).__name__
+            log.exception("jobs can no longer run")
+        finally:
+            self._ready.clear()
+
+    def _look(self, workers: Cluster) -> None:
+        """Record what has ended, end what must not go on, start what may."""
+        states = self._queue.states(list(self._running))
+        for job_id, running in list(self._running.items()):
+            ending = outcome(running.future)
+            most_s = 3600.0 * self._settings.most_job_hours
+            if states.get(job_id) != RUNNING:
+                self._end(workers, job_id, running)
+            elif ending is not None:
+                self._record(job_id, ending)
+            elif time.monotonic() - running.begin_s > most_s:
+                fault = f"job must end within {self._settings.most_job_hours:g} h; it took longer"
+                self._queue.end(job_id, {"state": FAILED, "fault": fault})
+                self._end(workers, job_id, running)
+            else:
+                continue
+            del self._running[job_id]
+        while len(self._running) < self._settings.n_workers and (job := self._queue.next()) is not None:
+            self._begin(workers, job)
+
+    def _begin(self, workers: Cluster, job: Job) -> None:
+        folder = self.folder(job.id)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if not (folder / JOB).exists():
+                rig = None if job.rig_id is None else self._rig_text(job.rig_id)
+                told = {"id": job.id, "kind": job.kind, "options": job.options, "rig": rig}
+                write_text(folder / JOB, json.dumps(told, indent=2) + "\n")
+                sync(folder)
+        except (CoilcalError, OSError) as error:
+            self._queue.end(job.id, {"state": FAILED, "fault": f"job must have a folder; it cannot: {error}"})
+            return
+        call = run_job, (str(folder.absolute()), str(self._session_path(job.session_id).absolute()))
+        self._running[job.id] = _Running(workers.start(call, self._wake.set), time.monotonic())
+        log.info("job begins", extra={"job": job.id, "start": job.starts})
+
+    def _end(self, workers: Cluster, job_id: str, running: _Running) -> None:
+        """End the work of a job, by its own hand where it looks soon enough, else with its worker."""
+        (self.folder(job_id) / STOP).touch()
+        workers.stop(running.future)
+
+    def _record(self, job_id: str, ending: str) -> None:
+        if ending == "lost":
+            self._queue.give_back(job_id)
+            return
+        try:
+            result = json.loads((self.folder(job_id) / RESULT).read_text(encoding="utf-8"))
+        except FileNotFoundError:  # the work raised something that it does not explain
+            log.error("job failed", extra={"job": job_id, "fault": ending})
+            result = {"state": FAILED, "fault": f"job must end with a result; it ended with {ending}"}
+        self._queue.end(job_id, result)
+        log.info("job ended", extra={"job": job_id, "state": result["state"]})

@@ -1,0 +1,159 @@
+"""What every request passes before a route sees it, its body included: name of the host, origin, token, size and time of the body.
+
+Refusal is the rule: a path without a token is one of `PUBLIC`, so a new route cannot be forgotten.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import logging
+import time
+import uuid
+from urllib.parse import urlsplit
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from estimator.service.database import Database
+from estimator.service.problems import Problem, answer_to
+from estimator.service.settings import Settings
+from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of
+
+PUBLIC = frozenset({"/healthz", "/readyz"})
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
+SECURITY_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "private, no-cache",
+}
+DEFAULT_POLICY = "default-src 'none'; frame-ancestors 'none'"
+CHALLENGE = {"WWW-Authenticate": 'Bearer realm="coilcal"'}
+log = logging.getLogger("coilcal.service")
+
+
+class Guard:
+    """Admits requests, gives each an id, and puts the headers of security on the answers."""
+
+    def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
+        self._app, self._settings, self._database = app, settings, database
+        own = LOOPBACK_NAMES if settings.is_loopback else (_bracketed(settings.host),)
+        self._hosts = {name.lower() for name in (*own, *settings.allowed_hosts)}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request_id = uuid.uuid4().hex
+        scope["request_id"] = request_id
+
+        begin_s = time.monotonic()
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                caller = scope.get("caller")
+                told = {"request_id": request_id, "method": scope["method"], "path": scope["path"]}
+                told |= {"status": message["status"], "user": None if caller is None else caller.user}
+                log.info("request", extra={**told, "took_s": round(time.monotonic() - begin_s, 4)})
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-ID"] = request_id
+                headers.setdefault("Content-Security-Policy", DEFAULT_POLICY)
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        try:
+            headers = Headers(scope=scope)
+            self._check_site(headers, str(scope["scheme"]))
+            scope["caller"] = await self._caller(str(scope["path"]), headers)
+            limited = self._limited(headers, receive)
+        except Problem as problem:
+            await answer_to(problem, request_id)(scope, receive, send_with_headers)
+            return
+        await self._app(scope, limited, send_with_headers)
+
+    def _check_site(self, headers: Headers, scheme: str) -> None:
+        """Refuse what a page of another site makes a browser send: by its own name for this address, or across origins."""
+        host = headers.get("host", "")
+        name = (urlsplit(f"//{host}").netloc.rpartition("@")[2] or "").lower()
+        name = name if name.endswith("]") else name.rpartition(":")[0] or name
+        is_any = self._settings.host in ("0.0.0.0", "::") and _is_address(name)
+        if name not in self._hosts and not is_any:
+            raise Problem(
+                403, "host", "must be the service's address or one of allowed_hosts", name, "header Host"
+            )
+        origin = headers.get("origin")
+        if origin is not None and origin != f"{scheme}://{host}":
+            raise Problem(403, "origin", "must be the service itself", origin, "header Origin")
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            raise Problem(
+                403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site"
+            )
+
+    async def _caller(self, path: str, headers: Headers) -> Caller | None:
+        if path in PUBLIC:
+            return None
+        kind, _, secret = headers.get("authorization", "").partition(" ")
+        if not self._settings.needs_tokens and not secret:
+            return NOBODY_ELSE
+        if kind.lower() != "bearer" or not secret:
+            raise Problem(
+                401, "token", "must be given", place="header Authorization: Bearer", headers=CHALLENGE
+            )
+        caller = await run_in_threadpool(caller_of, self._database, secret.strip())
+        if caller is None:
+            raise Problem(
+                401, "token", "must be one that exists, has not expired and is not revoked", headers=CHALLENGE
+            )
+        return caller
+
+    def _limited(self, headers: Headers, receive: Receive) -> Receive:
+        """A body that ends with a refusal where it is too long or takes too long."""
+        if headers.get("content-encoding", "identity") != "identity":
+            raise Problem(
+                415, "body", "must not be encoded", headers["content-encoding"], "header Content-Encoding"
+            )
+        most, most_s = self._settings.most_body_bytes, self._settings.most_body_s
+        length = headers.get("content-length", "0")
+        if not (length.isascii() and length.isdecimal()) or int(length[:20]) > most:
+            raise _too_long(most, length)
+        n_received, is_whole = 0, False
+        end_s = asyncio.get_running_loop().time() + most_s
+
+        async def limited() -> Message:
+            nonlocal n_received, is_whole
+            if is_whole:  # from here on it waits for the client to leave
+                return await receive()
+            try:
+                async with asyncio.timeout_at(end_s):
+                    message = await receive()
+            except TimeoutError:
+                raise Problem(408, "body", f"must arrive within {most_s:g} s") from None
+            n_received += len(message.get("body", b""))
+            is_whole = not message.get("more_body", False)
+            if n_received > most:
+                raise _too_long(most, n_received)
+            return message
+
+        return limited
+
+
+def _too_long(most: int, length: object) -> Problem:
+    return Problem(413, "body", f"must have at most {most} bytes", length)
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _is_address(name: str) -> bool:
+    """Whether a host is a plain address, which no page of another site can make its own name for."""
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,203 @@
+"""Every refusal of the service as problem+json (RFC 9457) with thing, rule, value and place; no traceback leaves the service."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+
+from estimator.errors import CoilcalError, CorruptStore
+
+MEDIA_TYPE = "application/problem+json"
+MOST_SHOWN = 200
+SENTENCE = re.compile(
+    r"(?P<thing>.+?) (?P<rule>(?:must|is not|is missing|takes) .*?)"
+    r"(?:; (?:received )?(?P<value>.*?))?"
+    r"(?: \((?P<place>[^()]*)\))?\.?"
+)
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+log = logging.getLogger("coilcal.service")
+
+
+class ProblemBody(BaseModel):
+    """A refusal: one sentence, and its parts as far as they can be told apart."""
+
+    model_config = ConfigDict(title="Problem")
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str
+    thing: str | None
+    rule: str | None
+    value: str | None
+    place: str | None
+    request_id: str
+
+
+class Problem(CoilcalError):
+    """A refusal with its status.
+
+    Args:
+        status: HTTP status.
+        thing, rule, value, place: What the sentence consists of; `value` and `place` may be left out.
+        headers: Headers of the answer.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        thing: str,
+        rule: str,
+        value: object = None,
+        place: str | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        self.status, self.headers = status, dict(headers or {})
+        self.parts: dict[str, str | None] = {
+            "thing": thing,
+            "rule": rule,
+            "value": None if value is None else shown(value),
+            "place": place,
+        }
+        received = "" if value is None else f"; received {shown(value)}"
+        super().__init__(f"{thing} {rule}{received}" + (f" ({place})" if place else ""))
+
+
+def not_found(thing: str, value: str) -> Problem:
+    """The refusal of an id that the service has not given, or not to this user."""
+    return Problem(404, thing, "must be one that the service holds", value)
+
+
+def shown(value: object) -> str:
+    """A value as a refusal shows it: short, and without characters that steer a terminal."""
+    text = CONTROL.sub(lambda found: repr(found[0])[1:-1], str(value))
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+
+
+def parts_of(sentence: str) -> dict[str, str | None]:
+    """Thing, rule, value and place of a sentence as coilcal writes them; None for what it does not say.
+
+    Examples:
+        >>> parts_of("coil1.radius_m must be > 0; received -0.05 (rig, line 3)")
+        {'thing': 'coil1.radius_m', 'rule': 'must be > 0', 'value': '-0.05', 'place': 'rig, line 3'}
+        >>> parts_of("ducks float")["thing"] is None
+        True
+    """
+    found = SENTENCE.fullmatch(sentence)
+    return found.groupdict() if found else dict.fromkeys(("thing", "rule", "value", "place"))
+
+
+def answer(
+    status: int,
+    sentence: str,
+    parts: Mapping[str, str | None],
+    request_id: str,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """The answer that tells of a refusal."""
+    title = HTTPStatus(status).phrase
+    told = {"title": title, "status": status, "detail": sentence, "request_id": request_id, **parts}
+    body = ProblemBody.model_validate(told)
+    return JSONResponse(body.model_dump(), status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
+
+
+def answer_to(problem: Problem, request_id: str) -> Response:
+    """The answer to a refusal outside of a route."""
+    return answer(problem.status, str(problem), problem.parts, request_id, problem.headers)
+
+
+def install(app: FastAPI, data: str) -> None:
+    """Make every exception of a route a problem.
+
+    Args:
+        app: The application.
+        data: Folder of the service, which answers do not name.
+    """
+    upload = re.compile(rf"{re.escape(data)}/uploads/[^/]+/")
+
+    def without_folder(text: str) -> str:
+        text = upload.sub("", text)
+        return CONTROL.sub(" ", text.replace(f"{data}/", "").replace(data, "data"))
+
+    def id_of(request: Request) -> str:
+        return str(request.scope.get("request_id", ""))
+
+    @app.exception_handler(CoilcalError)
+    async def refused(request: Request, error: CoilcalError) -> Response:
+        if isinstance(error, Problem):
+            return answer_to(error, id_of(request))
+        sentence = without_folder(str(error))
+        is_ours = isinstance(error, CorruptStore)  # damage of an upload is `UploadRefused`
+        if is_ours:
+            log.error("a stored file is damaged", extra={"fault": sentence, "request_id": id_of(request)})
+        return answer(500 if is_ours else 422, sentence, parts_of(sentence), id_of(request))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        problem = of_validation(error.errors())
+        return answer_to(problem, id_of(request))
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> Response:
+        if isinstance(error.__cause__, Problem):  # raised while FastAPI read the body
+            return answer_to(error.__cause__, id_of(request))
+        words = {404: "must be one that the service has", 405: "must be one that this path takes"}
+        thing = {404: "path", 405: "method"}.get(error.status_code, "request")
+        value = {404: request.url.path, 405: request.method}.get(error.status_code)
+        rule = words.get(error.status_code, f"must be acceptable: {error.detail}")
+        problem = Problem(error.status_code, thing, rule, value, headers=error.headers)
+        return answer_to(problem, id_of(request))
+
+    @app.exception_handler(Exception)
+    async def failed(request: Request, error: Exception) -> Response:
+        log.error("a request failed", exc_info=error, extra={"request_id": id_of(request)})
+        return answer_to(failure(), id_of(request))
+
+
+def failure() -> Problem:
+    """The only thing that an answer says of a fault in the service; its log says the rest."""
+    return Problem(500, "service", "must answer; it failed, and its log says why under this request's id")
+
+
+def of_validation(errors: Sequence[Any], where: str | None = None) -> Problem:
+    """The refusal of what does not fit its schema, in terms of the first error."""
+    first = errors[0]
+    place, *path = (str(part) for part in first["loc"]) if first["loc"] else ("body",)
+    is_body_missing = first["type"] == "json_invalid"
+    thing = place if is_body_missing or not path else ".".join(path)
+    message = str(first["msg"])
+    rule = f"must be valid: {message[:1].lower()}{message[1:]}"
+    value = None if first["type"] in ("missing", "json_invalid") else first.get("input")
+    return Problem(422, thing, rule, value, where or place)
+
+
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {
+        "description": text,
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
+    for status, text in {
+        400: "The request cannot be read.",
+        401: "There is no token, or one that is wrong, expired or revoked.",
+        403: "The token does not allow this, or the request comes from another site.",
+        404: "There is no such thing.",
+        405: "The path does not take this method.",
+        408: "The body did not arrive in time.",
+        409: "It does not fit the state of the thing.",
+        413: "It is larger than the service takes.",
+        415: "It is of another media type.",
+        422: "The content breaks a rule.",
+        429: "There is too much to do already; Retry-After says when to ask again.",
+        500: "The service failed.",
+        503: "The service is starting or stopping.",
+    }.items()
+}

@@ -1,0 +1,1 @@
+"""Paths of the API, one file for each thing that it is about."""

@@ -1,0 +1,160 @@
+"""Rigs: the text of a rig file, checked before it is kept; a changed text is another version."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request
+from pydantic import BaseModel
+from sqlalchemy import select
+from starlette.responses import Response
+
+from estimator.errors import InvalidInput
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
+from estimator.service.database import new_id, now
+from estimator.service.problems import not_found
+from estimator.service.requests import (
+    CoreOf,
+    Cursor,
+    Id,
+    Limit,
+    Page,
+    Reader,
+    Writer,
+    audited,
+    documented_body,
+    page_of,
+    raw_body,
+    with_etag,
+)
+from estimator.service.schema import RigVersion
+
+YAML = ("application/yaml", "application/x-yaml", "text/yaml")
+router = APIRouter(prefix="/v1/rigs", tags=["rigs"])
+Text = Annotated[bytes, Depends(raw_body(*YAML))]
+BODY = documented_body("application/yaml", "Text of a rig file.")
+
+
+class RigInfo(BaseModel):
+    """A version of a rig; `hash` is the SHA-256 of its text."""
+
+    id: str
+    name: str
+    hash: str
+    created: str
+    user: str
+
+
+class RigContent(BaseModel):
+    """What a rig file describes."""
+
+    name: str
+    coils: list[str]
+    sensors: list[str]
+    movers: list[str]
+    free_parameters: list[str]
+
+
+def content_of(rig: Rig) -> RigContent:
+    """Names of what a rig has."""
+    return RigContent(
+        name=rig.name,
+        coils=[coil.name for coil in rig.coils],
+        sensors=[sensor.name for sensor in rig.sensors],
+        movers=[mover.name for mover in rig.movers],
+        free_parameters=[parameter.name for parameter in rig.free],
+    )
+
+
+def rig_of(body: bytes) -> tuple[Rig, str]:
+    """The rig of a body and its text.
+
+    Raises:
+        InvalidInput: It is no rig file.
+    """
+    try:
+        text = body.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidInput("body must be text in UTF-8; received other bytes (body)") from error
+    return rig_from_text(text, "body"), text
+
+
+def info_of(row: RigVersion) -> RigInfo:
+    """A row as the API shows it."""
+    return RigInfo(id=row.id, name=row.name, hash=row.hash, created=row.created, user=row.user)
+
+
+@router.post(
+    "",
+    status_code=201,
+    openapi_extra=BODY,
+    responses={200: {"model": RigInfo, "description": "It was there."}},
+)
+def upload_rig(request: Request, response: Response, core: CoreOf, caller: Writer, body: Text) -> RigInfo:
+    """Keep a rig file. The same text again is the same version."""
+    rig, text = rig_of(body)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    with core.database.writing() as db:
+        row = db.scalar(select(RigVersion).where(RigVersion.hash == digest))
+        if row is None:
+            row = RigVersion(
+                id=new_id(), name=rig.name, hash=digest, text=text, created=now(), user=caller.user
+            )
+            db.add(row)
+            audited(db, request, caller, "rig.upload", row.id)
+        else:
+            response.status_code = 200
+        return info_of(row)
+
+
+@router.post("/validate", openapi_extra=BODY)
+def validate_rig(caller: Reader, body: Text) -> RigContent:  # noqa: ARG001  asked for its scope
+    """Check a rig file without keeping it."""
+    return content_of(rig_of(body)[0])
+
+
+@router.get("")
+def list_rigs(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    limit: Limit = 50,
+    cursor: Cursor = None,
+    name: Annotated[
+        str | None, Query(max_length=200, description="Versions of the rig of this name only.")
+    ] = None,
+) -> Page[RigInfo]:
+    """Versions of rigs, newest first."""
+    rows = select(RigVersion)
+    if name is not None:
+        rows = rows.where(RigVersion.name == name)
+    with core.database.reading() as db:
+        return page_of(db, rows, RigVersion, limit, cursor, info_of)
+
+
+@router.get("/{rig_id}")
+def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG001
+    """One version of a rig."""
+    with core.database.reading() as db:
+        row = db.get(RigVersion, rig_id)
+    if row is None:
+        raise not_found("rig", rig_id)
+    return info_of(row)
+
+
+@router.get(
+    "/{rig_id}/text",
+    response_class=Response,
+    responses={
+        200: {"content": {"application/yaml": {"schema": {"type": "string"}}}},
+        304: {"description": "It has not changed."},
+    },
+)
+def get_rig_text(request: Request, core: CoreOf, caller: Reader, rig_id: Id) -> Response:  # noqa: ARG001
+    """The text of a rig file, as it was uploaded."""
+    with core.database.reading() as db:
+        row = db.get(RigVersion, rig_id)
+    if row is None:
+        raise not_found("rig", rig_id)
+    return with_etag(request, row.hash, lambda: Response(row.text, media_type="application/yaml"))

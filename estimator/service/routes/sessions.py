@@ -1,0 +1,280 @@
+"""Sessions: begun for a rig and appended to, or imported as a whole; closed ones are downloaded and calibrated."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import func, select
+from starlette.responses import Response
+
+from estimator.rig_files.read import rig_from_text
+from estimator.service.archives import unpacked_session, zipped
+from estimator.service.core import Core
+from estimator.service.database import new_id, now
+from estimator.service.problems import Problem, not_found
+from estimator.service.readings import readings_of
+from estimator.service.requests import (
+    ID,
+    CoreOf,
+    Cursor,
+    Id,
+    Limit,
+    Page,
+    Reader,
+    Writer,
+    audited,
+    documented_body,
+    page_of,
+    raw_body,
+    with_etag,
+)
+from estimator.service.schema import RigVersion, SessionRow
+from estimator.service.tokens import Caller
+from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
+from estimator.store.journal import sync
+from estimator.store.session import Session, load_session
+
+OPEN, CLOSED = "open", "closed"
+router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+RigId = Annotated[str, Query(pattern=ID, description="Version of the rig on which the readings were taken.")]
+Ndjson = Annotated[bytes, Depends(raw_body("application/x-ndjson", "application/jsonl"))]
+Csv = Annotated[bytes, Depends(raw_body("text/csv"))]
+Zip = Annotated[bytes, Depends(raw_body("application/zip"))]
+
+
+class NewSession(BaseModel):
+    """A session to begin."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    rig_id: Annotated[str, Field(pattern=ID)]
+    source: Annotated[
+        str, Field(min_length=1, max_length=500, description="Origin of the readings, in words.")
+    ]
+
+
+class SessionInfo(BaseModel):
+    """A session; a closed one has the SHA-256 of its readings and rig as `hash`."""
+
+    id: str
+    rig_id: str
+    source: str
+    state: Literal["open", "closed"]
+    created: str
+    user: str
+    n_readings: int | None
+    hash: str | None
+
+
+class Appended(BaseModel):
+    """Readings that are on disk: all of the session, and how many of them this request has added."""
+
+    n_readings: int
+    n_new: int
+
+
+def info_of(row: SessionRow) -> SessionInfo:
+    """A row as the API shows it."""
+    return SessionInfo.model_validate(row, from_attributes=True)
+
+
+def row_of(core: Core, session_id: str) -> SessionRow:
+    """The row of a session that must be there."""
+    with core.database.reading() as db:
+        row = db.get(SessionRow, session_id)
+    if row is None:
+        raise not_found("session", session_id)
+    return row
+
+
+def closed_row_of(core: Core, session_id: str) -> SessionRow:
+    """The row of a session that must be closed."""
+    row = row_of(core, session_id)
+    if row.state != CLOSED:
+        raise Problem(409, "session", "must be closed first; it is open", place=session_id)
+    return row
+
+
+@router.post("", status_code=201)
+def create_session(request: Request, core: CoreOf, caller: Writer, body: NewSession) -> SessionInfo:
+    """Begin a session that takes readings."""
+    session_id = new_id()
+    try:
+        with core.database.writing() as db:
+            version = db.get(RigVersion, body.rig_id)
+            if version is None:
+                raise not_found("rig", body.rig_id)
+            most = core.settings.most_open_sessions
+            if db.scalar(select(func.count()).where(SessionRow.state == OPEN)) >= most:  # type: ignore[operator]
+                rule = f"must be at most {most}; close one first"
+                raise Problem(429, "open sessions", rule, headers={"Retry-After": "60"})
+            core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
+            row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
+            row.user = caller.user
+            db.add(row)
+            audited(db, request, caller, "session.create", session_id)
+            return info_of(row)
+    except BaseException:
+        core.sessions.remove(session_id)
+        raise
+
+
+@router.post(
+    "/import-csv",
+    status_code=201,
+    openapi_extra=documented_body("text/csv", "Readings, units in the header."),
+)
+def import_csv(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, body: Csv) -> SessionInfo:
+    """Make a closed session of a readings CSV."""
+    with core.database.reading() as db:
+        version = db.get(RigVersion, rig_id)
+    if version is None:
+        raise not_found("rig", rig_id)
+    with tempfile.TemporaryDirectory(dir=_made(core.uploads)) as folder:
+        path = Path(folder) / "readings.csv"
+        path.write_bytes(body)
+        session = read_readings_csv(path, rig_from_text(version.text, "rig"))
+        return _kept(core, request, caller, session, version.id)
+
+
+@router.post(
+    "/import-zip",
+    status_code=201,
+    openapi_extra=documented_body("application/zip", "A session.zarr, its files at the top of the archive."),
+)
+def import_zip(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, body: Zip) -> SessionInfo:
+    """Make a closed session of a zipped session.zarr, whose coils, sensors and movers must be those of the rig."""
+    with core.database.reading() as db:
+        version = db.get(RigVersion, rig_id)
+    if version is None:
+        raise not_found("rig", rig_id)
+    most_bytes = int(core.settings.most_unpacked_MB * 1e6)
+    with unpacked_session(body, _made(core.uploads) / new_id(), most_bytes) as session:
+        session.check_rig(rig_from_text(version.text, "rig"))
+        return _kept(core, request, caller, session, version.id)
+
+
+@router.get("")
+def list_sessions(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    limit: Limit = 50,
+    cursor: Cursor = None,
+    rig_id: Annotated[str | None, Query(pattern=ID)] = None,
+    hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,
+) -> Page[SessionInfo]:
+    """Sessions, newest first."""
+    rows = select(SessionRow)
+    if rig_id is not None:
+        rows = rows.where(SessionRow.rig_id == rig_id)
+    if hash is not None:
+        rows = rows.where(SessionRow.hash == hash)
+    with core.database.reading() as db:
+        return page_of(db, rows, SessionRow, limit, cursor, info_of)
+
+
+@router.get("/{session_id}")
+def get_session(core: CoreOf, caller: Reader, session_id: Id) -> SessionInfo:  # noqa: ARG001
+    """One session; of an open one, the readings that are on disk are counted."""
+    info = info_of(row_of(core, session_id))
+    if info.state == OPEN:
+        info.n_readings = core.sessions.n_readings(session_id)
+    return info
+
+
+@router.post(
+    "/{session_id}/readings",
+    openapi_extra=documented_body("application/x-ndjson", "A reading in each line, numbered by `sequence`."),
+)
+def append_readings(core: CoreOf, caller: Writer, session_id: Id, body: Ndjson) -> Appended:  # noqa: ARG001
+    """Append readings. The answer comes when they are on disk; to send some again does no harm."""
+    if not core.sessions.path(session_id).is_dir():
+        raise not_found("session", session_id)
+    readings = readings_of(body, core.sessions.rig(session_id))
+    n_readings, n_new = core.sessions.append(session_id, readings)
+    return Appended(n_readings=n_readings, n_new=n_new)
+
+
+@router.post("/{session_id}/close")
+def close_session(request: Request, core: CoreOf, caller: Writer, session_id: Id) -> SessionInfo:
+    """End a session, so that it can be calibrated; to close it again does no harm."""
+    row = row_of(core, session_id)
+    if row.state == CLOSED:
+        return info_of(row)
+    session = core.sessions.seal(session_id)
+    with core.database.writing() as db:
+        row = db.get_one(SessionRow, session_id)
+        if row.state == OPEN:
+            row.state, row.n_readings, row.hash = CLOSED, len(session.observations), session.hash
+            audited(db, request, caller, "session.close", session_id)
+        return info_of(row)
+
+
+def _download(kind: str) -> dict[str, Any]:
+    content = {kind: {"schema": {"type": "string", "format": "binary"}}}
+    return {
+        "response_class": Response,
+        "responses": {200: {"content": content}, 304: {"description": "Unchanged."}},
+    }
+
+
+@router.get("/{session_id}/session.zip", **_download("application/zip"))
+def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
+    """A closed session as a zipped session.zarr."""
+    row = closed_row_of(core, session_id)
+    name = {"Content-Disposition": 'attachment; filename="session.zarr.zip"'}
+    path = core.sessions.path(session_id)
+    return with_etag(
+        request, str(row.hash), lambda: Response(zipped(path), headers=name, media_type="application/zip")
+    )
+
+
+@router.get("/{session_id}/readings.csv", **_download("text/csv"))
+def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
+    """The readings of a closed session as CSV, in SI, with every digit."""
+    row = closed_row_of(core, session_id)
+
+    def csv() -> Response:
+        with tempfile.TemporaryDirectory(dir=_made(core.uploads)) as folder:
+            path = Path(folder) / "readings.csv"
+            write_readings_csv(load_session(core.sessions.path(session_id)), path)
+            name = {"Content-Disposition": 'attachment; filename="readings.csv"'}
+            return Response(path.read_bytes(), headers=name, media_type="text/csv")
+
+    return with_etag(request, f"{row.hash}-csv", csv)
+
+
+def _kept(core: Core, request: Request, caller: Caller, session: Session, rig_id: str) -> SessionInfo:
+    """Keep a whole session under a new id; the row is committed last."""
+    session_id = new_id()
+    try:
+        path = core.sessions.path(session_id)
+        session.save(path)
+        for part in (*path.rglob("*"), path, path.parent):  # on disk before it is acknowledged
+            sync(part)
+        with core.database.writing() as db:
+            row = SessionRow(
+                id=session_id,
+                rig_id=rig_id,
+                source=session.source,
+                state=CLOSED,
+                created=now(),
+                user=caller.user,
+                n_readings=len(session.observations),
+                hash=session.hash,
+            )
+            db.add(row)
+            audited(db, request, caller, "session.import", session_id)
+            return info_of(row)
+    except BaseException:
+        core.sessions.remove(session_id)
+        raise
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,119 @@
+"""Tables of the service: what must survive besides readings and posteriors, which are zarr in folders.
+
+A change here needs a migration in `migrations/versions`; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, Index, MetaData, UniqueConstraint
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+# SQLite cannot alter what has no name.
+NAMES = {
+    "ix": "ix_%(column_0_label)s",
+    "uq": "uq_%(table_name)s_%(column_0_name)s",
+    "fk": "fk_%(table_name)s_%(column_0_name)s",
+    "pk": "pk_%(table_name)s",
+}
+
+
+class Base(DeclarativeBase):
+    """Base of all tables. Times are ISO 8601 in UTC, ids are made by the service."""
+
+    metadata = MetaData(naming_convention=NAMES)
+
+
+class Token(Base):
+    """Permission to use the service; the token itself is never stored, only its SHA-256."""
+
+    __tablename__ = "tokens"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    user: Mapped[str]
+    scope: Mapped[str]
+    hash: Mapped[str] = mapped_column(unique=True)
+    created: Mapped[str]
+    expires: Mapped[str]
+    revoked: Mapped[str | None]
+
+
+class RigVersion(Base):
+    """The text of a rig file; versions with one name are versions of one rig."""
+
+    __tablename__ = "rig_versions"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(index=True)
+    hash: Mapped[str] = mapped_column(unique=True)
+    text: Mapped[str]
+    created: Mapped[str]
+    user: Mapped[str]
+
+
+class SessionRow(Base):
+    """A session; its readings lie in the folder of its id."""
+
+    __tablename__ = "sessions"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    rig_id: Mapped[str] = mapped_column(ForeignKey("rig_versions.id"), index=True)
+    source: Mapped[str]
+    state: Mapped[str]
+    created: Mapped[str]
+    user: Mapped[str]
+    n_readings: Mapped[int | None]
+    hash: Mapped[str | None] = mapped_column(index=True)
+
+
+class Job(Base):
+    """Work that was asked for; its folder of the same id is its state."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (
+        UniqueConstraint("user", "idempotency_key", name="uq_jobs_key"),
+        Index("ix_jobs_queue", "state", "number"),
+    )
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(unique=True)
+    user: Mapped[str] = mapped_column(index=True)
+    kind: Mapped[str]
+    state: Mapped[str]
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), index=True)
+    rig_id: Mapped[str | None] = mapped_column(ForeignKey("rig_versions.id"))
+    options: Mapped[dict[str, Any]] = mapped_column(JSON)
+    idempotency_key: Mapped[str | None]
+    created: Mapped[str]
+    started: Mapped[str | None]
+    ended: Mapped[str | None]
+    starts: Mapped[int]
+    fault: Mapped[str | None]
+
+
+class CalibrationRow(Base):
+    """A calibration that a job has made."""
+
+    __tablename__ = "calibrations"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id"), unique=True)
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), index=True)
+    rig_name: Mapped[str] = mapped_column(index=True)
+    created: Mapped[str]
+    user: Mapped[str]
+
+
+class Audit(Base):
+    """Who changed what, and when; written in the transaction of the change itself."""
+
+    __tablename__ = "audit"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    time: Mapped[str] = mapped_column(index=True)
+    user: Mapped[str]
+    token_id: Mapped[str | None]
+    request_id: Mapped[str]
+    action: Mapped[str]
+    target: Mapped[str]

@@ -1,0 +1,108 @@
+"""Starts the service: checks what it needs, binds its address, says it, and serves until a signal comes."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+
+import uvicorn
+
+from estimator.errors import InvalidInput, reason
+from estimator.service.app import create_app
+from estimator.service.core import DATABASE
+from estimator.service.database import Database, now
+from estimator.service.logs import install_logs
+from estimator.service.settings import KEYS, Settings
+from estimator.service.tokens import all_tokens
+
+GRACE_S = 10  # for answers that are under way when the service is told to end
+BACKLOG = 512
+
+
+def serve(settings: Settings, tell: Callable[[str], None]) -> None:
+    """Serve until SIGINT or SIGTERM; jobs that run then go on at the next start.
+
+    Args:
+        settings: How to serve.
+        tell: Called with the address, once requests to it are answered.
+    Raises:
+        InvalidInput: Tokens are needed and there are none, or the address or the data folder cannot be used.
+    """
+    _check_tokens(settings)
+    install_logs()
+    listener = _bound(settings)
+    app = create_app(settings)
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws="none",
+        timeout_graceful_shutdown=GRACE_S,
+        ssl_certfile=settings.tls_certificate or None,
+        ssl_keyfile=settings.tls_key or None,
+    )
+    tell(address_of(settings, listener.getsockname()[1]))
+    uvicorn.Server(config).run(sockets=[listener])
+
+
+def plan_of(settings: Settings) -> dict[str, object]:
+    """What `serve` would do with these settings, as far as can be said without doing it.
+
+    Raises:
+        InvalidInput: It would refuse to start.
+    """
+    _check_tokens(settings)
+    return {
+        "address": address_of(settings, settings.port),
+        "tokens": f"needed; {_n_tokens(settings)} are valid" if settings.needs_tokens else "not needed",
+        "workers": settings.scheduler or f"{settings.n_workers} processes",
+        "settings": {key: str(getattr(settings, key)) for key in KEYS},
+    }
+
+
+def address_of(settings: Settings, port: int) -> str:
+    """Where the service is reached."""
+    scheme = "https" if settings.tls_certificate else "http"
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    return f"{scheme}://{host}:{port or 'a free port'}"
+
+
+def _check_tokens(settings: Settings) -> None:
+    if settings.needs_tokens and not _n_tokens(settings):
+        why = (
+            "because require_tokens is set"
+            if settings.is_loopback
+            else f"because {settings.host} is not loopback"
+        )
+        raise InvalidInput(
+            f"tokens must be there before the service starts, {why}; there is none in {settings.data} "
+            "(coilcal serve token create makes one)"
+        )
+
+
+def _n_tokens(settings: Settings) -> int:
+    path = settings.data / DATABASE
+    if not path.is_file():
+        return 0
+    database = Database(path)
+    try:
+        database.migrate()
+        return sum(token.revoked is None and token.expires > now() for token in all_tokens(database))
+    finally:
+        database.close()
+
+
+def _bound(settings: Settings) -> socket.socket:
+    """A socket that takes connections at once; they are answered when the application has started."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        listener = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+        # asyncio does this only for sockets of its own; without, small answers wait 40 ms for the client's acknowledgement.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return listener
+    except OSError as error:
+        raise InvalidInput(
+            f"address must be free and one of this computer; {settings.host} port {settings.port} is not: {reason(error)}"
+        ) from error

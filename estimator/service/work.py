@@ -1,0 +1,215 @@
+"""What a worker does for a job, in the job's folder: every step can be made again after a kill, and ends with the same files.
+
+Workers import this module without the web libraries, so those of another cluster need `coilcal[batch]` only.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from estimator.errors import CoilcalError
+from estimator.rig.rig import Rig
+from estimator.store.files import write_text
+
+JOB, RESULT, PROGRESS, LOCK = "job.json", "result.json", "progress.jsonl", "lock"
+CALIBRATION, DIAGNOSIS = "calibration", "diagnosis"
+REPORT = "report.html"
+PROGRESS_EVERY_S = 0.2
+
+STOP = "stop"  # a file that says that the job must end, for workers that cannot be replaced
+
+Tell = Callable[[str, Mapping[str, Any]], None]
+
+
+class Stopped(BaseException):
+    """The job was cancelled, or its time is over; no `except Exception` on the way holds this up."""
+
+
+def run_job(folder: str, session: str) -> None:
+    """Do the job of a folder, or what is left of it, and write `result.json`, which marks it as done.
+
+    Args:
+        folder: The job's folder with `job.json`.
+        session: Folder of its session.
+    """
+    torch.set_num_threads(1)
+    path = Path(folder)
+    with _only_worker(path):
+        if (path / RESULT).exists():
+            return
+        if (path / STOP).exists():
+            return
+        job = json.loads((path / JOB).read_text(encoding="utf-8"))
+        tell = _teller(path)
+        try:
+            result = {"state": "done", "fault": None, **WORK[job["kind"]](job, path, Path(session), tell)}
+        except Stopped:
+            return
+        except CoilcalError as error:
+            result = {"state": "failed", "fault": str(error)}
+        write_text(path / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
+
+
+def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
+    from estimator.calibration.calibrate import Stage, calibrate
+    from estimator.calibration.report import calibration_report
+    from estimator.calibration.result import Calibration
+    from estimator.inference.ensemble import SamplerSettings
+    from estimator.store.session import load_session
+
+    options = job["options"]
+    out = folder / CALIBRATION
+
+    def on_stage(stage: Stage) -> None:
+        sampling = stage.sampling
+        numbers = (
+            {}
+            if sampling is None
+            else {
+                "step": sampling.step,
+                "smallest_ess": sampling.smallest_ess,
+                "target_ess": sampling.target_ess,
+                "largest_rhat": sampling.largest_rhat,
+            }
+        )
+        tell(stage.name, numbers)
+
+    if _is_converged(out):  # a kill came between the posterior and the page
+        calibration = Calibration.load(out)
+    else:
+        calibration = calibrate(
+            load_session(session_path),
+            _rig(job),
+            out=out,
+            seed=options["seed"],
+            settings=SamplerSettings(**options["settings"]),
+            has_integer_counts=options["has_integer_counts"],
+            on_stage=on_stage,
+        )
+    tell("page", {})
+    write_text(out / REPORT, calibration_report(calibration, _command(job, "calibrate")))
+    summary = calibration.summary()
+    return {
+        "is_converged": summary["is_converged"],
+        "verdict": summary["quality"]["verdict"],
+        "has_calibration": True,
+        "rig_name": calibration.rig.name,
+    }
+
+
+def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
+    from estimator.calibration.report import calibration_report
+    from estimator.diagnosis.diagnose import diagnose
+    from estimator.diagnosis.limits import Limits
+    from estimator.diagnosis.progress import Progress
+    from estimator.diagnosis.report import diagnosis_report
+    from estimator.diagnosis.result import CALIBRATION_FOLDER
+    from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
+    from estimator.store.session import load_session
+
+    options = job["options"]
+    out = folder / DIAGNOSIS
+    if (
+        out / DIAGNOSIS_FILE
+    ).exists():  # a kill came before the page, which needs fits that are no longer remembered
+        shutil.rmtree(out)
+    limits = {name: options[name] for name in ("most_causes", "minutes") if options[name] is not None}
+    readings = {name: options[name] for name in ("most_readings",) if options[name] is not None}
+
+    def on_progress(progress: Progress) -> None:
+        tell(progress.what, {"n_fitted": progress.n_fitted, "most": progress.most})
+
+    diagnosis = diagnose(
+        load_session(session_path),
+        _rig(job),
+        out=out,
+        seed=options["seed"],
+        has_posterior=options["has_posterior"],
+        limits=Limits(**limits),
+        **readings,
+        on_stage=lambda words: tell(words, {}),
+        on_progress=on_progress,
+    )
+    tell("page", {})
+    command = _command(job, "diagnose")
+    write_text(out / REPORT, diagnosis_report(diagnosis, command))
+    if diagnosis.posterior is not None:
+        write_text(out / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
+    return {
+        "verdict": str(diagnosis.verdict),
+        "has_calibration": diagnosis.posterior is not None,
+        "rig_name": diagnosis.extended_rig.name,
+    }
+
+
+WORK: Mapping[str, Callable[[Mapping[str, Any], Path, Path, Tell], dict[str, Any]]] = {
+    "calibrate": _calibrate,
+    "diagnose": _diagnose,
+}
+
+
+def calibration_folder(kind: str, folder: Path) -> Path:
+    """Where a job of a kind leaves its calibration."""
+    return folder / CALIBRATION if kind == "calibrate" else folder / DIAGNOSIS / CALIBRATION
+
+
+def _rig(job: Mapping[str, Any]) -> Rig | None:
+    from estimator.rig_files.read import rig_from_text
+
+    return None if job["rig"] is None else rig_from_text(job["rig"], "rig of the job")
+
+
+def _command(job: Mapping[str, Any], name: str) -> str:
+    """The command that would do the same, for the page."""
+    return f"coilcal {name} SESSION --seed {job['options']['seed']}   (job {job['id']} of coilcal serve)"
+
+
+def _is_converged(out: Path) -> bool:
+    from estimator.calibration.result import SUMMARY_FILE
+
+    try:
+        return bool(json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))["is_converged"])
+    except FileNotFoundError:
+        return False
+
+
+def _teller(folder: Path) -> Tell:
+    """Appends lines of progress to a file; what repeats its words comes five times a second at most. Ends a job that must end."""
+    last_words, last_s = "", 0.0
+
+    def tell(words: str, numbers: Mapping[str, Any]) -> None:
+        nonlocal last_words, last_s
+        if (folder / STOP).exists():
+            raise Stopped
+        if words == last_words and time.monotonic() - last_s < PROGRESS_EVERY_S:
+            return
+        last_words, last_s = words, time.monotonic()
+        line = {"time_s": round(time.time(), 3), "words": words, **_finite(numbers)}
+        with (folder / PROGRESS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    return tell
+
+
+def _finite(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and value - value != 0.0 else value
+        for name, value in numbers.items()
+    }
+
+
+@contextmanager
+def _only_worker(folder: Path) -> Iterator[None]:
+    """Wait for another worker at the same job, such as one that has not noticed yet that its service was killed."""
+    with (folder / LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,173 @@
+"""The service in this process, and in one of its own that can be killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from starlette.testclient import TestClient
+
+from estimator.rig.rig import Rig
+from estimator.service.app import create_app
+from estimator.service.settings import Settings
+from estimator.store.importers.readings_csv import write_readings_csv
+from estimator.store.session import Session
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
+QUICK = {"n_walkers": 16, "target_ess": 200.0, "largest_rhat": 1.05}
+PATIENCE_S = 240
+
+
+class Served:
+    """A service in a process of its own."""
+
+    def __init__(self, data: Path, *options: object) -> None:
+        call = ["serve", "--data", data, "--port", 0, "--workers", 1, *options]
+        self.log = data.with_suffix(".log").open("ab")
+        self.process = subprocess.Popen(
+            [*PROGRAM, *map(str, call)],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=self.log,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline().decode()
+        assert " at http" in line, (line, data.with_suffix(".log").read_text(encoding="utf-8"))
+        self.url = line.split()[-1]
+        self.client = httpx.Client(base_url=self.url, timeout=60)
+
+    def kill(self) -> None:
+        """As `kill -9` does."""
+        self.process.kill()
+        self.process.communicate()
+
+    def end(self) -> int:
+        """As `systemctl stop` does; uvicorn ends by the signal itself once everything is closed."""
+        self.process.send_signal(signal.SIGTERM)
+        self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
+    """Starts services, and ends those that a test has left."""
+    services: list[Served] = []
+
+    def start(*options: object, data: Path = tmp_path / "data") -> Served:
+        services.append(Served(data, *options))
+        return services[-1]
+
+    yield start
+    for service in services:
+        service.client.close()
+        if service.process.poll() is None:
+            service.kill()
+        service.log.close()
+
+
+@pytest.fixture(scope="session")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    """A service in this process, with a worker."""
+    settings = Settings(data=tmp_path_factory.mktemp("service") / "data", workers=1, most_body_MB=2.0)
+    with TestClient(
+        create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
+    ) as client:
+        yield client
+
+
+@pytest.fixture
+def idle(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
+    """Makes services in this process that leave jobs in the queue, with settings of one's own."""
+    clients: list[TestClient] = []
+
+    def make(**settings: Any) -> TestClient:
+        app = create_app(Settings(data=tmp_path / "data", **settings), has_workers=False)
+        client = TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=False)
+        clients.append(client)
+        return client.__enter__()
+
+    yield make
+    for client in clients:
+        client.__exit__(None, None, None)
+
+
+@pytest.fixture(scope="session")
+def readings_csv(small_session: Session, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("csv") / "readings.csv"
+    write_readings_csv(small_session, path)
+    return path.read_bytes()
+
+
+def upload_rig(client: httpx.Client, text: str) -> str:
+    answer = client.post("/v1/rigs", content=text, headers={"Content-Type": "application/yaml"})
+    assert answer.status_code in (200, 201), answer.text
+    return str(answer.json()["id"])
+
+
+def import_csv(client: httpx.Client, rig_id: str, csv: bytes) -> dict[str, Any]:
+    call = {"params": {"rig_id": rig_id}, "content": csv, "headers": {"Content-Type": "text/csv"}}
+    answer = client.post("/v1/sessions/import-csv", **call)
+    assert answer.status_code == 201, answer.text
+    return dict(answer.json())
+
+
+def begin_session(client: httpx.Client, rig_id: str) -> str:
+    answer = client.post("/v1/sessions", json={"rig_id": rig_id, "source": "a test"})
+    assert answer.status_code == 201, answer.text
+    return str(answer.json()["id"])
+
+
+def lines_of(session: Session, rig: Rig, first: int = 0, last: int | None = None) -> bytes:
+    """Readings of a session with one sensor as the service takes them."""
+    o = session.observations
+    lines = []
+    for row in range(first, len(o) if last is None else last):
+        lines.append(
+            {
+                "sequence": row,
+                "time_s": float(row),
+                "current_A": {c.name: float(o.current_A[row, i]) for i, c in enumerate(rig.coils)},
+                "motion": {name: motion[row].tolist() for name, motion in o.motion.items()},
+                "field_T": {rig.sensors[0].name: o.field_sensor_T[row].tolist()},
+                "is_validation": bool(o.is_validation[row]),
+            }
+        )
+    return b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+
+
+def append(client: httpx.Client, session_id: str, body: bytes) -> httpx.Response:
+    headers = {"Content-Type": "application/x-ndjson"}
+    return client.post(f"/v1/sessions/{session_id}/readings", content=body, headers=headers)
+
+
+def wait_for(client: httpx.Client, job_id: str) -> dict[str, Any]:
+    """The job when it has ended."""
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
+        job = dict(client.get(f"/v1/jobs/{job_id}").json())
+        if job["state"] not in ("queued", "running"):
+            return job
+        time.sleep(0.1)
+    raise AssertionError(f"job {job_id} takes longer than {PATIENCE_S} s: {job}")
+
+
+def refusal(answer: httpx.Response, status: int) -> dict[str, Any]:
+    """What a refusal says; it has all its parts and no traceback."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem = dict(answer.json())
+    assert problem["status"] == status
+    assert problem["request_id"] == answer.headers["x-request-id"]
+    assert "Traceback" not in answer.text
+    return problem

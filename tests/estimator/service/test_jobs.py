@@ -1,0 +1,245 @@
+"""Jobs from the request to the result: the same numbers as the Python API gives, and one queue that is fair."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from starlette.testclient import TestClient
+
+from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
+from estimator.inference.ensemble import SamplerSettings
+from estimator.service.database import now
+from estimator.service.job_queue import JobQueue
+from estimator.service.schema import Job
+from estimator.store.session import Session
+from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
+
+POINTS_M = [[0.0, 0.0, 0.01], [0.01, -0.02, 0.0], [0.0, 0.049, -0.052]]  # the last one lies in the winding
+
+
+@pytest.fixture(scope="module")
+def session_id(api: TestClient, rig_text: str, readings_csv: bytes) -> str:
+    return str(import_csv(api, upload_rig(api, rig_text), readings_csv)["id"])
+
+
+@pytest.fixture(scope="module")
+def job(api: TestClient, session_id: str) -> dict[str, Any]:
+    body = {"session_id": session_id, "seed": 3, "settings": QUICK}
+    answer = api.post("/v1/jobs/calibrate", json=body, headers={"Idempotency-Key": "first"})
+    assert answer.status_code == 201, answer.text
+    again = api.post("/v1/jobs/calibrate", json=body, headers={"Idempotency-Key": "first"})
+    assert (again.status_code, again.json()["id"]) == (200, answer.json()["id"])
+    other = api.post("/v1/jobs/calibrate", json={**body, "seed": 4}, headers={"Idempotency-Key": "first"})
+    assert "one job" in refusal(other, 409)["rule"]
+    return wait_for(api, answer.json()["id"])
+
+
+@pytest.fixture(scope="module")
+def result(api: TestClient, job: dict[str, Any]) -> dict[str, Any]:
+    assert (job["state"], job["fault"], job["starts"]) == ("done", None, 1)
+    return dict(api.get(f"/v1/jobs/{job['id']}/result").json())
+
+
+@pytest.fixture(scope="module")
+def in_process(small_session: Session) -> Calibration:
+    return calibrate(small_session, seed=3, settings=SamplerSettings(**QUICK))
+
+
+def test_a_calibration_has_the_numbers_of_the_python_api(
+    result: dict[str, Any], in_process: Calibration, api: TestClient
+) -> None:
+    assert result["result"]["parameters"] == json.loads(json.dumps(in_process.summary()["parameters"]))
+    summary = api.get(f"/v1/calibrations/{result['calibration_id']}/summary")
+    assert summary.json() == result["result"]
+    tag = {"If-None-Match": summary.headers["etag"]}
+    again = api.get(f"/v1/calibrations/{result['calibration_id']}/summary", headers=tag)
+    assert (again.status_code, again.content) == (304, b"")
+    intervals = api.get(f"/v1/calibrations/{result['calibration_id']}/intervals").json()
+    assert intervals["best"] == dict(in_process.best)
+    assert summary.headers["content-encoding"] == "gzip"
+
+
+def test_a_prediction_has_the_numbers_of_the_python_api(
+    result: dict[str, Any], in_process: Calibration, api: TestClient
+) -> None:
+    body = {"points_m": POINTS_M, "currents_A": {"coil1": 2.0}, "level": 0.8, "has_gradient": True}
+    answer = api.post(f"/v1/calibrations/{result['calibration_id']}/predict", json=body)
+    assert answer.status_code == 200, answer.text
+    points_m, currents_A = torch.tensor(POINTS_M, dtype=torch.float64), {"coil1": 2.0}
+    expected = {
+        "field_T": in_process.field(points_m, currents_A),
+        "gradient_T_per_m": in_process.gradient(points_m, currents_A),
+    }
+    expected["field_lower_T"], expected["field_upper_T"] = in_process.field_interval(
+        points_m, currents_A, 0.8
+    )
+    ends = in_process.gradient_interval(points_m, currents_A, 0.8)
+    expected["gradient_lower_T_per_m"], expected["gradient_upper_T_per_m"] = ends
+    received = answer.json()
+    assert received.keys() == expected.keys()
+    for name, tensor in expected.items():
+        assert torch.equal(torch.tensor(received[name][:2], dtype=torch.float64), tensor[:2]), name
+        assert bool(torch.isnan(tensor[2]).all())
+        assert json.dumps(received[name][2]).replace("[", "").replace("]", "") == ", ".join(
+            ["null"] * tensor[2].numel()
+        )
+    is_between = (ends[0] <= expected["gradient_T_per_m"]) & (expected["gradient_T_per_m"] <= ends[1])
+    assert bool(is_between[:2].all())
+
+
+def test_predictions_refuse_what_the_rig_has_not(result: dict[str, Any], api: TestClient) -> None:
+    path = f"/v1/calibrations/{result['calibration_id']}/predict"
+    body = {"points_m": [[0, 0, 0]], "currents_A": {"coil7": 1}}
+    assert refusal(api.post(path, json=body), 422)["value"] == "'coil7'"
+    body = {"points_m": [[0, 0, 0]], "currents_A": {"coil1": 1}, "motion": {"arm9": [0] * 6}}
+    assert refusal(api.post(path, json=body), 422)["value"] == "arm9"
+    assert refusal(
+        api.post(
+            path,
+            content=b'{"points_m": [[0, 0, NaN]], "currents_A": {}}',
+            headers={"Content-Type": "application/json"},
+        ),
+        422,
+    )
+    assert (
+        refusal(api.post(path, json={"points_m": [[0, 0, 0]] * 20_001, "currents_A": {}}), 413)["value"]
+        == "20001"
+    )
+
+
+def test_the_report_runs_nothing(job: dict[str, Any], api: TestClient) -> None:
+    page = api.get(f"/v1/jobs/{job['id']}/report")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "Calibration of small" in page.text
+    assert "script-src" not in page.headers["content-security-policy"]
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+
+
+def test_events_tell_the_progress_once_and_end_with_the_job(job: dict[str, Any], api: TestClient) -> None:
+    def events(**headers: str) -> list[dict[str, str]]:
+        text = api.get(f"/v1/jobs/{job['id']}/events", headers=headers).text
+        blocks = [block for block in text.strip().split("\n\n") if not block.startswith(":")]
+        return [dict(line.split(": ", 1) for line in block.splitlines()) for block in blocks]
+
+    told = events()
+    assert told[-1]["event"] == "end"
+    assert json.loads(told[-1]["data"])["state"] == "done"
+    progress = [json.loads(event["data"]) for event in told[:-1]]
+    assert progress[0]["words"].startswith("point estimate")
+    assert any("smallest_ess" in line for line in progress)
+    assert [int(event["id"]) for event in told[:-1]] == list(range(1, len(told)))
+    assert events(**{"Last-Event-ID": "2"}) == told[2:]
+
+
+def test_a_job_that_cannot_be_done_says_why(api: TestClient, rig_text: str, readings_csv: bytes) -> None:
+    fixed = rig_text.replace("{prior: {normal: {mean: 51, sd: 1}}}", "51")
+    fixed = fixed.replace("{prior: {normal: {mean: -40, sd: 3}}}", "-40")
+    session = import_csv(api, upload_rig(api, fixed), readings_csv)
+    answer = api.post("/v1/jobs/calibrate", json={"session_id": session["id"]})
+    job = wait_for(api, answer.json()["id"])
+    assert job["state"] == "failed"
+    assert job["fault"].startswith("rig must have a free parameter besides loop counts")
+    assert "done" in refusal(api.get(f"/v1/jobs/{job['id']}/result"), 409)["rule"]
+
+
+def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api: TestClient, session_id: str) -> None:
+    endless = {"n_walkers": 16, "target_ess": 1e6, "max_steps": 1_000_000}
+    first = api.post("/v1/jobs/calibrate", json={"session_id": session_id, "settings": endless}).json()
+    while api.get(f"/v1/jobs/{first['id']}").json()["state"] == "queued":
+        pass
+    cancelled = api.post(f"/v1/jobs/{first['id']}/cancel").json()
+    assert cancelled["state"] == "cancelled"
+    assert api.post(f"/v1/jobs/{first['id']}/cancel").json() == cancelled
+    second = api.post("/v1/jobs/calibrate", json={"session_id": session_id, "settings": QUICK}).json()
+    assert wait_for(api, second["id"])["state"] == "done"
+    assert api.get(f"/v1/jobs/{first['id']}").json()["state"] == "cancelled"
+
+
+def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, Any]) -> None:  # noqa: ARG001
+    whole = api.get("/v1/jobs", params={"limit": 100}).json()
+    assert whole["next"] is None
+    collected: list[dict[str, Any]] = []
+    cursor: str | None = None
+    while True:
+        page = api.get(
+            "/v1/jobs", params={"limit": 1, **({} if cursor is None else {"cursor": cursor})}
+        ).json()
+        collected += page["items"]
+        cursor = page["next"]
+        if cursor is None:
+            break
+    assert collected == whole["items"]
+    assert [item["id"] for item in api.get("/v1/calibrations").json()["items"]]
+    assert refusal(api.get("/v1/jobs", params={"cursor": "what"}), 422)["thing"] == "cursor"
+
+
+def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, session_id: str) -> None:
+    body = {"session_id": session_id, "most_causes": 0, "minutes": 1}
+    answer = api.post("/v1/jobs/diagnose", json=body)
+    job = wait_for(api, answer.json()["id"])
+    assert (job["state"], job["fault"]) == ("done", None)
+    result = api.get(f"/v1/jobs/{job['id']}/result").json()
+    assert result["result"]["verdict"] in ("named", "indistinguishable", "unexplained", "nothing_found")
+    assert (
+        result["extended_rig"].startswith("schema_version") or "schema_version: 1" in result["extended_rig"]
+    )
+    assert "Diagnosis" in api.get(f"/v1/jobs/{job['id']}/report").text
+
+
+# The queue
+
+
+@pytest.fixture
+def queue(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes) -> tuple[TestClient, str]:
+    client = idle(most_queued=4, most_queued_per_user=3, most_running_per_user=2)
+    return client, str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+
+
+def add(client: TestClient, session_id: str, user: str) -> Job:
+    queue: JobQueue = client.app.state.core.queue
+    job = {"kind": "calibrate", "user": user, "session_id": session_id, "rig_id": None, "options": {}}
+    with client.app.state.core.database.writing() as db:
+        return queue.add(db, {**job, "idempotency_key": None})[0]
+
+
+def test_a_full_queue_says_when_to_ask_again(queue: tuple[TestClient, str]) -> None:
+    client, session_id = queue
+    for _ in range(3):
+        assert client.post("/v1/jobs/calibrate", json={"session_id": session_id}).status_code == 201
+    answer = client.post("/v1/jobs/calibrate", json={"session_id": session_id})
+    assert refusal(answer, 429)["thing"] == "queue of local"
+    assert int(answer.headers["retry-after"]) > 0
+    add(client, session_id, "anne")
+    assert (
+        refusal(client.post("/v1/jobs/calibrate", json={"session_id": session_id}), 429)["thing"] == "queue"
+    )
+
+
+def test_users_take_turns_and_none_has_more_than_its_share(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle(most_running_per_user=2)
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    for user in ("anne", "anne", "anne", "bo"):
+        add(client, session_id, user)
+    queue: JobQueue = client.app.state.core.queue
+    begun = [queue.next() for _ in range(4)]
+    assert [None if job is None else job.user for job in begun] == ["anne", "bo", "anne", None]
+    queue.end(begun[0].id, {"state": "failed", "fault": "x"})
+    assert queue.next().number == 3
+    assert now() >= begun[0].created
+
+
+def test_what_ran_when_the_service_ended_goes_on_first(queue: tuple[TestClient, str]) -> None:
+    client, session_id = queue
+    add(client, session_id, "anne"), add(client, session_id, "bo")
+    jobs: JobQueue = client.app.state.core.queue
+    begun = jobs.next()
+    jobs.take_back()
+    again = jobs.next()
+    assert (again.id, again.starts) == (begun.id, 2)

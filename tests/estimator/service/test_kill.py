@@ -1,0 +1,144 @@
+"""kill -9 of the service in the middle of an append and of jobs: nothing that was acknowledged is lost, and results are the same."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from estimator.rig.rig import Rig
+from estimator.store.session import Session, load_session
+from tests.estimator.service.conftest import (
+    QUICK,
+    Served,
+    append,
+    begin_session,
+    import_csv,
+    lines_of,
+    upload_rig,
+    wait_for,
+)
+
+STEPS = 400
+LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}
+
+
+def test_acknowledged_readings_are_there_once_after_a_kill(
+    served: Callable[..., Served], rig_text: str, small_session: Session, small_rig: Rig, tmp_path: Path
+) -> None:
+    body = lines_of(small_session, small_rig).splitlines(keepends=True)
+    lines = [  # many, so that the kill falls between them
+        json.dumps({**json.loads(body[i % len(body)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
+        for i in range(5000)
+    ]
+    service = served()
+    client = service.client
+    session_id = begin_session(client, upload_rig(client, rig_text))
+    acknowledged = 0
+
+    def send() -> None:
+        nonlocal acknowledged
+        try:
+            for first in range(0, len(lines), 20):
+                answer = append(client, session_id, b"".join(lines[first : first + 20]))
+                acknowledged = answer.json()["n_readings"]
+        except httpx.TransportError:
+            pass
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    while acknowledged < 200:
+        time.sleep(0.001)
+    service.kill()
+    sender.join()
+    assert 200 <= acknowledged < len(lines)
+
+    service = served()
+    client = service.client
+    n = client.get(f"/v1/sessions/{session_id}").json()["n_readings"]
+    assert acknowledged <= n <= acknowledged + 20
+    first = max(0, acknowledged - 20)
+    answer = append(
+        client, session_id, b"".join(lines[first : first + 60])
+    )  # what a client would send again, and more
+    assert answer.json() == {"n_readings": first + 60, "n_new": first + 60 - n}
+    closed = client.post(f"/v1/sessions/{session_id}/close").json()
+    stored = load_session(tmp_path / "data" / "sessions" / f"{session_id}.zarr").observations
+    assert stored.time_s.tolist() == [float(i) for i in range(first + 60)]
+    expected = [json.loads(line)["field_T"]["hall"] for line in lines[: first + 60]]
+    assert stored.field_sensor_T.tolist() == expected
+    assert closed["n_readings"] == first + 60
+    service.end()
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Result of a job: all but what tells of the way there."""
+    result = folder / "calibration"
+    files = {str(path.relative_to(result)): path.read_bytes() for path in result.rglob("*") if path.is_file()}
+    return {name: content for name, content in files.items() if name != "report.html"}
+
+
+@pytest.mark.slow
+def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
+    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    service = served()
+    client = service.client
+    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    body = {"session_id": session["id"], "seed": 5, "settings": LONG}
+
+    def ask() -> str:
+        return str(client.post("/v1/jobs/calibrate", json=body).json()["id"])
+
+    killed, waiting = ask(), ask()
+    folder = tmp_path / "data" / "jobs" / killed
+    for n_steps in (100, 200):  # a kill at each
+        while steps_of(folder) < n_steps:
+            time.sleep(0.005)
+        service.kill()
+        assert not (folder / "result.json").exists()
+        service = served()
+        client = service.client
+    job, other = wait_for(client, killed), wait_for(client, waiting)
+    assert (job["state"], job["starts"]) == ("done", 3)
+    assert (other["state"], other["starts"]) == ("done", 1)
+    survived, alone = (files_of(tmp_path / "data" / "jobs" / job_id) for job_id in (killed, waiting))
+    assert survived.keys() == alone.keys()
+    assert [name for name in alone if survived[name] != alone[name]] == []
+    results = [client.get(f"/v1/jobs/{job_id}/result").json()["result"] for job_id in (killed, waiting)]
+    assert results[0] == results[1]
+    assert results[0]["sampling"]["steps"] == STEPS
+    service.end()
+
+
+@pytest.mark.slow
+def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
+    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    service = served()
+    client = service.client
+    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    body: dict[str, Any] = {"session_id": session["id"], "settings": {**QUICK, "target_ess": 3000.0}}
+    job_id = client.post("/v1/jobs/calibrate", json=body).json()["id"]
+    while steps_of(tmp_path / "data" / "jobs" / job_id) < 50:
+        time.sleep(0.005)
+    assert service.end() == -signal.SIGTERM
+    service = served()
+    job = wait_for(service.client, job_id)
+    assert (job["state"], job["starts"]) == ("done", 2)
+
+
+def steps_of(folder: Path) -> int:
+    """Steps of a chain that are on disk."""
+    try:
+        group = json.loads((folder / "calibration" / "chain.zarr" / "zarr.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return 0
+    return int(group["attributes"]["n_steps"])

@@ -1,0 +1,291 @@
+"""Readings: appended once, whatever is sent again; imported, downloaded, and refused where they are damaged."""
+
+from __future__ import annotations
+
+import io
+import json
+import stat
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from estimator.rig.rig import Rig
+from estimator.service.archives import zipped
+from estimator.store.session import Session, load_session
+from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
+
+
+@pytest.fixture
+def client(idle: Callable[..., TestClient]) -> TestClient:
+    return idle(most_readings=30, most_open_sessions=3, most_body_MB=1.0, most_unpacked_MB=0.2)
+
+
+@pytest.fixture
+def rig_id(client: TestClient, rig_text: str) -> str:
+    return upload_rig(client, rig_text)
+
+
+@pytest.fixture
+def session_id(client: TestClient, rig_id: str) -> str:
+    return begin_session(client, rig_id)
+
+
+def test_a_rig_is_one_version_by_its_text(client: TestClient, rig_text: str) -> None:
+    first = client.post("/v1/rigs", content=rig_text, headers={"Content-Type": "application/yaml"})
+    again = client.post("/v1/rigs", content=rig_text, headers={"Content-Type": "application/yaml"})
+    other = client.post("/v1/rigs", content=rig_text + "\n", headers={"Content-Type": "application/yaml"})
+    assert [answer.status_code for answer in (first, again, other)] == [201, 200, 201]
+    assert first.json() == again.json()
+    assert first.json()["name"] == other.json()["name"]
+    assert first.json()["id"] != other.json()["id"]
+    text = client.get(f"/v1/rigs/{first.json()['id']}/text")
+    assert text.text == rig_text
+    assert (
+        client.get(
+            f"/v1/rigs/{first.json()['id']}/text", headers={"If-None-Match": text.headers["etag"]}
+        ).status_code
+        == 304
+    )
+    names = client.post(
+        "/v1/rigs/validate", content=rig_text, headers={"Content-Type": "application/yaml"}
+    ).json()
+    assert (names["coils"], names["sensors"], names["movers"]) == (["coil1"], ["hall"], ["arm1"])
+    assert len(client.get("/v1/rigs", params={"name": "small"}).json()["items"]) == 2
+
+
+def test_a_faulty_rig_is_refused_with_thing_rule_value_and_line(client: TestClient, rig_text: str) -> None:
+    faulty = rig_text.replace("wire_radius_mm: 0.98", "wire_radius_mm: -0.98")
+    problem = refusal(
+        client.post("/v1/rigs", content=faulty, headers={"Content-Type": "application/yaml"}), 422
+    )
+    assert problem["thing"] == "coils.coil1.wire_radius_mm"
+    assert problem["rule"].startswith("must be")
+    assert problem["place"] == "body, line 10"
+    assert problem["value"] == "-0.98"
+    bomb = "a: &a [1,2]\n" + "".join(
+        f"{c}: &{c} [{', '.join([f'*{p}'] * 9)}]\n" for p, c in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    problem = refusal(
+        client.post("/v1/rigs", content=bomb, headers={"Content-Type": "application/yaml"}), 422
+    )
+    assert "must hold at most" in problem["detail"]
+
+
+def test_appended_readings_are_those_of_the_session(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    body = lines_of(small_session, small_rig, 0, 30)
+    lines = body.splitlines(keepends=True)
+    assert append(client, session_id, b"".join(lines[:10])).json() == {"n_readings": 10, "n_new": 10}
+    assert append(client, session_id, b"".join(lines[:10])).json() == {"n_readings": 10, "n_new": 0}
+    assert append(client, session_id, b"".join(lines[5:20])).json() == {"n_readings": 20, "n_new": 10}
+    assert client.get(f"/v1/sessions/{session_id}").json()["n_readings"] == 20
+    assert append(client, session_id, b"".join(lines[20:])).json() == {"n_readings": 30, "n_new": 10}
+    closed = client.post(f"/v1/sessions/{session_id}/close").json()
+    assert (closed["state"], closed["n_readings"]) == ("closed", 30)
+    assert client.post(f"/v1/sessions/{session_id}/close").json() == closed
+    stored = load_session(client.app.state.core.sessions.path(session_id))
+    assert stored.hash == closed["hash"]
+    assert stored.observations.field_sensor_T.equal(small_session.observations.field_sensor_T[:30])
+    assert stored.observations.motion["arm1"].equal(small_session.observations.motion["arm1"][:30])
+    assert "must be open" in refusal(append(client, session_id, lines[0]), 409)["detail"]
+
+
+def test_readings_are_on_disk_before_the_answer_with_one_wait_for_all(
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    journal = client.app.state.core.sessions.path(session_id) / "journal.jsonl"
+    sizes: list[int] = []
+    monkeypatch.setattr("estimator.store.journal.os.fsync", lambda _: sizes.append(journal.stat().st_size))
+    assert append(client, session_id, lines_of(small_session, small_rig, 0, 10)).status_code == 200
+    assert sizes == [journal.stat().st_size]
+
+
+def test_a_full_disk_is_said_in_words_and_the_readings_can_be_sent_again(
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body = lines_of(small_session, small_rig, 0, 10)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("estimator.store.journal.os.pwrite", full)
+        problem = refusal(append(client, session_id, body), 422)
+    assert "No space left on device" in problem["detail"]
+    assert str(client.app.state.core.data) not in problem["detail"]
+    assert append(client, session_id, body).json() == {"n_readings": 10, "n_new": 10}
+
+
+def test_a_gap_another_reading_and_too_many_are_refused(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    lines = lines_of(small_session, small_rig).splitlines(keepends=True)
+    assert append(client, session_id, lines[0]).status_code == 200
+    assert (
+        refusal(append(client, session_id, lines[2]), 409)["rule"]
+        == "must continue at 1, where the session ends"
+    )
+    other = json.dumps({**json.loads(lines[0]), "repeat": 3}).encode()
+    assert refusal(append(client, session_id, other), 409)["thing"] == "reading 0"
+    assert (
+        refusal(append(client, session_id, b"".join(lines[1:36])), 409)["rule"]
+        == "must have at most 30 readings"
+    )
+    assert refusal(append(client, session_id, lines[1] + lines[3]), 422)["place"] == "body, line 2"
+    early = json.dumps({**json.loads(lines[1]), "time_s": 0.0}).encode()
+    assert "later" in refusal(append(client, session_id, early), 422)["rule"]
+    assert client.get(f"/v1/sessions/{session_id}").json()["n_readings"] == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "thing"),
+    [
+        ({"current_A": {}}, "current_A"),
+        ({"current_A": {"coil1": 1e300}}, "current_A.coil1"),
+        ({"current_A": {"coil1": "3"}}, "current_A.coil1"),
+        ({"field_T": {"hall": [None, None, None]}}, "field_T"),
+        ({"field_T": {"probe": [0, 0, 0]}}, "field_T"),
+        ({"field_T": {"hall": [0, 0]}}, "field_T.hall"),
+        ({"motion": {}}, "motion"),
+        ({"motion": {"arm1": [0, 0, 0, 0, 0, 0], "arm2": [0, 0, 0, 0, 0, 0]}}, "motion"),
+        ({"sequence": -1}, "sequence"),
+        ({"sequence": 10**30}, "sequence"),
+        ({"humidity": 1}, "humidity"),
+    ],
+)
+def test_a_reading_that_is_none_of_the_rig_is_refused_with_its_line(
+    client: TestClient,
+    session_id: str,
+    small_session: Session,
+    small_rig: Rig,
+    change: dict[str, Any],
+    thing: str,
+) -> None:
+    good, next_good = lines_of(small_session, small_rig, 0, 2).splitlines(keepends=True)
+    bad = json.dumps({**json.loads(next_good), **change}).encode()
+    problem = refusal(append(client, session_id, good + bad), 422)
+    assert (problem["thing"], problem["place"]) == (thing, "body, line 2")
+    assert client.get(f"/v1/sessions/{session_id}").json()["n_readings"] == 0
+
+
+def test_bodies_that_are_no_ndjson_are_refused(client: TestClient, session_id: str) -> None:
+    for body in (b"", b"\n", b"[]", b"{", b"\xff\xfe", b"nan", b'{"sequence": NaN}', b"[" * 100_000):
+        assert append(client, session_id, body).status_code == 422
+    headers = {"Content-Type": "application/json"}
+    answer = client.post(f"/v1/sessions/{session_id}/readings", content=b"{}", headers=headers)
+    assert refusal(answer, 415)["value"] == "application/json"
+
+
+def test_open_sessions_are_limited_and_an_empty_one_is_not_closed(client: TestClient, rig_id: str) -> None:
+    first, *_ = [begin_session(client, rig_id) for _ in range(3)]
+    answer = client.post("/v1/sessions", json={"rig_id": rig_id, "source": "a test"})
+    assert refusal(answer, 429)["thing"] == "open sessions"
+    assert "must hold a reading" in refusal(client.post(f"/v1/sessions/{first}/close"), 409)["detail"]
+    assert (
+        "closed first" in refusal(client.post("/v1/jobs/calibrate", json={"session_id": first}), 409)["rule"]
+    )
+
+
+def test_csv_and_zip_come_back_as_they_went(
+    client: TestClient, rig_id: str, readings_csv: bytes, small_session: Session, tmp_path: Path
+) -> None:
+    session = import_csv(client, rig_id, readings_csv)
+    assert client.get(f"/v1/sessions/{session['id']}/readings.csv").content == readings_csv
+    archive = client.get(f"/v1/sessions/{session['id']}/session.zip")
+    again = send_zip(client, rig_id, archive.content)
+    assert again.json()["hash"] == session["hash"]
+    tag = {"If-None-Match": archive.headers["etag"]}
+    assert client.get(f"/v1/sessions/{session['id']}/session.zip", headers=tag).status_code == 304
+    small_session.save(tmp_path / "small.zarr")
+    own = send_zip(client, rig_id, zipped(tmp_path / "small.zarr")).json()
+    assert own["hash"] == small_session.hash
+    stored = load_session(client.app.state.core.sessions.path(own["id"]))
+    assert stored.truth == small_session.truth
+    assert not list(client.app.state.core.uploads.iterdir())
+
+
+def test_a_faulty_csv_is_refused_with_its_line(client: TestClient, rig_id: str, readings_csv: bytes) -> None:
+    faulty = readings_csv.replace(b"3.0", b"three", 1)
+    call = {"params": {"rig_id": rig_id}, "content": faulty, "headers": {"Content-Type": "text/csv"}}
+    problem = refusal(client.post("/v1/sessions/import-csv", **call), 422)
+    assert problem["place"].startswith("readings.csv, line 2")
+    assert "/" not in problem["detail"]
+
+
+def send_zip(client: TestClient, rig_id: str, body: bytes) -> Any:
+    call = {"params": {"rig_id": rig_id}, "content": body, "headers": {"Content-Type": "application/zip"}}
+    return client.post("/v1/sessions/import-zip", **call)
+
+
+def zip_of(files: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in files.items():
+            info = zipfile.ZipInfo(name)
+            info.external_attr, info.compress_type = mode << 16, method
+            archive.writestr(info, content)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        (b"PK no zip at all", 422, "zip file"),
+        (zip_of({"../outside": b"x"}), 422, "relative names"),
+        (zip_of({"/etc/outside": b"x"}), 422, "relative names"),
+        (zip_of({"a\\..\\outside": b"x"}), 422, "relative names"),
+        (zip_of({"link": b"/etc/passwd"}, stat.S_IFLNK | 0o777), 422, "files and folders only"),
+        (zip_of({"bomb": b"\0" * 300_000}), 413, "when unpacked"),
+        (zip_of({"zarr.json": b"{}"}, method=zipfile.ZIP_BZIP2), 422, "stored or deflated"),
+        (zip_of({"a/b/c/d/e/f/g/h": b""}), 422, "levels"),
+        (zip_of({"notes.txt": b"hello"}), 422, "zarr.json"),
+        (zip_of({"zarr.json": b'{"zarr_format": 2}'}), 422, "format 3"),
+        (zip_of({"zarr.json": b"{}", ".zgroup": b"{}"}), 422, "format"),
+        (zip_of({"zarr.json": b"not json"}), 422, "damaged"),
+    ],
+)
+def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
+    client: TestClient, rig_id: str, body: bytes, status: int, words: str
+) -> None:
+    problem = refusal(send_zip(client, rig_id, body), status)
+    assert words in problem["detail"]
+    data = client.app.state.core.data
+    assert str(data) not in problem["detail"]
+    assert not list(client.app.state.core.uploads.iterdir())
+    assert not list((data / "sessions").iterdir()) if (data / "sessions").exists() else True
+    assert not (data.parent / "outside").exists()
+
+
+def test_a_session_with_an_altered_byte_is_refused(
+    client: TestClient, rig_id: str, small_session: Session, tmp_path: Path
+) -> None:
+    small_session.save(tmp_path / "small.zarr")
+    chunk = next((tmp_path / "small.zarr" / "field_sensor_T").rglob("c/*/*"))
+    content = bytearray(chunk.read_bytes())
+    content[len(content) // 2] ^= 1
+    chunk.write_bytes(content)
+    assert "damaged" in refusal(send_zip(client, rig_id, zipped(tmp_path / "small.zarr")), 422)["detail"]
+
+
+def test_a_session_of_another_rig_is_refused(
+    client: TestClient, two_coils_text: str, small_session: Session, tmp_path: Path
+) -> None:
+    small_session.save(tmp_path / "small.zarr")
+    other = upload_rig(client, two_coils_text)
+    assert (
+        "must be those of the session"
+        in refusal(send_zip(client, other, zipped(tmp_path / "small.zarr")), 422)["detail"]
+    )
