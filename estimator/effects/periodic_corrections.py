@@ -171,7 +171,7 @@ class GuideSwings(_Periodic, MotionEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Half a cycle over the longest way apart, as many as there are readings at most."""
-        spacing = 0.5 / _span_m(circumstances, place)
+        spacing = 0.5 / max(_span_m(circumstances, place), SHORTEST_PERIOD_M)
         n = min(len(circumstances), MOST_HALF_CYCLES, int(1.0 / (SHORTEST_PERIOD_M * spacing)))
         return tuple({"frequency_per_m": (i + 1) * spacing} for i in range(max(1, n)))
 

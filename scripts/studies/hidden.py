@@ -15,6 +15,7 @@ from typing import Any
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
 from scripts.studies.hidden_cases import Row, diagnosed, gather, noise_T, options_of, row_of, share, truth_of
@@ -79,8 +80,11 @@ def show(rows: list[Row]) -> None:
         both = sum(has_found_all(row) for row in by_kind["pair"])
         print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
         show_coverage(by_kind["pair"])
-    if by_kind["outside"]:
-        show_outside(by_kind["outside"])
+    learnt = [row for row in by_kind["outside"] if row["truth"][0]["label"] in EFFECTS]
+    if learnt:
+        show_single("outside once, in the library by now", learnt)
+    if unknown := [row for row in by_kind["outside"] if row not in learnt]:
+        show_outside(unknown)
     if rows:
         seconds = sorted(row["seconds"] for row in rows)
         print(f"time of a diagnosis: median {seconds[len(seconds) // 2]:.1f} s, longest {seconds[-1]:.1f} s")

@@ -125,7 +125,12 @@ def test_every_stage_has_an_outside_effect() -> None:
     stages = {stage for stage in Effect.__subclasses__() if stage.__module__ == "estimator.effects.stages"}
     declared = [d for d in vars(lab_effects).values() if isinstance(d, type) and issubclass(d, Effect)]
     used = {stage for stage in stages if any(issubclass(d, stage) and d is not stage for d in declared)}
-    assert {stage.__name__ for stage in stages - used} == {"WindingMagnetisation"}  # of superconductors
+    inside = {
+        "WindingMagnetisation",
+        "CoreMagnetisation",
+        "CoreMemory",
+    }  # of superconductors, and of iron cores
+    assert {stage.__name__ for stage in stages - used} == inside
 
 
 def installed(folder: Path) -> dict[str, str]:

@@ -9,6 +9,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
+    CoreMagnetisation,
     CurrentEffect,
     MotionEffect,
     MountEffect,
@@ -53,6 +54,7 @@ OF_THE_FIELD = (
     WindingEffect,
     SourceEffect,
     WindingMagnetisation,
+    CoreMagnetisation,
     RoomEffect,
     MotionEffect,
     MountEffect,
@@ -100,6 +102,10 @@ NOT_AT_THE_FIRST_MOMENT = {
     "backlash",
     "sensor_bumped",
     "room_wanders",
+    "current_wanders",
+    "current_swings",
+    "guides_wander",
+    "moves_remembered",
 }
 
 

@@ -222,7 +222,12 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
     path = tmp_path / "service.yaml"
     path.write_text("host: 0.0.0.0\nmost_job_hours: 3\nallowed_hosts: [lab.example]\n", encoding="utf-8")
     settings = load_settings(
-        path, {"COILCAL_SERVE_PORT": "9000", "COILCAL_SERVE_MOST_JOB_HOURS": "2.5", "COILCAL_SERVE_REQUIRE_TOKENS": "true"}
+        path,
+        {
+            "COILCAL_SERVE_PORT": "9000",
+            "COILCAL_SERVE_MOST_JOB_HOURS": "2.5",
+            "COILCAL_SERVE_REQUIRE_TOKENS": "true",
+        },
     )
     assert (settings.host, settings.port, settings.most_job_hours) == ("0.0.0.0", 9000, 2.5)
     assert (settings.allowed_hosts, settings.require_tokens) == (("lab.example",), True)
