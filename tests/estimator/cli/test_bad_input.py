@@ -49,7 +49,7 @@ REFUSALS = {
     "import session.zarr --rig rig.yaml --out new.zarr": "session.zarr must be readable as text: Is a directory",
     "import rig.yaml --rig rig.yaml --out new.zarr": "column 'schema_version: 1' is not known to the rig; "
     "known are t_s, sensor, coil1_current_A, arm1_x_m, arm1_y_m, arm1_z_m, arm1_rx_rad, arm1_ry_rad, arm1_rz_rad, Bx_T, By_T, Bz_T, "
-    "set, repeat, segment, coil1_temperature_C, hall_temperature_C (rig.yaml, line 1)",
+    "set, repeat, segment, recorded_at, coil1_temperature_C, hall_temperature_C (rig.yaml, line 1)",
     "import whole.csv --rig rig.yaml --out new.zarr --validation 20": "validation share must be at least 0 and below 1; received 20",
     "import whole.csv --rig rig.yaml --out new.zarr --validation 0.9999": "session must hold calibration readings; "
     "it holds none (whole.csv)",
