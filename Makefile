@@ -72,7 +72,7 @@ mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet d
 harmonic-coils: $(INSTALLED)  # eight coils with iron cores by harmonics, on places held out; minutes
 	$(RUN) scripts.studies.harmonic_coils
 
-iron-cores: $(INSTALLED)  # two coils with iron cores that nobody mentioned, by independent code; a measured hysteresis loop; a quarter of an hour
+iron-cores: $(INSTALLED)  # two coils with iron cores that nobody mentioned, by independent code; a measured hysteresis loop; minutes
 	$(RUN) scripts.studies.iron_cores
 
 storms: $(INSTALLED)     # a measurement killed at 50 random instants, a recalibration at 20
