@@ -40,6 +40,13 @@ class Extent:
     segments: tuple[int, ...] = (0, 1)
     degree: int = 2
 
+    def frequencies_per_h(self, most: int) -> tuple[float, int]:
+        """Spacing of the frequencies that are looked for in time, half a cycle per session, which is the lowest too, and their number.
+
+        Farther apart, starts would miss swings between them. Beyond half a cycle between readings they repeat.
+        """
+        return 0.5 / self.duration_h, max(1, min(int(self.duration_h / self.interval_h), most))
+
 
 @dataclass(frozen=True)
 class Circumstances:

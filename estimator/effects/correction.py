@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Effect, Quantity, Theta, normal
+from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
@@ -49,6 +49,7 @@ class Correction(Effect):
     Attributes:
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
+        falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
     """
 
     is_correction: ClassVar[bool] = True
@@ -56,6 +57,7 @@ class Correction(Effect):
     lowest: ClassVar[int] = 1
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
+    falloff: ClassVar[float] = 0.0
 
     @abstractmethod
     def terms(self, degree: int) -> tuple[str, ...]:
@@ -79,8 +81,8 @@ class Correction(Effect):
         return TYPICAL_SHARE * extent.largest_field_T / per
 
     def relative_width(self, degree: int) -> float:
-        """Width of the amplitudes of a degree over that of the first; all alike unless said otherwise."""
-        return 1.0
+        """Width of the amplitudes of a degree over that of the first."""
+        return 1.0 if self.falloff == 0.0 else float(degree**-self.falloff)
 
     def key(self, degree: int, term: str) -> str:
         """Key of an amplitude; pure numbers have no suffix."""
@@ -110,6 +112,26 @@ class Correction(Effect):
             degree: torch.stack([theta[self.key(degree, term)] for term in self.terms(degree)], dim=-1)
             for degree in degrees
         }
+
+
+class InTime(Correction):
+    """A function of the time in one session."""
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """A moment has no time."""
+        return WHEN
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """In a session that lasts."""
+        return not circumstances.is_moment
+
+    def limit(self, circumstances: Circumstances, place: str) -> Limit:
+        """By the number of times at which there are readings, of the sensor where it is one's."""
+        sensors = [sensor.name for sensor in circumstances.rig.sensors]
+        time_s = circumstances.observations.time_s
+        if place in sensors:
+            time_s = time_s[circumstances.sensor == sensors.index(place)]
+        return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
 
 
 def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:

@@ -9,17 +9,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import WHEN, Quantity, Theta, shape
+from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.correction import InTime
 from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
 from estimator.frames import Transform
 
 
-class _Drift(Correction):
+class _Drift(InTime):
     """Cosines of half waves over the session. Their amplitudes fall with the number, as of what wanders."""
 
     highest: ClassVar[int] = 20
+    falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Components."""
@@ -32,26 +33,6 @@ class _Drift(Correction):
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """That of this session."""
         return ({"duration_h": float(f"{circumstances.duration_h:.6g}")},)
-
-    def relative_width(self, degree: int) -> float:
-        """One over the number of half waves, as of a random walk."""
-        return 1.0 / degree
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """A moment has no time."""
-        return WHEN
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """In a session that lasts."""
-        return not circumstances.is_moment
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of times at which there are readings."""
-        sensors = [sensor.name for sensor in circumstances.rig.sensors]
-        time_s = circumstances.observations.time_s
-        if place in sensors:
-            time_s = time_s[circumstances.sensor == sensors.index(place)]
-        return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
 
     @staticmethod
     def _wave(theta: Theta, circumstances: Circumstances, degree: int) -> Float[Tensor, " reading"]:

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import WHEN, Quantity, Theta, shape
+from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.correction import Correction, InTime, Limit, limit_of_number
 from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
@@ -24,14 +24,11 @@ class _Periodic(Correction):
     """A cosine and a sine of each component, and of its overtones. A fit moves the frequency from where a start has put it."""
 
     highest: ClassVar[int] = 3
+    falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Cosine and sine of each component."""
         return tuple(f"{axis}_{wave}" for axis in "xyz" for wave in ("cos", "sin"))
-
-    def relative_width(self, degree: int) -> float:
-        """Overtones are weaker."""
-        return 1.0 / degree
 
     def _swinging(
         self, theta: Theta, cycles: Float[Tensor, "*#batch reading #component"]
@@ -45,31 +42,18 @@ class _Periodic(Correction):
         return total
 
 
-class _Swing(_Periodic):
+class _Swing(InTime, _Periodic):
     """It repeats in time. Periods shorter than two readings are seen at their aliases."""
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
         """The frequency, up to half a cycle between readings."""
-        spacing, n = _in_session(extent)
+        spacing, n = extent.frequencies_per_h(MOST_HALF_CYCLES)
         return (shape("frequency_per_h", "1/h", 0.5 * spacing, (n + 0.5) * spacing),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Half a cycle per session apart: between them a fifth of the power is lost at most."""
-        spacing, n = _in_session(circumstances.extent)
+        spacing, n = circumstances.extent.frequencies_per_h(MOST_HALF_CYCLES)
         return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """A moment has no time."""
-        return WHEN
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """In a session that lasts."""
-        return not circumstances.is_moment
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of times at which there are readings."""
-        n_times = len(torch.unique(circumstances.observations.time_s))
-        return limit_of_number(self, n_times, "readings one after another")
 
     def _in_time(
         self, theta: Theta, circumstances: Circumstances
@@ -194,11 +178,6 @@ def _span_m(circumstances: Circumstances, mover: str) -> float:
     motion = circumstances.observations.motion[mover]
     at_m = base_from_motion(circumstances.rig.mover(mover), motion).translation_m
     return float((at_m.max(0).values - at_m.min(0).values).max())
-
-
-def _in_session(extent: Extent) -> tuple[float, int]:
-    """Spacing of the frequencies in time that are looked for, which is the lowest too, and their number."""
-    return 0.5 / extent.duration_h, max(1, min(int(extent.duration_h / extent.interval_h), MOST_HALF_CYCLES))
 
 
 def _over_range(largest_T: float) -> float:

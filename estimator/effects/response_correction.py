@@ -16,7 +16,24 @@ from estimator.effects.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
 
 
-class SensorResponse(Correction, ReadingEffect):
+class _OverRange(Correction, ReadingEffect):
+    """A function of what the sensor shows, in units of its largest component."""
+
+    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+        """That unit."""
+        return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """The largest component that the sensor read."""
+        return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
+
+    def limit(self, circumstances: Circumstances, place: str) -> Limit:
+        """By the number of different readings of the sensor."""
+        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
+        return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
+
+
+class SensorResponse(_OverRange):
     """Each component that the sensor shows bends with all three."""
 
     name: ClassVar[str] = "sensor_response"
@@ -28,19 +45,6 @@ class SensorResponse(Correction, ReadingEffect):
         """For each component, the products of components: `x_yy` adds the square of y to x; `x` alone a constant."""
         products = ["".join(axes) for axes in combinations_with_replacement("xyz", degree)]
         return tuple(f"{axis}_{product}".rstrip("_") for axis in "xyz" for product in products)
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
-        return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
-
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The field in units of which the products are taken."""
-        return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest component that the sensor read."""
-        return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
 
     def apply(
         self,
@@ -62,33 +66,17 @@ class SensorResponse(Correction, ReadingEffect):
         return field_sensor_T
 
 
-class AxisCurves(Correction, ReadingEffect):
+class AxisCurves(_OverRange):
     """Each axis of a sensor has a curve of its own: cosines of half waves over its range, as of steps and bends of a converter."""
 
     name: ClassVar[str] = "axis_curves"
     words: ClassVar[str] = "each axis of the sensor errs as a function of what it shows"
     highest: ClassVar[int] = 16
+    falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Components."""
         return ("x", "y", "z")
-
-    def relative_width(self, degree: int) -> float:
-        """One over the number of half waves, as of a curve with steps."""
-        return 1.0 / degree
-
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Half of the range."""
-        return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest component that the sensor read."""
-        return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
-        return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
     def apply(
         self,
@@ -104,34 +92,18 @@ class AxisCurves(Correction, ReadingEffect):
         return field_sensor_T
 
 
-class GainCurve(Correction, ReadingEffect):
+class GainCurve(_OverRange):
     """The gain of a sensor depends on the largest of its components, as where an instrument changes its range: cosines of half waves."""
 
     name: ClassVar[str] = "gain_curve"
     words: ClassVar[str] = "the gain of the sensor depends on how strong its largest component is"
     unit: ClassVar[str] = "1"
     highest: ClassVar[int] = 16
+    falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """A share of all components."""
         return ("share",)
-
-    def relative_width(self, degree: int) -> float:
-        """One over the number of half waves, as of a curve with steps."""
-        return 1.0 / degree
-
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The strongest."""
-        return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest component that the sensor read."""
-        return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
-        return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
     def apply(
         self,

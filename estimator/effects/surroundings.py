@@ -66,7 +66,7 @@ class PeriodicInterference(RoomEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Cosine and sine part of each component in the world frame, from the beginning of the session on, and the frequency."""
-        spacing, n = _frequencies(extent)
+        spacing, n = extent.frequencies_per_h(MOST_FREQUENCIES)
         return (
             *(
                 q
@@ -78,7 +78,7 @@ class PeriodicInterference(RoomEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Frequencies from half a cycle per session on, half a cycle apart."""
-        spacing, n = _frequencies(circumstances.extent)
+        spacing, n = circumstances.extent.frequencies_per_h(MOST_FREQUENCIES)
         return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
 
     def drifting_T(
@@ -93,9 +93,3 @@ class PeriodicInterference(RoomEffect):
             for part in ("cos", "sin")
         )
         return cos_T * torch.cos(angle)[..., None] + sin_T * torch.sin(angle)[..., None]
-
-
-def _frequencies(extent: Extent) -> tuple[float, int]:
-    """Spacing of the frequencies that are looked for, which is the lowest too, and their number."""
-    n = int(extent.duration_h / extent.interval_h)  # up to half a cycle between readings
-    return 0.5 / extent.duration_h, max(1, min(n, MOST_FREQUENCIES))
