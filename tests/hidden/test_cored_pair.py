@@ -11,7 +11,7 @@ from tests.hidden.cored_pair import NAMES, NOISE_T, CoredPair, Iron, write
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1])
+@pytest.mark.parametrize("seed", [7])  # the search was tuned on 1
 def test_cores_of_both_coils_are_named_and_measured(tmp_path, seed):
     rng = np.random.default_rng(seed)
     iron = Iron()
