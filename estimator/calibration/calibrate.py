@@ -25,7 +25,6 @@ from estimator.calibration.starting_point import (
 )
 from estimator.calibration.summary import finite, summary
 from estimator.errors import InvalidInput, reason
-from estimator.field.node_sum import SumMode
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.laplace import OpenDirection
@@ -38,7 +37,6 @@ from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.session import Session
 
 CHAIN_STORE = "chain.zarr"
-COMPILE_ABOVE = 3e8  # loop fields x effective samples: about half a minute of eager sums
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
 
@@ -123,10 +121,6 @@ def calibrate(
             lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
         )
     lattice = start.posterior
-    if isinstance(lattice, LogPosterior) and (
-        lattice.model.loop_evaluations() * settings.target_ess > COMPILE_ABOVE
-    ):
-        lattice = LogPosterior(lattice.coordinates, lattice.model.with_mode(SumMode.COMPILED), observations)
 
     tell(Stage("posterior sampling with emcee"))
     if isinstance(lattice, CollapsedPosterior) and not lattice.coordinates.n:

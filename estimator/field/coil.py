@@ -16,7 +16,7 @@ def coil_field_per_ampere(
     points_coil_m: Float[Tensor, "*#batch point 3"],
     winding: Winding,
     rule: Rule,
-    mode: SumMode = SumMode.EAGER,
+    mode: SumMode = SumMode.PLAIN,
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of one ampere in the coil frame, in T/A.
 
@@ -25,7 +25,7 @@ def coil_field_per_ampere(
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry.
         rule: Quadrature rule that stands for the loops.
-        mode: How loops are summed. The paper's sum ignores it: it is always eager, with all derivatives.
+        mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
     """
     if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
         return literal_field_per_ampere(points_coil_m, winding, rule)

@@ -1,30 +1,21 @@
-"""Field of the weighted loops of a quadrature rule at many points, summed eagerly, compiled, or with first derivatives.
+"""Field of the weighted loops of a quadrature rule at many points, with derivatives of any order or with the first ones only.
 
-Almost all computing time is spent here. Compiled by torch the sum takes about 4 ns a loop instead of 34 ns, but the first call of a process
-costs seconds (20 s the first time on a machine; torch keeps its cache on disk). Only long sampling compiles it. Without a C++ compiler the
-eager sum takes its place.
+Almost all computing time is spent here. Numbers without derivatives go through machine code (`field.kernel`), all others through torch.
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
 from enum import Enum, auto
-from functools import cache
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.field.kernel import is_plain, slopes_of_loops, sum_of_loops
 from estimator.field.loop import loop_derivatives, loop_terms
 
-_log = logging.getLogger(__name__)
-
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
-USUAL_STEPS = (
-    4  # AGM steps some centimetres from the coil; code is compiled for this number, and anew for any other
-)
 
 
 class Nodes(NamedTuple):
@@ -39,20 +30,15 @@ class Nodes(NamedTuple):
         return Nodes(*(value.flatten(1) for value in torch.broadcast_tensors(*self)))
 
 
-NodeSum = Callable[[Tensor, Nodes, int], Tensor]
-
-
 class SumMode(Enum):
     """How loops are summed.
 
     Attributes:
-        EAGER: Starts at once; has derivatives of any order.
-        COMPILED: For many calls; has no derivatives.
+        PLAIN: Derivatives of any order; none cost nothing.
         FIRST_ORDER: First derivatives in many directions at low cost; no second ones.
     """
 
-    EAGER = auto()
-    COMPILED = auto()
+    PLAIN = auto()
     FIRST_ORDER = auto()
 
 
@@ -61,13 +47,14 @@ def sum_over_nodes(
 ) -> Float[Tensor, "rows point 3"]:
     """Field per ampere of weighted loops about z, row by row.
 
-    Points run along the last axis, which vector instructions need to be long; loops run along the axes before it.
-
     Args:
         points_m: Points in the coil frame.
         nodes: Height, radius and weight of the loops of every row.
         steps: AGM steps of each loop.
     """
+    if is_plain(points_m, *nodes):
+        return sum_of_loops(points_m, *nodes.flat(), steps)
+    # Points run along the last axis, which vector instructions need to be long; loops run along the axes before it.
     height, radius, weight = (value[..., None] for value in nodes)
     before_points = (1,) * (weight.ndim - 2)
     x, y, z = (coordinate.unflatten(0, (-1, *before_points)) for coordinate in points_m.unbind(-1))
@@ -88,25 +75,16 @@ def sum_to_first_order(
         points_m, nodes, steps: As in `sum_over_nodes`.
     """
     fixed_points_m = points_m.detach()
-    height, radius, weight = (value.detach()[..., None] for value in nodes)
-    before_points = (1,) * (weight.ndim - 2)
-    x, y, z = (coordinate.unflatten(0, (-1, *before_points)) for coordinate in fixed_points_m.unbind(-1))
-    above = z - height
-    h, axial, h_z, axial_z = torch.broadcast_tensors(*loop_derivatives(x, y, above, radius, steps))
-    # Derivatives in the radius: h and axial are homogeneous of degree -2 and -1 in all lengths, and obey the field laws below.
-    h_a = (axial_z - above * h_z) / radius
-    axial_a = -(axial + (x * x + y * y) * h_z + above * axial_z) / radius
-    h, axial, h_z, axial_z, h_a, axial_a = (
-        value.flatten(1, -2) for value in torch.broadcast_tensors(h, axial, h_z, axial_z, h_a, axial_a)
-    )
-    height, radius, weight = (value.flatten(1) for value in torch.broadcast_tensors(*nodes))
+    of_h, of_axial = _slopes(fixed_points_m, Nodes(*(value.detach() for value in nodes)), steps)
+    height, radius, weight = nodes.flat()
     fixed_weight = weight.detach()
     # Both are zero and carry derivatives.
     drop, growth = fixed_weight * (height.detach() - height), fixed_weight * (radius - radius.detach())
     by_node = torch.cat((weight, drop, growth), dim=-1)[:, None]
-    h_sum = (by_node @ torch.cat((h, h_z, h_a), dim=1))[:, 0]
-    axial_sum = (by_node @ torch.cat((axial, axial_z, axial_a), dim=1))[:, 0]
-    h_value, h_slope, axial_slope = ((fixed_weight[..., None] * value).sum(1) for value in (h, h_z, axial_z))
+    h_sum, axial_sum = ((by_node @ each.flatten(1, 2))[:, 0] for each in (of_h, of_axial))
+    (h_value, h_slope), (_, axial_slope) = (
+        (fixed_weight[:, None, None] @ each[:, :2])[..., 0, :].unbind(1) for each in (of_h, of_axial)
+    )
     rho2 = fixed_points_m[..., :2].square().sum(-1)
     # div B = 0 gives the derivative of h in rho^2, curl B = 0 that of axial.
     h_rho2 = -(h_value + 0.5 * axial_slope) / rho2.clamp(min=SMALLEST_RHO2_M2)
@@ -118,21 +96,18 @@ def sum_to_first_order(
     return torch.stack((points_m[..., 0] * h_sum, points_m[..., 1] * h_sum, axial_sum), dim=-1)
 
 
-@cache
-def compiled_sum() -> NodeSum:
-    """The compiled sum, or the eager one if this machine cannot compile; tried once per process."""
-    try:
-        compiled: NodeSum = torch.compile(sum_over_nodes, dynamic=True)
-        with torch.no_grad():
-            compiled(*_trial())
-    except Exception as error:  # a broken compiler or too new a Python raises many types
-        _log.warning("the field sum is not compiled on this machine and runs about 4 times slower: %s", error)
-        return sum_over_nodes
-    return compiled
-
-
-def _trial() -> tuple[Tensor, Nodes, int]:
-    """Arguments to compile with. All sizes differ, also from the 3 of a vector: the compiler assumes that equal sizes stay equal."""
-    points_m = torch.ones(2, 5, 3, dtype=torch.float64)
-    nodes = Nodes(*(torch.full((2, 7), 0.5, dtype=torch.float64) for _ in range(3)))
-    return points_m, nodes, USUAL_STEPS
+def _slopes(
+    points_m: Float[Tensor, "rows point 3"], nodes: Nodes, steps: int
+) -> Float[Tensor, "2 rows 3 node point"]:
+    """The two factors of each loop's field: each with its derivatives along z and in the radius."""
+    if is_plain(points_m, *nodes):
+        flat = nodes.flat()
+        return slopes_of_loops(points_m, flat.height_m, flat.radius_m, steps)
+    height, radius, _ = (value[..., None] for value in nodes.flat())
+    x, y, z = (coordinate[:, None] for coordinate in points_m.unbind(-1))
+    above = z - height
+    h, axial, h_z, axial_z = torch.broadcast_tensors(*loop_derivatives(x, y, above, radius, steps))
+    # Derivatives in the radius: h and axial are homogeneous of degree -2 and -1 in all lengths, and obey the field laws.
+    h_a = (axial_z - above * h_z) / radius
+    axial_a = -(axial + (x * x + y * y) * h_z + above * axial_z) / radius
+    return torch.stack((torch.stack((h, h_z, h_a), 1), torch.stack((axial, axial_z, axial_a), 1)))

@@ -115,7 +115,7 @@ class Cores:
             for use in uses_of(rig, CoreMagnetisation)
             for k, pose in [(use.index(rig.wound), world_from_coil[use.place])]
         )
-        mode = SumMode.FIRST_ORDER if is_first_order else SumMode.EAGER
+        mode = SumMode.FIRST_ORDER if is_first_order else SumMode.PLAIN
         drives, rows = [], []
         for core in members:
             zero = torch.zeros(PATTERNS, dtype=core.core.radius_m.dtype)

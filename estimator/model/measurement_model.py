@@ -179,10 +179,6 @@ class MeasurementModel:
             field_T = record.effect.recorded_T(field_T, record.theta(values))
         return field_T
 
-    def loop_evaluations(self) -> int:
-        """Loop fields that one prediction of one parameter set costs."""
-        return sum(len(self.powered[n]) * r.axial_nodes * r.radial_nodes for n, r in self.rules.items())
-
     def sensor_in_coil(
         self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values
     ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:

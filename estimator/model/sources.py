@@ -59,7 +59,7 @@ class Sources:
         columns: Per effect that moves bodies, what else it depends on, by row; one row may stand for all.
         powered: Per coil the rows where it ever carries current, or has a field without.
         rules: Per winding the quadrature rule; windings without one are left out.
-        mode: How loops are summed: compiled for long sampling, to first order for fits.
+        mode: How loops are summed: to first order for fits.
     """
 
     rig: Rig
@@ -70,7 +70,7 @@ class Sources:
     columns: Mapping[str, Tensor]
     powered: Mapping[str, Int[Tensor, " powered"]]
     rules: Mapping[str, Rule]
-    mode: SumMode = SumMode.EAGER
+    mode: SumMode = SumMode.PLAIN
 
     def part(self, readings: Int[Tensor, " part"]) -> Sources:
         """The sources as some of the readings see them."""

@@ -14,7 +14,6 @@ import torch
 from scipy.special import ellipe, ellipk
 
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import SumMode
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -39,11 +38,9 @@ def fields(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         return rng.uniform([-0.05, -0.05, 0.015], [0.05, 0.05, 0.065], (number, 3))
 
     return {
-        f"one loop, {100 * n_points} points": compared(
-            loop_methods(not options.no_compile), points(100 * n_points), options
-        ),
+        f"one loop, {100 * n_points} points": compared(loop_methods(), points(100 * n_points), options),
         f"winding of {n_axial} x {n_radial} loops, {n_points} points": compared(
-            winding_methods(n_axial, n_radial, points(n_points), not options.no_compile),
+            winding_methods(n_axial, n_radial, points(n_points)),
             points(n_points),
             options,
         ),
@@ -73,33 +70,30 @@ def compared(methods: dict[str, Field], points_m: np.ndarray, options: argparse.
     return rows
 
 
-def loop_methods(has_compiled: bool) -> dict[str, Field]:
+def loop_methods() -> dict[str, Field]:
     circle = magpylib.current.Circle(diameter=2.0 * RADIUS_M, current=1.0)
     one = torch.ones((), dtype=torch.float64)
     # A winding of one loop, which lies at z = -PITCH_M / 2.
     single_loop = Winding((RADIUS_M + 0.5 * PITCH_M) * one, one, one, PITCH_M * one, PITCH_M * one)
 
-    def eager(points_m: np.ndarray) -> np.ndarray:
+    def by_torch(points_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             return loop_field(torch.from_numpy(points_m), RADIUS_M * one).numpy()
 
-    def compiled(points_m: np.ndarray) -> np.ndarray:
+    def coilcal(points_m: np.ndarray) -> np.ndarray:
         lowered = torch.from_numpy(points_m - [0.0, 0.0, 0.5 * PITCH_M])
-        with torch.no_grad():
-            return winding_field_per_ampere(
-                lowered, single_loop, exact_rule(single_loop, lowered), True
-            ).numpy()
+        return winding_field_per_ampere(lowered, single_loop, exact_rule(single_loop, lowered)).numpy()
 
     return {
-        "coilcal, eager": eager,
-        **({"coilcal, compiled": compiled} if has_compiled else {}),
+        "coilcal": coilcal,
+        "coilcal, by torch": by_torch,
         "SciPy ellipk, ellipe, eq 4": lambda points_m: scipy_loops(points_m, RADIUS_M),
         "magpylib core": lambda points_m: magpylib_loops(points_m, RADIUS_M),
         "magpylib Circle.getH": lambda points_m: MU0_T_M_PER_A * circle.getH(points_m),
     }
 
 
-def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compiled: bool) -> dict[str, Field]:
+def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray) -> dict[str, Field]:
     """Every method for the same winding; the rules are chosen for the region of the points `near_m`."""
     one = torch.ones((), dtype=torch.float64)
     winding = Winding(RADIUS_M * one, n_axial * one, n_radial * one, PITCH_M * one, PITCH_M * one)
@@ -117,12 +111,8 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
         f"rule to {DEFAULT_TOLERANCE:.0e}": choose_rule(winding, near),
     }
 
-    def coilcal(rule: Rule, mode: SumMode) -> Field:
-        def field(points_m: np.ndarray) -> np.ndarray:
-            with torch.no_grad():
-                return winding_field_per_ampere(torch.from_numpy(points_m), winding, rule, mode).numpy()
-
-        return field
+    def coilcal(rule: Rule) -> Field:
+        return lambda points_m: winding_field_per_ampere(torch.from_numpy(points_m), winding, rule).numpy()
 
     def in_pieces(loops: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Field:
         def field(points_m: np.ndarray) -> np.ndarray:
@@ -136,11 +126,10 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray, has_compile
         by_loop = loops(relative.reshape(-1, 3), np.tile(radii_m, len(piece)))
         return by_loop.reshape(len(piece), -1, 3).sum(axis=1)
 
-    methods = {}
-    for name, rule in rules.items():
-        size = f"{rule.axial_nodes} x {rule.radial_nodes}"
-        for mode in (SumMode.EAGER, SumMode.COMPILED) if has_compiled else (SumMode.EAGER,):
-            methods[f"coilcal, {name}, {size}, {mode.name.lower()}"] = coilcal(rule, mode)
+    methods = {
+        f"coilcal, {name}, {rule.axial_nodes} x {rule.radial_nodes}": coilcal(rule)
+        for name, rule in rules.items()
+    }
     return methods | {
         "SciPy ellipk, ellipe, eq 4": in_pieces(scipy_loops),
         "magpylib core": in_pieces(magpylib_loops),

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 
 from estimator import SamplerSettings, load_plan, load_rig, simulate
-from estimator.field.node_sum import SumMode
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.ensemble import BURN_IN_SHARE, reported_parameters, sample
 from estimator.inference.laplace import covariance
@@ -62,25 +61,15 @@ def sampling(options: argparse.Namespace) -> dict[str, Any]:
 
         return repeated(run, options)
 
-    rows = {"coilcal, whole counts, eager": coilcal(lattice, on_lattice, 20_000)}
+    rows = {"coilcal, whole counts": coilcal(lattice, on_lattice, 20_000)}
     result = {
         "title": f"{len(readings)} readings, {lattice.coordinates.n} parameters, {N_WALKERS} walkers; set-up:",
         "set_up_s": set_up_s,
         "peak_memory_GB": peak_memory_GB(),
         "rows": rows,
     }
-    kernel = "eager"
-    if not options.no_compile:
-        kernel = "compiled"
-        compiled = model.with_mode(SumMode.COMPILED)
-        lattice, continuous = (LogPosterior(p.coordinates, compiled, readings) for p in (lattice, continuous))
-        begin = time.perf_counter()
-        with torch.no_grad():
-            continuous(fit.vector.expand(N_WALKERS, -1))
-        set_up_s["compilation, or its cache on disk"] = [time.perf_counter() - begin] * 3
-        rows["coilcal, whole counts, compiled"] = coilcal(lattice, on_lattice, 20_000)
-    rows[f"coilcal, real counts, {kernel}"] = coilcal(continuous, on_reals, options.stretch_steps)
-    rows[f"emcee stretch move, real counts, {kernel}"] = repeated(
+    rows["coilcal, real counts"] = coilcal(continuous, on_reals, options.stretch_steps)
+    rows["emcee stretch move, real counts"] = repeated(
         lambda seed: stretch(continuous, fit, options.stretch_steps, seed), options
     )
     if options.numpyro:

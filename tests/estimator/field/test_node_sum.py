@@ -1,18 +1,17 @@
-"""The weighted sum of loops, and what it becomes with and without a compiler."""
+"""The weighted sum of loops, in machine code and by torch, and its first derivatives."""
 
 from __future__ import annotations
-
-import subprocess
-import sys
 
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.func import jacfwd
 
-from estimator.field import node_sum
+from estimator.field import kernel
+from estimator.field.kernel import is_plain, slopes_of_loops
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes, sum_to_first_order
+from estimator.field.node_sum import Nodes, _slopes, sum_over_nodes, sum_to_first_order
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -30,52 +29,6 @@ def test_sum_is_that_of_the_weighted_loops_of_every_row():
     torch.testing.assert_close(sum_over_nodes(points_m, nodes, 8), expected, rtol=1e-12, atol=1e-20)
 
 
-def test_without_a_working_compiler_the_eager_sum_is_used_and_the_log_says_so(monkeypatch, caplog):
-    def fails(*_: object, **__: object) -> None:
-        raise RuntimeError("no C++ compiler")
-
-    try_again = compiled_sum.__wrapped__
-    for compile_ in (fails, lambda *_, **__: fails):
-        caplog.clear()
-        monkeypatch.setattr(torch, "compile", compile_)
-        assert try_again() is node_sum.sum_over_nodes
-        assert "not compiled on this machine" in caplog.text
-
-
-def test_compiler_is_tried_once_in_a_process(monkeypatch):
-    calls = []
-    monkeypatch.setattr(torch, "compile", lambda function, **_: calls.append(1) or function)
-    compiled_sum.cache_clear()
-    assert compiled_sum() is compiled_sum()
-    compiled_sum.cache_clear()
-    assert len(calls) == 1
-
-
-IN_A_FRESH_PROCESS = """
-import torch
-from estimator.field.node_sum import Nodes, compiled_sum, sum_over_nodes
-compiled = compiled_sum()
-assert compiled is not sum_over_nodes, "not compiled"
-for rows, points, nodes in ((2, 5, 7), (3, 100, 320), (32, 25, 160)):
-    at = torch.rand(rows, points, 3, dtype=torch.float64)
-    loops = Nodes(*(torch.rand(rows, nodes, dtype=torch.float64) for _ in range(3)))
-    with torch.no_grad():
-        eager, ours = (function(at, loops, 5) for function in (sum_over_nodes, compiled))
-    worst = ((ours - eager).norm(dim=-1) / eager.norm(dim=-1)).max().item()
-    assert worst < 1e-12, worst
-print("same")
-"""
-
-
-@pytest.mark.slow  # 10 s, and 20 s more for the first compilation on a machine
-def test_compiled_sum_equals_the_eager_one():
-    """In a process of its own: type checks and warnings as errors, as here, keep torch from compiling."""
-    completed = subprocess.run(
-        [sys.executable, "-c", IN_A_FRESH_PROCESS], capture_output=True, text=True, check=False
-    )
-    assert completed.stdout.strip() == "same", completed.stderr
-
-
 @pytest.mark.parametrize("axis_m", [0.0, 1e-13, 1e-6, 0.02, 0.3], ids=lambda m: f"{m:g} m from the axis")
 def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(axis_m: float):
     """In the points, and in height, radius and weight of every loop, on the axis and off it."""
@@ -91,3 +44,53 @@ def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(a
     for i in range(4):
         expected, derivative = (jacfwd(f, argnums=i)(*given) for f in (plain, quick))
         torch.testing.assert_close(derivative, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().max()))
+
+
+def test_machine_code_and_torch_give_the_same_sum_and_the_same_slopes():
+    """For numbers of any rows, nodes and points; torch takes over where a derivative is wanted."""
+    for rows, n_nodes, n_points in ((1, 1, 1), (2, 7, 63), (3, 20, 64), (1, 5, 65), (2, 3, 300)):
+        points_m = random(rows, n_points, 3, seed=n_points) - 0.5
+        nodes = Nodes(
+            *(random(rows, n_nodes, seed=seed) + shift for seed, shift in ((1, -0.5), (2, 0.01), (3, 0.0)))
+        )
+        watched = Nodes(*(value.clone().requires_grad_() for value in nodes))
+        torch.testing.assert_close(
+            sum_over_nodes(points_m, nodes, 5),
+            sum_over_nodes(points_m, watched, 5).detach(),
+            rtol=1e-13,
+            atol=1e-20,
+        )
+        with torch.no_grad():
+            quick = slopes_of_loops(points_m, nodes.height_m, nodes.radius_m, 5)
+        plain = torch.func.vmap(lambda at, w: _slopes(at, w, 5))(points_m[:, None], watched_rows(nodes))
+        torch.testing.assert_close(quick, plain[:, :, 0].movedim(0, 1), rtol=1e-12, atol=1e-18)
+
+
+def watched_rows(nodes: Nodes) -> Nodes:
+    """Every row alone, for a map over rows."""
+    return Nodes(*(value[:, None] for value in nodes))
+
+
+def test_kernels_take_numbers_without_derivatives_only():
+    one = torch.ones(2, dtype=torch.float64)
+    with torch.no_grad():
+        assert is_plain(one.clone().requires_grad_())
+    assert not is_plain(one, one.clone().requires_grad_())
+    seen = []
+    jacfwd(lambda at: seen.append(is_plain(at)) or at)(one)
+    torch.func.vmap(lambda at: seen.append(is_plain(at)) or at)(one)
+    with forward_ad.dual_level():
+        seen.append(is_plain(forward_ad.make_dual(one, one)))
+    assert seen == [False, False, False]
+
+
+def test_where_no_folder_can_be_written_the_kernels_are_translated_in_every_process(monkeypatch):
+    translate = kernel.numba.njit
+
+    def refuses_a_cache(**settings):
+        if settings.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return translate(**settings)
+
+    monkeypatch.setattr(kernel.numba, "njit", refuses_a_cache)
+    assert kernel._translated(lambda x: x + 1.0)(2.0) == 3.0

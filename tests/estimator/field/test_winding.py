@@ -16,7 +16,6 @@ from torch.func import jacfwd, jacrev
 from estimator.errors import InvalidInput
 from estimator.field import winding as winding_module
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import SumMode
 from estimator.field.winding import (
     NODE_LADDER,
     Rule,
@@ -280,20 +279,6 @@ def test_batches_equal_one_by_one_even_where_they_are_cut_into_chunks(monkeypatc
         monkeypatch.setattr(winding_module, "ELEMENTS_PER_CHUNK", elements)
         chunked = winding_field_per_ampere(points_m, coils, rule)
         torch.testing.assert_close(chunked, together, rtol=1e-13, atol=1e-20)
-
-
-def test_compiled_sum_is_asked_for_only_on_request(monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        winding_module, "compiled_sum", lambda: asked.append(1) or winding_module.sum_over_nodes
-    )
-    points_m = points_around(SMALL, 5e-3, 0.05, 5)
-    rule = exact_rule(SMALL, points_m)
-    eager = winding_field_per_ampere(points_m, SMALL, rule)
-    assert not asked
-    compiled = winding_field_per_ampere(points_m, SMALL, rule, mode=SumMode.COMPILED)
-    assert asked
-    torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=1e-20)
 
 
 def test_whole_numbered_winding_rounds_its_counts_and_keeps_one_loop_at_least():

@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.field import winding as winding_module
-from estimator.field.node_sum import SumMode
 from estimator.field.winding import Winding, winding_field
 from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
@@ -164,9 +162,8 @@ def test_repeated_poses_are_evaluated_once_and_give_the_same_as_one_by_one():
     together = model.predict(nominal(of))
     one_by_one = [predict(of, readings([c], {"stage": p[None]})) for c, p in zip(current, poses, strict=True)]
     torch.testing.assert_close(together, torch.cat(one_by_one), rtol=1e-11, atol=1e-18)
-    rules = model.rules
-    # Coil 1 is on at poses 0, 1, 2, 3 and coil 2 at 1, 2, 3, 4.
-    assert model.loop_evaluations() == 4 * (rules["coil1"].axial_nodes * rules["coil1"].radial_nodes + 1)
+    # Of the five poses each coil is on at four.
+    assert [len(rows) for rows in model.powered.values()] == [4, 4]
 
 
 def test_tolerance_of_the_winding_sum_is_met():
@@ -362,20 +359,6 @@ def test_batch_of_parameter_sets_equals_a_loop_over_them():
     for i, j in np.ndindex(2, 3):
         alone = model.predict(coordinates.values(vectors[i, j]))
         torch.testing.assert_close(together[i, j], alone, rtol=1e-12, atol=1e-20)
-
-
-def test_compiled_model_uses_the_compiled_sum(monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        winding_module, "compiled_sum", lambda: asked.append(1) or winding_module.sum_over_nodes
-    )
-    of = rig(TWO_COILS)
-    model = MeasurementModel.build(of, readings([[1.0, 1.0]]))
-    eager = model.predict(nominal(of))
-    assert not asked
-    compiled = model.with_mode(SumMode.COMPILED).predict(nominal(of))
-    assert asked
-    torch.testing.assert_close(compiled, eager, rtol=1e-13, atol=0.0)
 
 
 def test_sensor_inside_a_winding_is_refused_with_the_number_of_the_reading():
