@@ -51,5 +51,6 @@ def pairs(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, C
             evidence[part] = log_bayes_factor(
                 gram[both[:, :, None], both[:, None, :]], score[both], prior_sd[both], fit.free_noise
             )
-    order = torch.argsort(evidence, descending=True, stable=True).tolist()
-    return [(float(evidence[k]), at_null[int(first[k])], at_null[int(second[k])]) for k in order]
+    order = torch.argsort(evidence, descending=True, stable=True)
+    ranked = zip(*(values[order].tolist() for values in (evidence, first, second)), strict=True)
+    return [(value, at_null[i], at_null[j]) for value, i, j in ranked]
