@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.correction import best_corrected
+from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fitting import Fit, fit_rig

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from estimator.calibration.result import Calibration
-from estimator.diagnosis.correction import Correction
+from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake

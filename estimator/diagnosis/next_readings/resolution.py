@@ -90,7 +90,9 @@ def _span(columns: Tensor) -> Tensor:
     if not columns.shape[1]:
         return columns
     scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
-    squares, turn = torch.linalg.eigh(scaled.T @ scaled)  # far faster than the singular values of so tall a matrix
+    squares, turn = torch.linalg.eigh(
+        scaled.T @ scaled
+    )  # far faster than the singular values of so tall a matrix
     is_kept = squares > policy.LEAST_DIRECTION**2 * squares[-1]
     basis: Tensor = scaled @ turn[:, is_kept] / squares[is_kept].sqrt()
     return basis

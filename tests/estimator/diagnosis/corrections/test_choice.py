@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.correction import best_corrected, corrected
+from estimator.diagnosis.corrections.choice import best_corrected, corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.posterior import extended_posterior

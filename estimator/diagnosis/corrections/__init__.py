@@ -1,0 +1,1 @@
+"""Corrections for what is left where no known cause explains it."""

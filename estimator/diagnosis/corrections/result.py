@@ -1,0 +1,100 @@
+"""What corrects predictions without a name, and what stands in the way of a better correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.structure.cross_validation import HeldOut
+from estimator.diagnosis.validation import Improvement
+from estimator.rig.rig import Cause
+
+
+@dataclass(frozen=True)
+class Part:
+    """One kind of correction at one place, as it was taken.
+
+    Attributes:
+        degree: Highest degree of its terms.
+        n_amplitudes: Their number.
+        log_bayes_factor: Of the full fit, against none of this kind.
+        held_out: Gain in predicting blocks of places from the others.
+    """
+
+    cause: Cause
+    degree: int
+    n_amplitudes: int
+    log_bayes_factor: float
+    held_out: HeldOut
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What corrects predictions without a name.
+
+    Attributes:
+        fit: Of the readings of the search, with the corrections; as it was where none was taken.
+        parts: The corrections, as they were taken.
+        limits: By kind and place why no higher degree was asked, or none, and what to measure.
+        refusal: Why nothing is corrected; empty where something is.
+        final: The same, fitted to more readings.
+        gain: On unseen readings, over the causes alone; None where there are none, or nothing was taken.
+    """
+
+    fit: Fit
+    parts: tuple[Part, ...]
+    limits: dict[str, str]
+    refusal: str
+    final: Fit
+    gain: Improvement | None = None
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether predictions are corrected."""
+        return not self.refusal
+
+    def words(self, label: Callable[[Cause], str]) -> str:
+        """In one sentence, with the names that the diagnosis gives."""
+        if not self.is_taken:
+            return f"Nothing is corrected: {self.refusal}."
+        by = " and ".join(f"{label(part.cause)} to degree {part.degree}" for part in self.parts)
+        return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+
+    @property
+    def limit_words(self) -> str:
+        """What stands in the way of a better correction, and what to measure; empty where nothing does."""
+        kinds: dict[str, list[str]] = {}
+        for label, words in self.limits.items():
+            kinds.setdefault(words, []).append(label)
+        if not kinds:
+            return ""
+        each = "; ".join(f"{' and '.join(labels)}: {words}" for words, labels in kinds.items())
+        return f"Other readings would allow more. {each}. Run coilcal design --map, which proposes places."
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnosis.json` holds it."""
+        return {
+            "parts": [
+                {
+                    "name": part.cause.name,
+                    "place": part.cause.place,
+                    "degree": part.degree,
+                    "amplitudes": part.n_amplitudes,
+                    "log_bayes_factor": part.log_bayes_factor,
+                    "held_out": part.held_out.to_json(),
+                }
+                for part in self.parts
+            ],
+            "limits": self.limits,
+            "refusal": self.refusal,
+            "gain": None
+            if self.gain is None
+            else {
+                "with_causes": self.gain.before.to_json(),
+                "with_correction": self.gain.after.to_json(),
+                "elpd_difference": self.gain.elpd_difference,
+                "elpd_se": self.gain.elpd_se,
+            },
+        }
