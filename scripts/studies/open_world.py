@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
@@ -35,6 +35,7 @@ ANOTHER = "another of the library"
 LEAST_OF_A_SET = 0.05  # a 95 % credible set names what is as probable as this
 LEAST_SCORED = 1e-3  # probabilities below count as this: reports state no smaller ones
 NEAR_NOISE = 1.1  # error on unseen readings over the noise up to which a model is as good as the readings
+NEAR_90 = 0.05  # of a 90 % interval's coverage
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
 THRESHOLDS = (0.5, 0.8, 0.95)
 
@@ -185,11 +186,21 @@ def show_unseen(rows: list[Row]) -> None:
     within = sum(error <= NEAR_NOISE for error in errors["after"])
     print(f"  within {NEAR_NOISE} of the noise after: {share_and_interval(within, len(rows))}")
     print(f"  corrected            {share_and_interval(len(corrected), len(rows))}")
-    gains = [row["correction"]["gain"] for row in corrected if row["correction"]["gain"]]
-    if gains:
-        ratios = [gain["with_correction"]["vector_T"] / gain["with_causes"]["vector_T"] for gain in gains]
+    judged = [row for row in corrected if row["correction"]["gain"]]
+    if not judged:
+        return
+    gains = [row["correction"]["gain"] for row in judged]
+    ratios = [gain["with_correction"]["vector_T"] / gain["with_causes"]["vector_T"] for gain in gains]
+    print(
+        f"  their error on unseen readings, with the correction over without: median {median(ratios):.2f}, largest {max(ratios):.2f}"
+    )
+    for protocol in sorted({row["protocol"] for row in judged}):
+        mine = [row["correction"]["gain"] for row in judged if row["protocol"] == protocol]
+        held = [[gain[model]["coverage90"] for gain in mine] for model in ("with_causes", "with_correction")]
+        n_near = sum(abs(share - 0.9) <= NEAR_90 for share in held[1])
         print(
-            f"  their error on unseen readings, with the correction over without: median {median(ratios):.2f}, largest {max(ratios):.2f}"
+            f"  unseen readings inside their 90 % intervals, protocol {protocol}: {fmean(held[0]):.1%} without the correction, "
+            f"{fmean(held[1]):.1%} with it; {n_near} of {len(mine)} sessions within {NEAR_90:.0%} of it"
         )
 
 
