@@ -15,6 +15,7 @@ from estimator.effects.stages import MotionEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule, choose_rule, distance_to_winding
+from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
@@ -22,13 +23,13 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import HarmonicCoil, Rig
+from estimator.rig.rig import FieldSum, HarmonicCoil, Rig
 
 
 class RoomField:
     """Field of a rig's coils at fixed points of the room, with the movers at one pose or at one for each point.
 
-    Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
+    Quadrature rules are chosen once, at `values`, by the distance of each point from the winding; the field may then be evaluated for any batch of similar parameter sets.
 
     Args:
         rig: Coils and movers.
@@ -65,6 +66,7 @@ class RoomField:
                 )
         at_rest = at_one_moment(rig, len(points_m), motion)
         rules: dict[str, Rule] = {}
+        zones: dict[str, tuple[Zone, ...]] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
@@ -73,11 +75,16 @@ class RoomField:
                 inside |= is_among_sources(coil, points_coil_m, values)
                 continue
             winding = winding_of(rig, coil, values)
-            within = distance_to_winding(points_coil_m, winding) <= 0.0
-            inside |= within
-            if not within.all():
-                rules[coil.name] = choose_rule(winding, points_coil_m[~within], tolerance)
-        self.sources = replace(at_rest, rules=rules)
+            distance_m = distance_to_winding(points_coil_m.detach(), winding)
+            inside |= distance_m <= 0.0
+            if not (distance_m > 0.0).any():
+                continue
+            if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:  # zones are made for the correct sum
+                rules[coil.name] = choose_rule(winding, points_coil_m[distance_m > 0.0], tolerance)
+                continue
+            zones[coil.name] = zones_of(winding, distance_m, tolerance)
+            rules[coil.name] = zones[coil.name][0].rule
+        self.sources = replace(at_rest, rules=rules, zones=zones)
         self.is_inside: Bool[Tensor, " point"] = inside
 
     def field_T(
