@@ -29,7 +29,8 @@ from estimator.rig.rig import FieldSum, HarmonicCoil, Rig
 class RoomField:
     """Field of a rig's coils at fixed points of the room, with the movers at one pose or at one for each point.
 
-    Quadrature rules are chosen once, at `values`, by the distance of each point from the winding; the field may then be evaluated for any batch of similar parameter sets.
+    Quadrature rules are chosen once, at `values`, by the distance of each point from the winding; the field may then be evaluated for any
+    batch of similar parameter sets.
 
     Args:
         rig: Coils and movers.
@@ -94,9 +95,18 @@ class RoomField:
         points_m: Float[Tensor, "point 3"] | None = None,
     ) -> Float[Tensor, "*batch point 3"]:
         """Flux density in the world frame; NaN at points inside a winding or among other sources (`is_inside` says which)."""
+        return self.field_by_point_T(values, current_A[..., None, :], points_m)
+
+    def field_by_point_T(
+        self,
+        values: Values,
+        current_A: Float[Tensor, "*#batch #point coil"],
+        points_m: Float[Tensor, "point 3"] | None = None,
+    ) -> Float[Tensor, "*batch point 3"]:
+        """As `field_T`, with currents of its own at each point."""
         points_m = self.points_m if points_m is None else points_m
         world_from_point = Transform(torch.eye(3, dtype=points_m.dtype)[None], points_m)
-        delivered_A = self.sources.delivered_A(current_A[..., None, :], values)
+        delivered_A = self.sources.delivered_A(current_A, values)
         field_T = self.sources.field_T(values, delivered_A, world_from_point)
         return torch.where(self.is_inside[:, None], torch.nan, field_T)
 
@@ -104,12 +114,18 @@ class RoomField:
         self, values: Values, current_A: Float[Tensor, "*#batch coil"]
     ) -> Float[Tensor, "*batch point 3 3"]:
         """dB_i / dx_j in the world frame, by forward differentiation: what forces on dipoles need."""
+        return self.gradient_by_point_T_per_m(values, current_A[..., None, :])
+
+    def gradient_by_point_T_per_m(
+        self, values: Values, current_A: Float[Tensor, "*#batch #point coil"]
+    ) -> Float[Tensor, "*batch point 3 3"]:
+        """As `gradient_T_per_m`, with currents of its own at each point."""
         columns = []
         for axis in range(3):
             direction = torch.zeros_like(self.points_m)
             direction[:, axis] = 1.0
             columns.append(
-                jvp(lambda p: self.field_T(values, current_A, p), (self.points_m,), (direction,))[1]
+                jvp(lambda p: self.field_by_point_T(values, current_A, p), (self.points_m,), (direction,))[1]
             )
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)
