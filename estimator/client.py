@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import torch
@@ -33,6 +33,9 @@ from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 TIMEOUT_S = 120.0
 LOOK_EVERY_S = 1.0
 ATTEMPTS = 6  # while the service restarts, or has too much to do
@@ -40,6 +43,8 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 BUSY = (429, 503)
 
 Tell = Callable[[Mapping[str, Any]], None]
+Axis = tuple[float, float, int]
+AT_ZERO: Axis = (0.0, 0.0, 1)
 
 
 class ServiceFault(CoilcalError):
@@ -305,6 +310,38 @@ class RemoteCalibration:
         found = self._predicted(points_m, currents_A, motion, **asked)
         return found["gradient_lower_T_per_m"], found["gradient_upper_T_per_m"]
 
+    def grid(
+        self,
+        currents_A: Mapping[str, float],
+        level: float = 0.9,
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+        *,
+        x: Axis = AT_ZERO,
+        y: Axis = AT_ZERO,
+        z: Axis = AT_ZERO,
+        has_gradient: bool = False,
+    ) -> pa.Table:
+        """Field, and gradient if wanted, with credible intervals on a regular grid of the world frame.
+
+        Args:
+            currents_A, level, motion: As in `field_interval`.
+            x, y, z: First and last coordinate in metres, and how many there are.
+            has_gradient: With dB_i / dx_j.
+        Returns: An Arrow table with a row for each point, z changing fastest: `x_m`, `Bx_T`, `Bx_lower_T`, and so on; null inside a
+            winding. Its `to_pandas()` is a data frame.
+        Raises:
+            ModuleNotFoundError: pyarrow is missing; `pip install pyarrow`.
+        """
+        import pyarrow as pa  # only here, for it is larger than all else that a client needs
+
+        axes = {
+            name: {"first_m": first_m, "last_m": last_m, "n": n}
+            for name, (first_m, last_m, n) in {"x": x, "y": y, "z": z}.items()
+        }
+        body = {**axes, **_wish(currents_A, motion), "level": level, "has_gradient": has_gradient}
+        answer = self.client.request("POST", f"/v1/calibrations/{self.id}/grid.arrow", json=body)
+        return pa.ipc.open_stream(answer.content).read_all()
+
     def _predicted(
         self,
         points_m: Tensor,
@@ -313,12 +350,7 @@ class RemoteCalibration:
         **asked: Any,
     ) -> dict[str, Tensor]:
         """What was asked for, as tensors; NaN inside a winding."""
-        body = {
-            "points_m": points_m.tolist(),
-            "currents_A": dict(currents_A),
-            "motion": {name: values.tolist() for name, values in (motion or {}).items()},
-            **asked,
-        }
+        body = {"points_m": points_m.tolist(), **_wish(currents_A, motion), **asked}
         answer = self.client.request("POST", f"/v1/calibrations/{self.id}/predict", json=body).json()
         return {name: torch.tensor(_nans(values), dtype=torch.float64) for name, values in answer.items()}
 
@@ -373,6 +405,11 @@ class RemoteSession:
     def close(self) -> None:
         """End the session, so that it can be calibrated."""
         self._client.request("POST", f"/v1/sessions/{self.id}/close")
+
+
+def _wish(currents_A: Mapping[str, float], motion: Mapping[str, Tensor] | None) -> dict[str, Any]:
+    motions = {name: values.tolist() for name, values in (motion or {}).items()}
+    return {"currents_A": dict(currents_A), "motion": motions}
 
 
 def _zipped(session: Session) -> bytes:

@@ -83,7 +83,7 @@ class Calibration:
             InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite.
         """
         best = self.best_values()
-        return self.room(points_m, motion).field_T(best, self._currents(currents_A))
+        return self.room(points_m, motion).field_T(best, self.currents(currents_A))
 
     def gradient(
         self,
@@ -93,7 +93,7 @@ class Calibration:
     ) -> Float[Tensor, "point 3 3"]:
         """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free region."""
         best = self.best_values()
-        return self.room(points_m, motion).gradient_T_per_m(best, self._currents(currents_A))
+        return self.room(points_m, motion).gradient_T_per_m(best, self.currents(currents_A))
 
     def field_interval(
         self,
@@ -107,14 +107,15 @@ class Calibration:
         Args:
             points_m, currents_A, motion: As in `field`.
             level: Probability inside the interval, 0 < level < 1.
-        Returns: Lower and upper ends in tesla, from 400 posterior draws.
+        Returns: Lower and upper ends in tesla, from 400 posterior draws, evenly spaced in the order of the steps: always the same ones.
+            By their number, each end is known to a tenth of the posterior's standard deviation (for a level of 0.9).
         Raises:
             InvalidInput: Level outside (0, 1), or as in `field`.
         """
         _check_level(level)
         room = self.room(points_m, motion)
-        fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
-        return self._ends(fields, (len(points_m), 3), level)
+        fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self.currents(currents_A))
+        return self.ends(fields, (len(points_m), 3), level)
 
     def gradient_interval(
         self,
@@ -126,15 +127,20 @@ class Calibration:
         """Credible interval of each dB_i / dx_j, in T/m; as `field_interval`."""
         _check_level(level)
         room = self.room(points_m, motion)
-        gradients = room.gradient_T_per_m(self.draw_values(INTERVAL_DRAWS), self._currents(currents_A))
-        return self._ends(gradients, (len(points_m), 3, 3), level)
+        gradients = room.gradient_T_per_m(self.draw_values(INTERVAL_DRAWS), self.currents(currents_A))
+        return self.ends(gradients, (len(points_m), 3, 3), level)
 
-    def _ends(self, values: Tensor, shape: tuple[int, ...], level: float) -> tuple[Tensor, Tensor]:
-        """Ends of the central interval over the draws on the first axis."""
+    def ends(
+        self, values: Float[Tensor, "..."], shape: tuple[int, ...], level: float
+    ) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
+        """Ends of the central interval of a shape, over values for `draw_values(INTERVAL_DRAWS)` on the first axis."""
         n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         values = values.expand(n_draws, *shape)  # no batch where no coil is free
-        tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=values.dtype)
-        lower, upper = torch.quantile(values, tails, dim=0)
+        tails = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
+        ends = np.quantile(
+            values.numpy(), tails, axis=0
+        )  # a third of the time of torch.quantile, which sorts
+        lower, upper = torch.from_numpy(ends)
         return lower, upper
 
     def room(
@@ -278,7 +284,8 @@ class Calibration:
         encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
         tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
 
-    def _currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
+    def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
+        """Currents in the order of the rig's coils; those that are not named are off."""
         names = [coil.name for coil in self.rig.coils]
         for name in currents_A:
             if name not in names:

@@ -15,6 +15,7 @@ from estimator.effects.stages import MotionEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule, choose_rule, distance_to_winding
+from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
@@ -22,13 +23,14 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import HarmonicCoil, Rig
+from estimator.rig.rig import FieldSum, HarmonicCoil, Rig
 
 
 class RoomField:
     """Field of a rig's coils at fixed points of the room, with the movers at one pose or at one for each point.
 
-    Quadrature rules are chosen once, at `values`; the field may then be evaluated for any batch of similar parameter sets.
+    Quadrature rules are chosen once, at `values`, by the distance of each point from the winding; the field may then be evaluated for any
+    batch of similar parameter sets.
 
     Args:
         rig: Coils and movers.
@@ -65,6 +67,7 @@ class RoomField:
                 )
         at_rest = at_one_moment(rig, len(points_m), motion)
         rules: dict[str, Rule] = {}
+        zones: dict[str, tuple[Zone, ...]] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool)
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
@@ -73,11 +76,16 @@ class RoomField:
                 inside |= is_among_sources(coil, points_coil_m, values)
                 continue
             winding = winding_of(rig, coil, values)
-            within = distance_to_winding(points_coil_m, winding) <= 0.0
-            inside |= within
-            if not within.all():
-                rules[coil.name] = choose_rule(winding, points_coil_m[~within], tolerance)
-        self.sources = replace(at_rest, rules=rules)
+            distance_m = distance_to_winding(points_coil_m.detach(), winding)
+            inside |= distance_m <= 0.0
+            if not (distance_m > 0.0).any():
+                continue
+            if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:  # zones are made for the correct sum
+                rules[coil.name] = choose_rule(winding, points_coil_m[distance_m > 0.0], tolerance)
+                continue
+            zones[coil.name] = zones_of(winding, distance_m, tolerance)
+            rules[coil.name] = zones[coil.name][0].rule
+        self.sources = replace(at_rest, rules=rules, zones=zones)
         self.is_inside: Bool[Tensor, " point"] = inside
 
     def field_T(
@@ -87,9 +95,18 @@ class RoomField:
         points_m: Float[Tensor, "point 3"] | None = None,
     ) -> Float[Tensor, "*batch point 3"]:
         """Flux density in the world frame; NaN at points inside a winding or among other sources (`is_inside` says which)."""
+        return self.field_by_point_T(values, current_A[..., None, :], points_m)
+
+    def field_by_point_T(
+        self,
+        values: Values,
+        current_A: Float[Tensor, "*#batch #point coil"],
+        points_m: Float[Tensor, "point 3"] | None = None,
+    ) -> Float[Tensor, "*batch point 3"]:
+        """As `field_T`, with currents of its own at each point."""
         points_m = self.points_m if points_m is None else points_m
         world_from_point = Transform(torch.eye(3, dtype=points_m.dtype)[None], points_m)
-        delivered_A = self.sources.delivered_A(current_A[..., None, :], values)
+        delivered_A = self.sources.delivered_A(current_A, values)
         field_T = self.sources.field_T(values, delivered_A, world_from_point)
         return torch.where(self.is_inside[:, None], torch.nan, field_T)
 
@@ -97,12 +114,18 @@ class RoomField:
         self, values: Values, current_A: Float[Tensor, "*#batch coil"]
     ) -> Float[Tensor, "*batch point 3 3"]:
         """dB_i / dx_j in the world frame, by forward differentiation: what forces on dipoles need."""
+        return self.gradient_by_point_T_per_m(values, current_A[..., None, :])
+
+    def gradient_by_point_T_per_m(
+        self, values: Values, current_A: Float[Tensor, "*#batch #point coil"]
+    ) -> Float[Tensor, "*batch point 3 3"]:
+        """As `gradient_T_per_m`, with currents of its own at each point."""
         columns = []
         for axis in range(3):
             direction = torch.zeros_like(self.points_m)
             direction[:, axis] = 1.0
             columns.append(
-                jvp(lambda p: self.field_T(values, current_A, p), (self.points_m,), (direction,))[1]
+                jvp(lambda p: self.field_by_point_T(values, current_A, p), (self.points_m,), (direction,))[1]
             )
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)

@@ -7,7 +7,7 @@ it here, so that what a session is fitted with is what a prediction is made with
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import torch
@@ -32,6 +32,7 @@ from estimator.field.first_order import first_order_field
 from estimator.field.magnetised import field_of_rings
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
+from estimator.field.zones import Zone
 from estimator.frames import Transform
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
 from estimator.model.cores import Cores
@@ -60,6 +61,7 @@ class Sources:
         powered: Per coil the rows where it ever carries current, or has a field without.
         rules: Per winding the quadrature rule; windings without one are left out.
         mode: How loops are summed: to first order for fits.
+        zones: Per winding a rule for each row, where one for all would be wasteful; only for a coil that is powered in every row.
     """
 
     rig: Rig
@@ -71,6 +73,7 @@ class Sources:
     powered: Mapping[str, Int[Tensor, " powered"]]
     rules: Mapping[str, Rule]
     mode: SumMode = SumMode.PLAIN
+    zones: Mapping[str, Sequence[Zone]] = field(default_factory=dict)
 
     def part(self, readings: Int[Tensor, " part"]) -> Sources:
         """The sources as some of the readings see them."""
@@ -150,7 +153,7 @@ class Sources:
         coil_from_point = world_from_coil.inverse() @ world_from_point
         points_m = coil_from_point.translation_m
         own = self._own_field(coil, values)
-        field = own(points_m)
+        field = self._zoned(coil, points_m, values) if coil.name in self.zones else own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
             assert isinstance(coil, Coil)  # the others are no place of such effects
@@ -250,6 +253,19 @@ class Sources:
             return lambda points_m: harmonic_field_per_ampere(coil, points_m, values)
         winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
         return lambda points_m: coil_field_per_ampere(coil, points_m, winding, rule, self.mode)
+
+    def _zoned(
+        self, coil: AnyCoil, points_coil_m: Float[Tensor, "*#batch row 3"], values: Values
+    ) -> Float[Tensor, "*batch row 3"]:
+        """Field of one ampere in a coil's winding in the coil frame, by the rule of each point."""
+        assert isinstance(coil, Coil)  # the others have no winding
+        winding, zones = winding_of(self.rig, coil, values), self.zones[coil.name]
+        parts = [
+            coil_field_per_ampere(coil, points_coil_m[..., zone.points, :], winding, zone.rule, self.mode)
+            for zone in zones
+        ]
+        order = torch.cat([zone.points for zone in zones]).argsort()
+        return torch.cat(parts, dim=-2)[..., order, :]
 
     @property
     def _is_first_order(self) -> bool:

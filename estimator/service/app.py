@@ -17,11 +17,12 @@ from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
-from estimator.service.routes import calibrations, jobs, operation, rigs, sessions
+from estimator.service.routes import calibrations, jobs, operation, predictions, rigs, sessions
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
 
 SMALLEST_GZIPPED = 1_000  # bytes
+GZIP_LEVEL = 1  # digits hardly shrink further, and a higher level takes ten times as long
 DESCRIPTION = "Calibration of electromagnet coils, with credible intervals. Numbers are in SI."
 
 
@@ -55,11 +56,11 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations):
+    for module in (operation, rigs, sessions, jobs, calibrations, predictions):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)
-    app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED)
+    app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED, compresslevel=GZIP_LEVEL)
     app.add_middleware(Guard, settings=settings, database=core.database)
     unguarded = [
         path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC

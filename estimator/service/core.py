@@ -17,12 +17,13 @@ from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.open_sessions import OpenSessions
+from estimator.service.predictions import Predictor
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
-CALIBRATIONS_IN_MEMORY = 16
+MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
 
 
 class Core:
@@ -49,6 +50,7 @@ class Core:
         self.n_streams = 0
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
         self._loading = threading.Lock()
+        self.predictor = Predictor(self.calibration, settings.most_predictions)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
@@ -67,12 +69,16 @@ class Core:
             known = self._calibrations.pop(folder, None)
             calibration = known if known is not None else Calibration.load(folder)
             self._calibrations[folder] = calibration
-            while len(self._calibrations) > CALIBRATIONS_IN_MEMORY:
+            while len(self._calibrations) > 1 and self._n_bytes() > MOST_CALIBRATION_BYTES:
                 self._calibrations.popitem(last=False)
             return calibration
 
+    def _n_bytes(self) -> int:
+        return sum(part.nbytes for each in self._calibrations.values() for part in each.draws.values())
+
     def close(self) -> None:
         """Hand everything back for the next process."""
+        self.predictor.close()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()

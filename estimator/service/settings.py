@@ -40,6 +40,8 @@ class Settings:
         most_readings: Readings of one session that are appended.
         most_open_sessions: Sessions that may be open at once.
         most_points: Points of one prediction.
+        most_grid_points: Points of one prediction on a grid.
+        most_predictions: Predictions that may be at work or wait at once.
         most_streams: Event streams that may be followed at once.
         most_body_s: Time in which the body of a request must arrive.
     """
@@ -62,6 +64,8 @@ class Settings:
     most_readings: int = 200_000
     most_open_sessions: int = 500
     most_points: int = 20_000
+    most_grid_points: int = 100_000
+    most_predictions: int = 200
     most_streams: int = 100
     most_body_s: float = 60.0
     source: str = field(default="", compare=False)

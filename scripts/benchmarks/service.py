@@ -1,4 +1,4 @@
-"""How long `coilcal serve` takes for an appended batch and for a prediction, over loopback.
+"""How long `coilcal serve` takes for an appended batch and for predictions, over loopback and beside the same calls in process.
 
     python -m scripts.benchmarks.service
 
@@ -19,12 +19,14 @@ import numpy as np
 import torch
 
 from estimator import SamplerSettings, Session, load_plan, load_rig, simulate
+from estimator.calibration.result import Calibration
 from estimator.client import Client, RemoteCalibration
 
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 RIG, PLAN = Path("configs/paper_simulation.yaml"), Path("configs/plans/paper_grid.yaml")
 BATCH, BATCHES = 20, 100
 POINTS, PREDICTIONS = 1000, 20
+CLIENTS, SMALL, FOR_S = (1, 4, 16), (1, 100), 4.0
 QUICK = SamplerSettings(target_ess=100.0, largest_rhat=1.2, max_steps=1000)
 
 
@@ -37,7 +39,7 @@ def main() -> None:
             url = process.stdout.readline().decode().split()[-1]
             for n_clients in (1, 10):
                 appends(url, n_clients)
-            predictions(url)
+            predictions(url, Path(folder))
         finally:
             process.terminate()
             process.communicate()
@@ -69,23 +71,55 @@ def appends(url: str, n_clients: int) -> None:
     print(f"  {rate:.0f} readings a second in all")
 
 
-def predictions(url: str) -> None:
-    """Predictions of a thousand points."""
+def predictions(url: str, data: Path) -> None:
+    """Predictions of a thousand points, and many small ones from several clients at once, beside the same in process."""
     rig = load_rig(RIG)
     session = Session(rig, simulate(rig, load_plan(PLAN, rig), {}, seed=1), "simulated")
-    points_m = torch.from_numpy(np.random.default_rng(0).uniform(-0.02, 0.02, (POINTS, 3)))
     currents_A = {coil.name: 2.0 for coil in rig.coils}
     with Client(url) as client:
         there = client.calibrate(session, settings=QUICK)
+    (folder,) = data.glob("jobs/*/calibration")
+    here = Calibration.load(folder)
+    for where, calibration in (("service", there), ("in process", here)):
         for name in ("field", "field_interval"):
-            tell(
-                f"{name} of {POINTS} points",
-                [took_s(asked(there, name, points_m, currents_A)) for _ in range(PREDICTIONS)],
-            )
+            call = asked(calibration, name, points(POINTS, 0), currents_A)
+            tell(f"{where}: {name} of {POINTS} points", [took_s(call) for _ in range(PREDICTIONS)])
+    for n_points in SMALL:
+        for name in ("field", "field_interval"):
+            what = f"{name} of {n_points} points"
+            here_by_s = rate(asked(here, name, points(n_points, 0), currents_A))
+            print(f"{what}, in process, one after another: {here_by_s:.0f} a second", flush=True)
+            for n_clients in CLIENTS:
+
+                def ask(number: int, name: str = name, n_points: int = n_points) -> float:
+                    with Client(url) as client:
+                        calibration = client.calibration(there.id)
+                        return rate(asked(calibration, name, points(n_points, number), currents_A))
+
+                with ThreadPoolExecutor(n_clients) as pool:
+                    by_s = sum(pool.map(ask, range(n_clients)))
+                print(f"{what}, {n_clients} clients: {by_s:.0f} a second", flush=True)
+
+
+def points(n: int, seed: int) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).uniform(-0.02, 0.02, (n, 3)))
+
+
+def rate(call: Callable[[], object]) -> float:
+    """Calls a second, one after another."""
+    call()
+    n, begin_s = 0, time.perf_counter()
+    while (passed_s := time.perf_counter() - begin_s) < FOR_S:
+        call()
+        n += 1
+    return n / passed_s
 
 
 def asked(
-    calibration: RemoteCalibration, name: str, points_m: torch.Tensor, currents_A: dict[str, float]
+    calibration: Calibration | RemoteCalibration,
+    name: str,
+    points_m: torch.Tensor,
+    currents_A: dict[str, float],
 ) -> Callable[[], object]:
     return lambda: getattr(calibration, name)(points_m, currents_A)
 

@@ -60,6 +60,12 @@ def test_a_calibration_there_is_read_as_one_here(
                 torch.stack(getattr(c, method)(points_m, {"coil1": 2.0}, 0.5)) for c in (here, there)
             )
             assert torch.equal(ours.nan_to_num(7.0), theirs.nan_to_num(7.0)), method
+        table = there.grid({"coil1": 2.0}, 0.5, x=(0.0, 0.02, 3), has_gradient=True)
+        on_grid = torch.tensor([[x, 0.0, 0.0] for x in (0.0, 0.01, 0.02)], dtype=torch.float64)
+        upper_T = here.field_interval(on_grid, {"coil1": 2.0}, 0.5)[1]
+        assert table.column("Bz_upper_T").to_pylist() == upper_T[:, 2].tolist()
+        gradient = here.gradient(on_grid, {"coil1": 2.0})
+        assert table.column("dBy_dz_T_per_m").to_pylist() == gradient[:, 1, 2].tolist()
         assert client.calibration(there.id).summary() == there.summary()
         with pytest.raises(InvalidInput, match="coil9"):
             there.field(points_m, {"coil9": 1.0})

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-import torch
 from starlette.testclient import TestClient
 
 from estimator.calibration.calibrate import calibrate
@@ -18,8 +17,6 @@ from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
-
-POINTS_M = [[0.0, 0.0, 0.01], [0.01, -0.02, 0.0], [0.0, 0.049, -0.052]]  # the last one lies in the winding
 
 
 @pytest.fixture(scope="module")
@@ -62,54 +59,6 @@ def test_a_calibration_has_the_numbers_of_the_python_api(
     intervals = api.get(f"/v1/calibrations/{result['calibration_id']}/intervals").json()
     assert intervals["best"] == dict(in_process.best)
     assert summary.headers["content-encoding"] == "gzip"
-
-
-def test_a_prediction_has_the_numbers_of_the_python_api(
-    result: dict[str, Any], in_process: Calibration, api: TestClient
-) -> None:
-    body = {"points_m": POINTS_M, "currents_A": {"coil1": 2.0}, "level": 0.8, "has_gradient": True}
-    answer = api.post(f"/v1/calibrations/{result['calibration_id']}/predict", json=body)
-    assert answer.status_code == 200, answer.text
-    points_m, currents_A = torch.tensor(POINTS_M, dtype=torch.float64), {"coil1": 2.0}
-    expected = {
-        "field_T": in_process.field(points_m, currents_A),
-        "gradient_T_per_m": in_process.gradient(points_m, currents_A),
-    }
-    expected["field_lower_T"], expected["field_upper_T"] = in_process.field_interval(
-        points_m, currents_A, 0.8
-    )
-    ends = in_process.gradient_interval(points_m, currents_A, 0.8)
-    expected["gradient_lower_T_per_m"], expected["gradient_upper_T_per_m"] = ends
-    received = answer.json()
-    assert received.keys() == expected.keys()
-    for name, tensor in expected.items():
-        assert torch.equal(torch.tensor(received[name][:2], dtype=torch.float64), tensor[:2]), name
-        assert bool(torch.isnan(tensor[2]).all())
-        assert json.dumps(received[name][2]).replace("[", "").replace("]", "") == ", ".join(
-            ["null"] * tensor[2].numel()
-        )
-    is_between = (ends[0] <= expected["gradient_T_per_m"]) & (expected["gradient_T_per_m"] <= ends[1])
-    assert bool(is_between[:2].all())
-
-
-def test_predictions_refuse_what_the_rig_has_not(result: dict[str, Any], api: TestClient) -> None:
-    path = f"/v1/calibrations/{result['calibration_id']}/predict"
-    body = {"points_m": [[0, 0, 0]], "currents_A": {"coil7": 1}}
-    assert refusal(api.post(path, json=body), 422)["value"] == "'coil7'"
-    body = {"points_m": [[0, 0, 0]], "currents_A": {"coil1": 1}, "motion": {"arm9": [0] * 6}}
-    assert refusal(api.post(path, json=body), 422)["value"] == "arm9"
-    assert refusal(
-        api.post(
-            path,
-            content=b'{"points_m": [[0, 0, NaN]], "currents_A": {}}',
-            headers={"Content-Type": "application/json"},
-        ),
-        422,
-    )
-    assert (
-        refusal(api.post(path, json={"points_m": [[0, 0, 0]] * 20_001, "currents_A": {}}), 413)["value"]
-        == "20001"
-    )
 
 
 def test_the_report_runs_nothing(job: dict[str, Any], api: TestClient) -> None:

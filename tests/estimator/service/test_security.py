@@ -99,7 +99,8 @@ def test_every_route_refuses_tokens_that_are_missing_wrong_expired_or_too_weak(
 
 
 def test_changes_need_more_than_read() -> None:
-    harmless = {"/v1/rigs/validate", "/v1/calibrations/{calibration_id}/predict"}
+    predictions = {f"/v1/calibrations/{{calibration_id}}/{name}" for name in ("predict", "grid")}
+    harmless = {"/v1/rigs/validate", *predictions, *(f"{path}.arrow" for path in predictions)}
     for method, path, scope in ROUTES:
         if method != "GET" and path not in harmless:
             assert scope is not None, path
