@@ -60,7 +60,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     install(app, str(core.data))
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED)
-    app.add_middleware(Guard, settings=settings, database=core.database)
+    app.add_middleware(Guard, settings=settings, database=core.database, metrics=core.metrics)
     unguarded = [
         path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC
     ]

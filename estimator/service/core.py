@@ -16,6 +16,7 @@ from estimator.errors import InvalidInput, reason
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
+from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
@@ -39,6 +40,7 @@ class Core:
         self.database.migrate()
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)
+        self.metrics = Metrics(self.database, settings)
         self.jobs = Dispatcher(
             self.queue,
             settings,

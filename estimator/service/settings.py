@@ -42,6 +42,8 @@ class Settings:
         most_points: Points of one prediction.
         most_streams: Event streams that may be followed at once.
         most_body_s: Time in which the body of a request must arrive.
+        most_requests_per_minute: Requests of one token, and of one address without one, where tokens are needed.
+        most_refused_per_minute: Requests of one address without a valid token, after which all others from there are refused too.
     """
 
     data: Path = Path("coilcal-data")
@@ -64,6 +66,8 @@ class Settings:
     most_points: int = 20_000
     most_streams: int = 100
     most_body_s: float = 60.0
+    most_requests_per_minute: int = 6_000
+    most_refused_per_minute: int = 60
     source: str = field(default="", compare=False)
 
     @property

@@ -196,6 +196,7 @@ def append_readings(core: CoreOf, caller: Writer, session_id: Id, body: Ndjson) 
         raise not_found("session", session_id)
     readings = readings_of(body, core.sessions.rig(session_id))
     n_readings, n_new = core.sessions.append(session_id, readings)
+    core.metrics.readings.inc(n_new)
     return Appended(n_readings=n_readings, n_new=n_new)
 
 
