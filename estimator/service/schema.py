@@ -56,6 +56,7 @@ class SessionRow(Base):
     """A session; its readings lie in the folder of its id."""
 
     __tablename__ = "sessions"
+    __table_args__ = (Index("ix_sessions_key", "user", "idempotency_key", unique=True),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     rig_id: Mapped[str] = mapped_column(ForeignKey("rig_versions.id"), index=True)
@@ -65,6 +66,7 @@ class SessionRow(Base):
     user: Mapped[str]
     n_readings: Mapped[int | None]
     hash: Mapped[str | None] = mapped_column(index=True)
+    idempotency_key: Mapped[str | None]
 
 
 class Job(Base):

@@ -27,6 +27,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    Key,
     Limit,
     Page,
     Reader,
@@ -118,16 +119,6 @@ class JobResult(BaseModel):
     extended_rig: Annotated[str | None, Field(description="Of a diagnosis: text of rig_extended.yaml.")]
 
 
-Key = Annotated[
-    str | None,
-    Header(
-        alias="Idempotency-Key",
-        min_length=1,
-        max_length=200,
-        pattern=r"^[\x21-\x7e]+$",
-        description="The same key again gives the same job.",
-    ),
-]
 KNOWN: dict[int | str, dict[str, Any]] = {200: {"model": JobInfo, "description": "The key was used before."}}
 
 
