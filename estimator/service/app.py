@@ -12,6 +12,7 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, iter_route_contexts
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import GZipMiddleware
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
@@ -61,6 +62,8 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED)
     app.add_middleware(Guard, settings=settings, database=core.database, metrics=core.metrics)
+    if settings.proxies:  # outermost, so that all others see the client and its scheme, not the proxy's
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(settings.proxies))
     unguarded = [
         path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC
     ]

@@ -29,6 +29,7 @@ class Settings:
         scheduler: Address of a Dask scheduler whose workers run the jobs instead; they see `data` under the same path.
         require_tokens: Ask for tokens at loopback too.
         allowed_hosts: Names under which the service is reached, beside its address; a request for another one is refused.
+        proxies: Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed; with one, tokens are needed.
         tls_certificate: PEM file of a certificate; with `tls_key` the service speaks HTTPS.
         tls_key: PEM file of its key.
         most_queued: Jobs that may wait, of all users together.
@@ -53,6 +54,7 @@ class Settings:
     scheduler: str = ""
     require_tokens: bool = False
     allowed_hosts: tuple[str, ...] = ()
+    proxies: tuple[str, ...] = ()
     tls_certificate: str = ""
     tls_key: str = ""
     most_queued: int = 200
@@ -82,8 +84,8 @@ class Settings:
 
     @property
     def needs_tokens(self) -> bool:
-        """Whether a request must carry a token."""
-        return self.require_tokens or not self.is_loopback
+        """Whether a request must carry a token; a proxy lets others reach a service at loopback."""
+        return self.require_tokens or not self.is_loopback or bool(self.proxies)
 
     @property
     def n_workers(self) -> int:
@@ -140,6 +142,11 @@ def checked(settings: Settings) -> Settings:
         raise InvalidInput(f"workers must be >= 0; received {settings.workers}")
     if not settings.host:
         raise InvalidInput("host must be an address or a name; received nothing")
+    for proxy in settings.proxies:
+        try:
+            ipaddress.ip_network(proxy)
+        except ValueError:
+            raise InvalidInput(f"proxies must be addresses or networks; received {proxy[:80]!r}") from None
     if bool(settings.tls_certificate) != bool(settings.tls_key):
         raise InvalidInput("tls_certificate and tls_key must be given together; received one of them")
     return settings
