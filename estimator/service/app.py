@@ -18,7 +18,7 @@ from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
-from estimator.service.routes import calibrations, jobs, operation, rigs, sessions
+from estimator.service.routes import calibrations, jobs, operation, rigs, sessions, webhooks
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
 
@@ -41,6 +41,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         if has_workers:
             core.jobs.start()
+            core.courier.start()
         yield
         await run_in_threadpool(core.close)
 
@@ -56,7 +57,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations):
+    for module in (operation, rigs, sessions, jobs, calibrations, webhooks):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)

@@ -20,6 +20,7 @@ from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.webhooks import Courier
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
@@ -48,6 +49,7 @@ class Core:
             self.sessions.path,
             lambda rig_id: self.rig_version(rig_id).text,
         )
+        self.courier = Courier(self.database, settings)
         self.n_streams = 0
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
         self._loading = threading.Lock()
@@ -75,6 +77,7 @@ class Core:
 
     def close(self) -> None:
         """Hand everything back for the next process."""
+        self.courier.stop()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()

@@ -12,7 +12,7 @@ from sqlalchemy import func, select
 
 from estimator.service.database import Database
 from estimator.service.job_queue import STATES
-from estimator.service.schema import Job, SessionRow
+from estimator.service.schema import Delivery, Job, SessionRow
 from estimator.service.settings import Settings
 
 NO_ROUTE = "none"  # paths that are not there: as they were asked for, they would fill the memory
@@ -68,14 +68,16 @@ class _Stored(Collector):
     def collect(self) -> Iterator[Metric]:
         """The present numbers."""
         with self._database.reading() as db:
-            jobs, sessions = (
+            jobs, sessions, deliveries = (
                 {row[0]: row[1] for row in db.execute(select(column, func.count()).group_by(column))}
-                for column in (Job.state, SessionRow.state)
+                for column in (Job.state, SessionRow.state, Delivery.state)
             )
         yield _gauge("coilcal_jobs", "Jobs by state.", {state: jobs.get(state, 0) for state in STATES})
         yield _gauge(
             "coilcal_sessions", "Sessions by state.", {s: sessions.get(s, 0) for s in ("open", "closed")}
         )
+        told = {state: deliveries.get(state, 0) for state in ("waiting", "delivered", "failed")}
+        yield _gauge("coilcal_webhook_deliveries", "Messages to webhooks by state.", told)
         yield GaugeMetricFamily(
             "coilcal_jobs_at_once", "Jobs that can run at once.", self._settings.n_workers
         )

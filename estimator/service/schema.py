@@ -107,6 +107,38 @@ class CalibrationRow(Base):
     user: Mapped[str]
 
 
+class Webhook(Base):
+    """An address that is told of what happens, with the secret that signs what it is told."""
+
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    url: Mapped[str]
+    secret: Mapped[str]
+    created: Mapped[str]
+    user: Mapped[str]
+
+
+class Delivery(Base):
+    """A message for a webhook, and what became of it."""
+
+    __tablename__ = "deliveries"
+    __table_args__ = (Index("ix_deliveries_due", "state", "next_attempt"),)
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(unique=True)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id"), index=True)
+    event: Mapped[str]
+    body: Mapped[str]
+    created: Mapped[str]
+    state: Mapped[str]
+    attempts: Mapped[int]
+    next_attempt: Mapped[str | None]
+    status: Mapped[int | None]
+    fault: Mapped[str | None]
+    ended: Mapped[str | None]
+
+
 class Audit(Base):
     """Who changed what, and when; written in the transaction of the change itself."""
 

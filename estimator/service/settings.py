@@ -30,6 +30,7 @@ class Settings:
         require_tokens: Ask for tokens at loopback too.
         allowed_hosts: Names under which the service is reached, beside its address; a request for another one is refused.
         proxies: Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed; with one, tokens are needed.
+        webhook_networks: Networks that are not public and that webhooks may reach all the same.
         tls_certificate: PEM file of a certificate; with `tls_key` the service speaks HTTPS.
         tls_key: PEM file of its key.
         most_queued: Jobs that may wait, of all users together.
@@ -55,6 +56,7 @@ class Settings:
     require_tokens: bool = False
     allowed_hosts: tuple[str, ...] = ()
     proxies: tuple[str, ...] = ()
+    webhook_networks: tuple[str, ...] = ()
     tls_certificate: str = ""
     tls_key: str = ""
     most_queued: int = 200
@@ -142,11 +144,14 @@ def checked(settings: Settings) -> Settings:
         raise InvalidInput(f"workers must be >= 0; received {settings.workers}")
     if not settings.host:
         raise InvalidInput("host must be an address or a name; received nothing")
-    for proxy in settings.proxies:
-        try:
-            ipaddress.ip_network(proxy)
-        except ValueError:
-            raise InvalidInput(f"proxies must be addresses or networks; received {proxy[:80]!r}") from None
+    for key in ("proxies", "webhook_networks"):
+        for network in getattr(settings, key):
+            try:
+                ipaddress.ip_network(network)
+            except ValueError:
+                raise InvalidInput(
+                    f"{key} must be addresses or networks; received {network[:80]!r}"
+                ) from None
     if bool(settings.tls_certificate) != bool(settings.tls_key):
         raise InvalidInput("tls_certificate and tls_key must be given together; received one of them")
     return settings

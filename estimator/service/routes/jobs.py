@@ -39,6 +39,7 @@ from estimator.service.requests import (
 from estimator.service.routes.sessions import closed_row_of
 from estimator.service.schema import CalibrationRow, Job, RigVersion
 from estimator.service.tokens import Scope
+from estimator.service.webhooks import announce_end
 from estimator.service.work import DIAGNOSIS, REPORT, calibration_folder
 from estimator.store.session import load_session
 
@@ -226,6 +227,7 @@ def cancel_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> Jo
             raise Problem(403, "job", "must be one's own, unless the token has the scope admin", job_id)
         if row.state not in ENDED:
             row.state, row.ended = CANCELLED, now()
+            announce_end(db, row)
             audited(db, request, caller, "job.cancel", job_id)
     core.jobs.wake()
     return info_of(row)
