@@ -57,7 +57,7 @@ class Intervals(BaseModel):
 class Question(BaseModel):
     """Points at which to predict."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     points_m: Annotated[list[Point], Field(min_length=1, description="Points in the world frame.")]
     currents_A: Annotated[dict[str, Number], Field(description="By coil; coils that are not named are off.")]
@@ -140,7 +140,7 @@ def get_intervals(core: CoreOf, caller: Reader, calibration_id: Id) -> Intervals
 @router.get(
     "/{calibration_id}/rig",
     response_class=Response,
-    responses={200: {"content": {"application/yaml": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}}},
 )
 def get_calibrated_rig(core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The rig that was fitted, as a rig file."""
