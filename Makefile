@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service figures
+.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -100,6 +100,12 @@ bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
 
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
 	$(RUN) scripts.benchmarks.batch
+
+fuzz-service: $(INSTALLED)   # five minutes of requests made from the schema, all checks of schemathesis, the same ones each time
+	$(RUN) scripts.studies.fuzz_service --seconds 300 --seed 7
+
+service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 clients stream; ten minutes
+	$(RUN) scripts.studies.service_storm --kills 30 --clients 100 --seed 1
 
 bench-service: $(INSTALLED)  # an appended batch and a prediction over HTTP
 	$(RUN) scripts.benchmarks.service

@@ -64,11 +64,17 @@ class Client:
         url: Address of the service.
         token: Token, where the service needs one.
         transport: Another transport of httpx, such as one that calls an application in this process.
+        attempts: How often a request is made while the service does not answer.
     """
 
     def __init__(
-        self, url: str, token: str | None = None, transport: httpx.BaseTransport | None = None
+        self,
+        url: str,
+        token: str | None = None,
+        transport: httpx.BaseTransport | None = None,
+        attempts: int = ATTEMPTS,
     ) -> None:
+        self._attempts = attempts
         headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._http = httpx.Client(base_url=url, headers=headers, timeout=TIMEOUT_S, transport=transport)
 
@@ -163,15 +169,17 @@ class Client:
         call = {"params": {"rig_id": rig_id}, "headers": headers, "content": _zipped(session)}
         return str(self.request("POST", "/v1/sessions/import-zip", **call).json()["id"])
 
-    def begin(self, rig: Rig, source: str) -> RemoteSession:
+    def begin(self, rig: Rig, source: str, key: str | None = None) -> RemoteSession:
         """Begin a session that takes readings.
 
         Args:
             rig: The rig that is measured.
             source: Origin of the readings, in words.
+            key: The same key again gives the same session.
         """
-        body = {"rig_id": self.upload_rig(rig), "source": source}
-        return RemoteSession(self, str(self.request("POST", "/v1/sessions", json=body).json()["id"]))
+        call: dict[str, Any] = {"json": {"rig_id": self.upload_rig(rig), "source": source}}
+        call["headers"] = {"Idempotency-Key": key or uuid.uuid4().hex}
+        return RemoteSession(self, str(self.request("POST", "/v1/sessions", **call).json()["id"]))
 
     def request(self, method: str, path: str, **call: Any) -> httpx.Response:
         """The answer to a request, which is made again while the service cannot answer.
@@ -181,7 +189,7 @@ class Client:
             ServiceFault: It cannot be reached, or fails.
         """
         fault = ""
-        for pause_s in (*_pauses(ATTEMPTS - 1), None):
+        for pause_s in (*_pauses(self._attempts - 1), None):
             try:
                 answer = self._http.request(method, path, **call)
             except httpx.TransportError as error:
@@ -402,9 +410,13 @@ class RemoteSession:
         path = f"/v1/sessions/{self.id}/readings"
         return int(self._client.request("POST", path, content=content, headers=headers).json()["n_readings"])
 
-    def close(self) -> None:
-        """End the session, so that it can be calibrated."""
-        self._client.request("POST", f"/v1/sessions/{self.id}/close")
+    def info(self) -> dict[str, Any]:
+        """The session as the service has it: `state`, `n_readings`, `hash` and more."""
+        return dict(self._client.request("GET", f"/v1/sessions/{self.id}").json())
+
+    def close(self) -> dict[str, Any]:
+        """End the session, so that it can be calibrated; what `info` then says."""
+        return dict(self._client.request("POST", f"/v1/sessions/{self.id}/close").json())
 
 
 def _wish(currents_A: Mapping[str, float], motion: Mapping[str, Tensor] | None) -> dict[str, Any]:

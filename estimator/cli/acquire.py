@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from estimator.cli.options import devices_option, json_option, overwrite_option, seed_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
+from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, refuse_existing, show
+from estimator.errors import CorruptStore, InvalidInput
+
+if TYPE_CHECKING:
+    from estimator.cli.delivery import Delivery
+    from estimator.store.session import Session
 
 FEWEST_READINGS = 6  # `estimator.acquisition.pace` says why; it needs torch
 INTERRUPTED = 130
+DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 
 @click.command("acquire", cls=CoilcalCommand)
@@ -44,6 +52,12 @@ INTERRUPTED = 130
     type=click.FloatRange(min=0.0, min_open=True),
     help="Speed of the arms in mm/s; by default the highest that the rig file allows.",
 )
+@click.option(
+    "--to",
+    "url",
+    metavar="URL",
+    help="Service that gets the readings as they are measured; they wait on disk while it does not answer. COILCAL_TOKEN has its token.",
+)
 @seed_option
 @overwrite_option
 @json_option
@@ -56,6 +70,7 @@ def acquire_command(
     n_readings: int,
     longest_settle_s: float,
     speed_mm_per_s: float | None,
+    url: str | None,
     seed: int,
     overwrite: bool,
     as_json: bool,
@@ -68,10 +83,13 @@ def acquire_command(
     from drivers.interlock import sigterm_as_exception
     from estimator.cli.acquire_task import check_plan, measure, plan_record, plan_text, read_task
     from estimator.cli.instruments import Bench
-    from estimator.store.journal import read_journal
+    from estimator.store.journal import JOURNAL, read_journal
     from estimator.store.session import is_growing, seal
 
     is_resumed = is_growing(out) and not overwrite
+    if url is not None and not overwrite and not is_resumed and (out / JOURNAL).is_file():
+        _deliver_rest(out, url, as_json)
+        return
     if not is_resumed:
         refuse_existing(out, overwrite)
     header, records = read_journal(out) if is_resumed else ({}, [])
@@ -81,9 +99,11 @@ def acquire_command(
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)
         return
+    delivery = None if url is None else _delivery(out, url, is_new=not is_resumed)
     try:
         with sigterm_as_exception(), ExitStack() as stack:
-            n_before = measure(task, out, is_resumed, loads, stack)
+            begin = (lambda: None) if delivery is None else delivery.start
+            n_before = measure(task, out, is_resumed, loads, stack, begin)
     except (KeyboardInterrupt, SystemExit) as end:
         click.echo(
             "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
@@ -101,8 +121,54 @@ def acquire_command(
         "stops_of_earlier_runs": n_before,
         "session_hash": session.hash,
     }
-    show(
-        result,
-        f"{n_readings_taken} readings ({n_validation} of them for validation) written to {out}",
-        as_json,
-    )
+    words = f"{n_readings_taken} readings ({n_validation} of them for validation) written to {out}"
+    _show_delivered(result, words, delivery, session, as_json)
+
+
+def _delivery(out: Path, url: str, is_new: bool) -> Delivery:
+    """The delivery to a service; refused where that takes no readings."""
+    try:
+        from estimator.cli.delivery import Delivery, connected
+    except ModuleNotFoundError as error:
+        raise InvalidInput(
+            f"--to needs {error.name}: install coilcal with its extra, pip install 'coilcal[client]'"
+        ) from error
+
+    def tell(sentence: str) -> None:
+        click.echo(f"coilcal: {sentence}", err=True)
+
+    client = connected(url, os.environ.get("COILCAL_TOKEN"), tell)
+    return Delivery(out, client, url, tell, is_new)
+
+
+def _deliver_rest(out: Path, url: str, as_json: bool) -> None:
+    """Deliver what a service has not got of a session that was measured before."""
+    from estimator.store.session import load_session
+
+    session = load_session(out)
+    delivery = _delivery(out, url, is_new=False)
+    delivery.start()
+    result = {"session": str(out), "readings": len(session.observations), "session_hash": session.hash}
+    _show_delivered(result, f"{out} was complete", delivery, session, as_json)
+
+
+def _show_delivered(
+    result: dict[str, Any], words: str, delivery: Delivery | None, session: Session, as_json: bool
+) -> None:
+    """Show what was measured, once a service has it or is no longer waited for."""
+    if delivery is None:
+        show(result, words, as_json)
+        return
+    receipt = delivery.finish(DELIVERY_S)
+    result["delivered"] = {"to": receipt.url, "session": receipt.session_id, "hash": receipt.hash}
+    delivered = f", delivered to {receipt.url} as session {receipt.session_id}" if receipt.hash else ""
+    show(result, words + delivered, as_json)
+    if receipt.hash is None:
+        click.echo(
+            f"coilcal: {receipt.url} has not got all of them; the same command sends the rest", err=True
+        )
+        sys.exit(EXIT_UNDELIVERED)
+    if receipt.hash != session.hash:
+        raise CorruptStore(
+            f"session must be the same at {receipt.url} and here; it has the hash {receipt.hash} there and {session.hash} here"
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,8 +95,15 @@ def check_plan(task: Task, records: Sequence[Mapping[str, Any]], now_s: float) -
     return loads
 
 
-def measure(task: Task, out: Path, is_resumed: bool, loads: Mapping[str, CoilLoad], stack: ExitStack) -> int:
-    """Open the instruments, check the ways of the arms and visit the stops.
+def measure(
+    task: Task,
+    out: Path,
+    is_resumed: bool,
+    loads: Mapping[str, CoilLoad],
+    stack: ExitStack,
+    on_begin: Callable[[], None],
+) -> int:
+    """Open the instruments, check the ways of the arms and visit the stops; `on_begin` is called when there is a journal.
 
     Returns: Number of stops that earlier runs had visited.
     """
@@ -120,6 +127,7 @@ def measure(task: Task, out: Path, is_resumed: bool, loads: Mapping[str, CoilLoa
             remove_session(out)
         header = new_header(rig, _source(task, devices), digest_of(task.stops), references, len(task.stops))
         journal = stack.enter_context(Journal.create(out, header))
+    on_begin()
     n_before = len(journal.entries)
     if n_before:
         click.echo(f"coilcal: {n_before} of {len(task.stops)} stops were visited before", err=True)

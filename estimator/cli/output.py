@@ -21,7 +21,7 @@ from drivers.errors import DriverError, Refused
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5
-EXIT_UNUSABLE = 6
+EXIT_UNUSABLE, EXIT_UNDELIVERED = 6, 7
 EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 

@@ -82,6 +82,37 @@ def serve_group(
     serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"))
 
 
+@serve_group.command("backup", cls=CoilcalCommand)
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@config_option
+@data_option
+@json_option
+def backup_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
+    """Copy everything that the service keeps into FILE, while it runs.
+
+    Readings that were acknowledged before the start are in it. Jobs that run go on from there when the copy is served.
+    """
+    with _with_extra():
+        from estimator.service.backup import backup
+        from estimator.service.settings import load_settings
+    result = backup(load_settings(config).with_options(data=data).data, file)
+    show(result, f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB, copied to {file}", as_json)
+
+
+@serve_group.command("restore", cls=CoilcalCommand)
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@config_option
+@data_option
+@json_option
+def restore_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
+    """Make the data folder of a service from FILE; nothing may be there yet."""
+    with _with_extra():
+        from estimator.service.backup import restore
+        from estimator.service.settings import load_settings
+    result = restore(file, load_settings(config).with_options(data=data).data)
+    show(result, f"{result['files']} files of {result['created']} restored to {result['data']}", as_json)
+
+
 @serve_group.group("token")
 def token_group() -> None:
     """Make, list and revoke the tokens of a service."""

@@ -12,12 +12,21 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, iter_route_contexts
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import GZipMiddleware
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
-from estimator.service.routes import calibrations, jobs, operation, predictions, rigs, sessions
+from estimator.service.routes import (
+    calibrations,
+    jobs,
+    operation,
+    predictions,
+    rigs,
+    sessions,
+    webhooks,
+)
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
 
@@ -41,6 +50,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         if has_workers:
             core.jobs.start()
+            core.courier.start()
         yield
         await run_in_threadpool(core.close)
 
@@ -56,12 +66,14 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations, predictions):
+    for module in (operation, rigs, sessions, jobs, calibrations, predictions, webhooks):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED, compresslevel=GZIP_LEVEL)
-    app.add_middleware(Guard, settings=settings, database=core.database)
+    app.add_middleware(Guard, settings=settings, database=core.database, metrics=core.metrics)
+    if settings.proxies:  # outermost, so that all others see the client and its scheme, not the proxy's
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(settings.proxies))
     unguarded = [
         path for path, scope in scopes_by_route(app).items() if scope is None and path[1] not in PUBLIC
     ]

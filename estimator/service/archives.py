@@ -13,12 +13,13 @@ from pathlib import Path, PurePosixPath
 
 from estimator.errors import CoilcalError
 from estimator.service.problems import Problem
-from estimator.store.admission import MOST_FILES
+from estimator.store.admission import MOST_FILES, admit
 from estimator.store.session import Session, load_session
 
 MOST_NAME = 200  # characters
 MOST_LEVELS = 6  # folders inside each other; a session has four
 PIECE = 1 << 20
+BYTES_OF_NUMBER = 8
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -49,6 +50,7 @@ def unpacked_session(body: bytes, folder: Path, most_bytes: int) -> Iterator[Ses
         if not (folder / "zarr.json").is_file():
             raise Problem(422, "archive", "must hold the zarr.json of a session at its top; it holds none")
         try:
+            admit(folder, "session", most_bytes // BYTES_OF_NUMBER)
             session = load_session(folder)
         except Problem:
             raise

@@ -16,10 +16,12 @@ from estimator.errors import InvalidInput, reason
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
+from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.webhooks import Courier
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
@@ -40,6 +42,7 @@ class Core:
         self.database.migrate()
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)
+        self.metrics = Metrics(self.database, settings)
         self.jobs = Dispatcher(
             self.queue,
             settings,
@@ -47,6 +50,7 @@ class Core:
             self.sessions.path,
             lambda rig_id: self.rig_version(rig_id).text,
         )
+        self.courier = Courier(self.database, settings)
         self.n_streams = 0
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
         self._loading = threading.Lock()
@@ -79,6 +83,7 @@ class Core:
     def close(self) -> None:
         """Hand everything back for the next process."""
         self.predictor.close()
+        self.courier.stop()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()

@@ -1,4 +1,4 @@
-"""What every request passes before a route sees it, its body included: name of the host, origin, token, size and time of the body.
+"""What every request passes before a route sees it, its body included: name of the host, origin, token, rate, size and time of the body.
 
 Refusal is the rule: a path without a token is one of `PUBLIC`, so a new route cannot be forgotten.
 """
@@ -17,11 +17,14 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimator.service.database import Database
+from estimator.service.metrics import NO_ROUTE, Metrics
 from estimator.service.problems import Problem, answer_to
+from estimator.service.rate_limits import RateLimits
 from estimator.service.settings import Settings
 from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of
 
 PUBLIC = frozenset({"/healthz", "/readyz"})
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -38,8 +41,9 @@ log = logging.getLogger("coilcal.service")
 class Guard:
     """Admits requests, gives each an id, and puts the headers of security on the answers."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
-        self._app, self._settings, self._database = app, settings, database
+    def __init__(self, app: ASGIApp, settings: Settings, database: Database, metrics: Metrics) -> None:
+        self._app, self._settings, self._database, self._metrics = app, settings, database, metrics
+        self._rates = RateLimits(settings)
         own = LOOPBACK_NAMES if settings.is_loopback else (_bracketed(settings.host),)
         self._hosts = {name.lower() for name in (*own, *settings.allowed_hosts)}
 
@@ -55,10 +59,7 @@ class Guard:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                caller = scope.get("caller")
-                told = {"request_id": request_id, "method": scope["method"], "path": scope["path"]}
-                told |= {"status": message["status"], "user": None if caller is None else caller.user}
-                log.info("request", extra={**told, "took_s": round(time.monotonic() - begin_s, 4)})
+                self._note(scope, message["status"], time.monotonic() - begin_s)
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
                 headers.setdefault("Content-Security-Policy", DEFAULT_POLICY)
@@ -69,12 +70,23 @@ class Guard:
         try:
             headers = Headers(scope=scope)
             self._check_site(headers, str(scope["scheme"]))
-            scope["caller"] = await self._caller(str(scope["path"]), headers)
+            address = scope["client"][0] if scope.get("client") else ""
+            scope["caller"] = await self._caller(str(scope["path"]), headers, address)
             limited = self._limited(headers, receive)
         except Problem as problem:
             await answer_to(problem, request_id)(scope, receive, send_with_headers)
             return
         await self._app(scope, limited, send_with_headers)
+
+    def _note(self, scope: Scope, status: int, took_s: float) -> None:
+        """Log and count a request whose answer begins."""
+        caller = scope.get("caller")
+        told = {"request_id": scope["request_id"], "method": scope["method"], "path": scope["path"]}
+        told |= {"status": status, "user": None if caller is None else caller.user}
+        log.info("request", extra={**told, "took_s": round(took_s, 4)})
+        route = getattr(scope.get("route"), "path", NO_ROUTE)
+        method = scope["method"] if scope["method"] in METHODS else NO_ROUTE
+        self._metrics.answered(method, route, status, took_s)
 
     def _check_site(self, headers: Headers, scheme: str) -> None:
         """Refuse what a page of another site makes a browser send: by its own name for this address, or across origins."""
@@ -94,9 +106,21 @@ class Guard:
                 403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site"
             )
 
-    async def _caller(self, path: str, headers: Headers) -> Caller | None:
+    async def _caller(self, path: str, headers: Headers, address: str) -> Caller | None:
+        """Who asks; refused without a valid token, or with too many requests."""
         if path in PUBLIC:
+            self._rates.count(address)
             return None
+        self._rates.check_refused(address)
+        try:
+            caller = await self._known_caller(headers)
+        except Problem:
+            self._rates.count_refused(address)
+            raise
+        self._rates.count(caller.token_id or address)
+        return caller
+
+    async def _known_caller(self, headers: Headers) -> Caller:
         kind, _, secret = headers.get("authorization", "").partition(" ")
         if not self._settings.needs_tokens and not secret:
             return NOBODY_ELSE

@@ -13,6 +13,7 @@ from estimator.service.database import Database, new_id, now
 from estimator.service.problems import Problem
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.settings import Settings
+from estimator.service.webhooks import announce_end
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 STATES = (QUEUED, RUNNING, DONE, FAILED, CANCELLED)
@@ -108,6 +109,7 @@ class JobQueue:
             if job is None or job.state != RUNNING:
                 return
             job.state, job.fault, job.ended = result["state"], result["fault"], now()
+            announce_end(db, job, result)
             if result.get("has_calibration"):
                 db.add(
                     CalibrationRow(

@@ -17,13 +17,16 @@ from starlette.responses import JSONResponse, Response
 from estimator.errors import CoilcalError, CorruptStore
 
 MEDIA_TYPE = "application/problem+json"
-MOST_SHOWN = 200
+MOST_SHOWN = 200  # characters of a value
+MOST_SAID = 800  # and of a sentence
 SENTENCE = re.compile(
     r"(?P<thing>.+?) (?P<rule>(?:must|is not|is missing|takes) .*?)"
     r"(?:; (?:received )?(?P<value>.*?))?"
     r"(?: \((?P<place>[^()]*)\))?\.?"
 )
-CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+CONTROL = re.compile(
+    r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]"
+)  # and halves of characters, which no answer can hold
 log = logging.getLogger("coilcal.service")
 
 
@@ -77,10 +80,10 @@ def not_found(thing: str, value: str) -> Problem:
     return Problem(404, thing, "must be one that the service holds", value)
 
 
-def shown(value: object) -> str:
+def shown(value: object, most: int = MOST_SHOWN) -> str:
     """A value as a refusal shows it: short, and without characters that steer a terminal."""
     text = CONTROL.sub(lambda found: repr(found[0])[1:-1], str(value))
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def parts_of(sentence: str) -> dict[str, str | None]:
@@ -105,7 +108,11 @@ def answer(
 ) -> Response:
     """The answer that tells of a refusal."""
     title = HTTPStatus(status).phrase
-    told = {"title": title, "status": status, "detail": sentence, "request_id": request_id, **parts}
+    words = {"detail": sentence, **parts}  # which may hold what a client sent
+    told: dict[str, Any] = {
+        name: None if text is None else shown(text, MOST_SAID) for name, text in words.items()
+    }
+    told |= {"title": title, "status": status, "request_id": request_id}
     body = ProblemBody.model_validate(told)
     return JSONResponse(body.model_dump(), status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
 

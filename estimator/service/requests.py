@@ -7,7 +7,7 @@ import binascii
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, Generic, TypeVar
 
-from fastapi import Depends, Path, Query, Request
+from fastapi import Depends, Header, Path, Query, Request
 from pydantic import BaseModel
 from sqlalchemy import Select, tuple_
 from sqlalchemy.orm import Session
@@ -31,6 +31,16 @@ def core_of(request: Request) -> Core:
 
 
 CoreOf = Annotated[Core, Depends(core_of)]
+Key = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=200,
+        pattern=r"^[\x21-\x7e]+$",
+        description="The same key again makes nothing new, and gives what it has made.",
+    ),
+]
 Id = Annotated[str, Path(pattern=ID, description="Id that the service has given.")]
 
 

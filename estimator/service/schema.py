@@ -56,6 +56,7 @@ class SessionRow(Base):
     """A session; its readings lie in the folder of its id."""
 
     __tablename__ = "sessions"
+    __table_args__ = (Index("ix_sessions_key", "user", "idempotency_key", unique=True),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     rig_id: Mapped[str] = mapped_column(ForeignKey("rig_versions.id"), index=True)
@@ -65,6 +66,7 @@ class SessionRow(Base):
     user: Mapped[str]
     n_readings: Mapped[int | None]
     hash: Mapped[str | None] = mapped_column(index=True)
+    idempotency_key: Mapped[str | None]
 
 
 class Job(Base):
@@ -103,6 +105,38 @@ class CalibrationRow(Base):
     rig_name: Mapped[str] = mapped_column(index=True)
     created: Mapped[str]
     user: Mapped[str]
+
+
+class Webhook(Base):
+    """An address that is told of what happens, with the secret that signs what it is told."""
+
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    url: Mapped[str]
+    secret: Mapped[str]
+    created: Mapped[str]
+    user: Mapped[str]
+
+
+class Delivery(Base):
+    """A message for a webhook, and what became of it."""
+
+    __tablename__ = "deliveries"
+    __table_args__ = (Index("ix_deliveries_due", "state", "next_attempt"),)
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(unique=True)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id"), index=True)
+    event: Mapped[str]
+    body: Mapped[str]
+    created: Mapped[str]
+    state: Mapped[str]
+    attempts: Mapped[int]
+    next_attempt: Mapped[str | None]
+    status: Mapped[int | None]
+    fault: Mapped[str | None]
+    ended: Mapped[str | None]
 
 
 class Audit(Base):

@@ -71,11 +71,9 @@ def address_of(settings: Settings, port: int) -> str:
 
 def _check_tokens(settings: Settings) -> None:
     if settings.needs_tokens and not _n_tokens(settings):
-        why = (
-            "because require_tokens is set"
-            if settings.is_loopback
-            else f"because {settings.host} is not loopback"
-        )
+        why = f"because {settings.host} is not loopback"
+        if settings.is_loopback:
+            why = "because a proxy is named" if settings.proxies else "because require_tokens is set"
         raise InvalidInput(
             f"tokens must be there before the service starts, {why}; there is none in {settings.data} "
             "(coilcal serve token create makes one)"

@@ -29,6 +29,8 @@ class Settings:
         scheduler: Address of a Dask scheduler whose workers run the jobs instead; they see `data` under the same path.
         require_tokens: Ask for tokens at loopback too.
         allowed_hosts: Names under which the service is reached, beside its address; a request for another one is refused.
+        proxies: Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed; with one, tokens are needed.
+        webhook_networks: Networks that are not public and that webhooks may reach all the same.
         tls_certificate: PEM file of a certificate; with `tls_key` the service speaks HTTPS.
         tls_key: PEM file of its key.
         most_queued: Jobs that may wait, of all users together.
@@ -44,6 +46,8 @@ class Settings:
         most_predictions: Predictions that may be at work or wait at once.
         most_streams: Event streams that may be followed at once.
         most_body_s: Time in which the body of a request must arrive.
+        most_requests_per_minute: Requests of one token, and of one address without one, where tokens are needed.
+        most_refused_per_minute: Requests of one address without a valid token, after which all others from there are refused too.
     """
 
     data: Path = Path("coilcal-data")
@@ -53,6 +57,8 @@ class Settings:
     scheduler: str = ""
     require_tokens: bool = False
     allowed_hosts: tuple[str, ...] = ()
+    proxies: tuple[str, ...] = ()
+    webhook_networks: tuple[str, ...] = ()
     tls_certificate: str = ""
     tls_key: str = ""
     most_queued: int = 200
@@ -68,6 +74,8 @@ class Settings:
     most_predictions: int = 200
     most_streams: int = 100
     most_body_s: float = 60.0
+    most_requests_per_minute: int = 6_000
+    most_refused_per_minute: int = 60
     source: str = field(default="", compare=False)
 
     @property
@@ -82,8 +90,8 @@ class Settings:
 
     @property
     def needs_tokens(self) -> bool:
-        """Whether a request must carry a token."""
-        return self.require_tokens or not self.is_loopback
+        """Whether a request must carry a token; a proxy lets others reach a service at loopback."""
+        return self.require_tokens or not self.is_loopback or bool(self.proxies)
 
     @property
     def n_workers(self) -> int:
@@ -140,6 +148,14 @@ def checked(settings: Settings) -> Settings:
         raise InvalidInput(f"workers must be >= 0; received {settings.workers}")
     if not settings.host:
         raise InvalidInput("host must be an address or a name; received nothing")
+    for key in ("proxies", "webhook_networks"):
+        for network in getattr(settings, key):
+            try:
+                ipaddress.ip_network(network)
+            except ValueError:
+                raise InvalidInput(
+                    f"{key} must be addresses or networks; received {network[:80]!r}"
+                ) from None
     if bool(settings.tls_certificate) != bool(settings.tls_key):
         raise InvalidInput("tls_certificate and tls_key must be given together; received one of them")
     return settings

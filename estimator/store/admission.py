@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +16,26 @@ import numpy as np
 
 from estimator.errors import CorruptStore
 from estimator.rig.rig import Rig
+from estimator.store.chunks import admit_chunk
 from estimator.yaml_section import LARGEST
 
 METADATA = "zarr.json"
-CODECS = ("bytes", "zstd", "crc32c")
-TYPES = ("bool", "int64", "float64")
+CODECS = ("bytes", "zstd", "crc32c")  # in this order
+TYPES = {"bool": 1, "int64": 8, "float64": 8}  # bytes of a number
+KEYS = {"name": "default", "configuration": {"separator": "/"}}  # chunks are files such as c/0/1
 MOST_FILES = 100_000
 MOST_METADATA_BYTES = 8_000_000
 MOST_NUMBERS = 300_000_000  # in all arrays, and in one chunk: 2.4 GB
 MOST_REPEATS = 999_999_999
 
 
-def admit(path: Path, what: str) -> None:
+def admit(path: Path, what: str, most_numbers: int = MOST_NUMBERS) -> None:
     """Refuse a folder of zarr that is not what coilcal writes.
 
     Args:
         path: Folder of the group.
         what: The kind of store, for messages.
+        most_numbers: Numbers that all arrays together may hold.
     Raises:
         CorruptStore: It is of another zarr format, beyond a limit, or its metadata cannot be read.
     """
@@ -46,9 +49,9 @@ def admit(path: Path, what: str) -> None:
             raise CorruptStore(f"{what} must be of zarr format 3; {part} is of format 2")
         if part.name == METADATA:
             n_numbers += _numbers_of(part, what)
-            if n_numbers > MOST_NUMBERS:
+            if n_numbers > most_numbers:
                 raise CorruptStore(
-                    f"{what} must hold at most {MOST_NUMBERS} numbers; with {part} it claims {n_numbers}"
+                    f"{what} must hold at most {most_numbers} numbers; with {part} it claims {n_numbers}"
                 )
 
 
@@ -96,7 +99,7 @@ def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> Non
 
 
 def _numbers_of(file: Path, what: str) -> int:
-    """Numbers that a node of zarr claims to hold, after a look at its metadata; 0 for a group."""
+    """Numbers that a node of zarr claims to hold, after a look at its metadata and chunks; 0 for a group."""
     if file.stat().st_size > MOST_METADATA_BYTES:
         raise CorruptStore(
             f"{what} must have metadata of at most {MOST_METADATA_BYTES} bytes; {file} is larger"
@@ -109,19 +112,35 @@ def _numbers_of(file: Path, what: str) -> int:
             return 0
         codecs = [codec["name"] for codec in node["codecs"]]
         data_type = str(node["data_type"])
-        chunk = node["chunk_grid"]["configuration"]["chunk_shape"]
-        n_numbers = max(int(abs(math.prod(shape))) for shape in (node["shape"], chunk))
+        keys = node["chunk_key_encoding"]
+        n_of_array, n_of_chunk = (
+            int(abs(math.prod(shape)))
+            for shape in (node["shape"], node["chunk_grid"]["configuration"]["chunk_shape"])
+        )
     except CorruptStore:
         raise
     except Exception as error:  # altered JSON raises errors of nearly any type
         raise CorruptStore(
             f"{what} must be readable; {file} is damaged: {type(error).__name__} {error}"
         ) from error
-    for codec in codecs:
-        if codec not in CODECS:
-            raise CorruptStore(
-                f"{what} must use the codecs {', '.join(CODECS)} only; {file} uses {str(codec)[:60]!r}"
-            )
+    if codecs != [codec for codec in CODECS if codec in codecs] or codecs[:1] != ["bytes"]:
+        others = [str(codec)[:60] for codec in codecs if codec not in CODECS][:3]
+        raise CorruptStore(
+            f"{what} must use the codecs {', '.join(CODECS)} only, in this order; {file} uses {others or codecs[:9]}"
+        )
     if data_type not in TYPES:
         raise CorruptStore(f"{what} must hold arrays of {', '.join(TYPES)}; {file} is of {data_type[:60]!r}")
-    return n_numbers
+    if keys != KEYS:
+        raise CorruptStore(f"{what} must name its chunks by folders, as c/0/1; {file} names them otherwise")
+    if n_of_chunk <= MOST_NUMBERS:
+        for chunk in _chunks_of(file.parent):
+            admit_chunk(chunk, n_of_chunk * TYPES[data_type], codecs, what)
+    return max(n_of_array, n_of_chunk)
+
+
+def _chunks_of(folder: Path) -> Iterator[Path]:
+    """The files of an array that zarr reads as chunks."""
+    for part in folder.rglob("*"):
+        first, *indices = part.relative_to(folder).parts
+        if first == "c" and all(index.isdecimal() for index in indices) and part.is_file():
+            yield part

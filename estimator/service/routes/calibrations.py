@@ -111,7 +111,7 @@ def get_intervals(core: CoreOf, caller: Reader, calibration_id: Id) -> Intervals
 @router.get(
     "/{calibration_id}/rig",
     response_class=Response,
-    responses={200: {"content": {"application/yaml": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}}},
 )
 def get_calibrated_rig(core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The rig that was fitted, as a rig file."""

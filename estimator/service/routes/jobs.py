@@ -27,6 +27,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    Key,
     Limit,
     Page,
     Reader,
@@ -38,6 +39,7 @@ from estimator.service.requests import (
 from estimator.service.routes.sessions import closed_row_of
 from estimator.service.schema import CalibrationRow, Job, RigVersion
 from estimator.service.tokens import Scope
+from estimator.service.webhooks import announce_end
 from estimator.service.work import DIAGNOSIS, REPORT, calibration_folder
 from estimator.store.session import load_session
 
@@ -118,16 +120,6 @@ class JobResult(BaseModel):
     extended_rig: Annotated[str | None, Field(description="Of a diagnosis: text of rig_extended.yaml.")]
 
 
-Key = Annotated[
-    str | None,
-    Header(
-        alias="Idempotency-Key",
-        min_length=1,
-        max_length=200,
-        pattern=r"^[\x21-\x7e]+$",
-        description="The same key again gives the same job.",
-    ),
-]
 KNOWN: dict[int | str, dict[str, Any]] = {200: {"model": JobInfo, "description": "The key was used before."}}
 
 
@@ -235,6 +227,7 @@ def cancel_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> Jo
             raise Problem(403, "job", "must be one's own, unless the token has the scope admin", job_id)
         if row.state not in ENDED:
             row.state, row.ended = CANCELLED, now()
+            announce_end(db, row)
             audited(db, request, caller, "job.cancel", job_id)
     core.jobs.wake()
     return info_of(row)

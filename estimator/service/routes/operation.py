@@ -6,6 +6,7 @@ from importlib.metadata import version
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
+from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from sqlalchemy import func, select
 
@@ -69,6 +70,17 @@ def readyz(core: CoreOf, response: Response) -> Health:
         db.scalar(select(func.count()).select_from(Job))
     response.headers["Cache-Control"] = "no-store"
     return Health()
+
+
+@router.get(
+    "/metrics",
+    tags=["operation"],
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def metrics(core: CoreOf, caller: Reader) -> Response:  # noqa: ARG001
+    """Counts of requests, readings, jobs and sessions, as Prometheus reads them."""
+    return Response(core.metrics.text(), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
 @router.get("/v1/state", tags=["operation"])

@@ -38,7 +38,7 @@ ARROW_RESPONSE: dict[str, Any] = {
 class Wish(BaseModel):
     """What is asked for, wherever the points lie."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     currents_A: Annotated[dict[str, Number], Field(description="By coil; coils that are not named are off.")]
     motion: Annotated[dict[str, Six], Field(description="The six numbers of movers, in SI.")] = {}
@@ -59,7 +59,7 @@ class PointsQuestion(Wish):
 class Axis(BaseModel):
     """Evenly spaced coordinates, both ends included."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     first_m: Number
     last_m: Number

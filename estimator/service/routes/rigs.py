@@ -147,7 +147,7 @@ def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG00
     "/{rig_id}/text",
     response_class=Response,
     responses={
-        200: {"content": {"application/yaml": {"schema": {"type": "string"}}}},
+        200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}},
         304: {"description": "It has not changed."},
     },
 )

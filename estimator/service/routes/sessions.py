@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import func, select
+from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
 from estimator.rig_files.read import rig_from_text
@@ -22,6 +23,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    Key,
     Limit,
     Page,
     Reader,
@@ -99,12 +101,21 @@ def closed_row_of(core: Core, session_id: str) -> SessionRow:
     return row
 
 
-@router.post("", status_code=201)
-def create_session(request: Request, core: CoreOf, caller: Writer, body: NewSession) -> SessionInfo:
+@router.post(
+    "",
+    status_code=201,
+    responses={200: {"model": SessionInfo, "description": "The key was used before."}},
+)
+def create_session(
+    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewSession, key: Key = None
+) -> SessionInfo:
     """Begin a session that takes readings."""
     session_id = new_id()
     try:
         with core.database.writing() as db:
+            if key is not None and (known := _begun_before(db, caller, body, key)) is not None:
+                response.status_code = 200
+                return known
             version = db.get(RigVersion, body.rig_id)
             if version is None:
                 raise not_found("rig", body.rig_id)
@@ -114,13 +125,24 @@ def create_session(request: Request, core: CoreOf, caller: Writer, body: NewSess
                 raise Problem(429, "open sessions", rule, headers={"Retry-After": "60"})
             core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
             row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
-            row.user = caller.user
+            row.user, row.idempotency_key = caller.user, key
             db.add(row)
             audited(db, request, caller, "session.create", session_id)
             return info_of(row)
     except BaseException:
         core.sessions.remove(session_id)
         raise
+
+
+def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: str) -> SessionInfo | None:
+    """The session that this key has begun."""
+    row = db.scalar(
+        select(SessionRow).where(SessionRow.user == caller.user, SessionRow.idempotency_key == key)
+    )
+    if row is not None and (row.rig_id, row.source) != (body.rig_id, body.source):
+        rule = "must be used for one session; another has it"
+        raise Problem(409, "idempotency key", rule, key, "header Idempotency-Key")
+    return None if row is None else info_of(row)
 
 
 @router.post(
@@ -196,6 +218,7 @@ def append_readings(core: CoreOf, caller: Writer, session_id: Id, body: Ndjson) 
         raise not_found("session", session_id)
     readings = readings_of(body, core.sessions.rig(session_id))
     n_readings, n_new = core.sessions.append(session_id, readings)
+    core.metrics.readings.inc(n_new)
     return Appended(n_readings=n_readings, n_new=n_new)
 
 

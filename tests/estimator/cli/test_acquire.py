@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -16,11 +17,13 @@ from click.testing import Result
 
 from drivers.open import open_devices
 from drivers.protocols import FlangePose
+from estimator.cli import acquire
 from estimator.rig_files.read import load_rig
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+from tests.estimator.service.conftest import Served
 
 HIDDEN_XY = 0.04
 BUSY = "arm1 failed: "  # by its watchdog, where a busy computer does not kick it five times a second; the same command goes on
@@ -267,3 +270,37 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
     assert [cause["name"] for cause in found["causes"]] == ["coil_heating"]
     low, high = found["causes"][0]["parameters"]["loss_per_K"]["ci90"]
     assert low - 0.001 < 0.004 < high + 0.001
+
+
+def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_sends_the_rest(
+    run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(acquire, "DELIVERY_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    out, url = tmp_path / "session.zarr", f"http://127.0.0.1:{port}"
+    bring_home(folder)
+    for _ in range(4):
+        result = run(*call(folder, out, "--to", url, "--json"))
+        if BUSY not in result.stderr:
+            break
+    assert result.exit_code == 7, result.stderr
+    assert "must answer" in result.stderr
+    assert "the same command sends the rest" in result.stderr
+    told = json.loads(result.stdout)
+    assert told["delivered"] == {"to": url, "session": None, "hash": None}
+    session = load_session(out)
+    service = Served(tmp_path / "data", "--port", port)
+    try:
+        monkeypatch.setattr(acquire, "DELIVERY_S", 60.0)
+        result = run(*call(folder, out, "--to", url, "--json"))
+        assert result.exit_code == 0, result.stderr
+        delivered = json.loads(result.stdout)["delivered"]
+        assert delivered["hash"] == session.hash
+        (known,) = service.client.get("/v1/sessions").json()["items"]
+        assert (known["id"], known["hash"]) == (delivered["session"], session.hash)
+        assert known["n_readings"] == len(session.observations)
+    finally:
+        service.client.close()
+        service.kill()
+        service.log.close()

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import select, text
 from sqlalchemy.exc import IntegrityError
 
-from estimator.service.database import Database, new_id, now
+from estimator.service.database import MIGRATIONS, Database, new_id, now
 from estimator.service.schema import Audit, Base, SessionRow
 
 
@@ -27,7 +28,46 @@ def database(tmp_path: Path) -> Iterator[Database]:
 def test_migrations_make_the_tables_that_the_code_uses(database: Database) -> None:
     with database.engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-        assert connection.execute(text("SELECT version_num FROM alembic_version")).scalar() == "0001"
+
+
+FIRST = {
+    "rig_versions": "('r1', 'small', 'h1', 'schema_version: 1', '2026-01-01', 'anne')",
+    "sessions": "('s1', 'r1', 'bench', 'closed', '2026-01-02', 'anne', 36, 'h2')",
+    "jobs": "(1, 'j1', 'anne', 'calibrate', 'done', 's1', NULL, '{}', 'k', '2026-01-03', NULL, NULL, 1, NULL)",
+    "calibrations": "('c1', 'j1', 's1', 'small', '2026-01-04', 'anne')",
+    "tokens": "('t1', 'anne', 'read', 'h3', '2026-01-01', '2027-01-01', NULL)",
+    "audit": "(1, '2026-01-01', 'anne', NULL, 'q', 'rig.upload', 'r1')",
+}  # fmt: skip
+
+
+def test_rows_of_the_first_schema_survive_every_migration_since(tmp_path: Path) -> None:
+    database = Database(tmp_path / "old.sqlite")
+    database.migrate("0001")
+    with database.writing() as db:
+        for table, row in FIRST.items():
+            db.execute(text(f"INSERT INTO {table} VALUES {row}"))
+    database.migrate()
+    with database.engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+        for table in FIRST:
+            assert connection.execute(text(f"SELECT count(*) FROM {table}")).scalar() == 1, table
+        assert connection.execute(text("PRAGMA foreign_key_check")).all() == []
+    with database.reading() as db:
+        session = db.get_one(SessionRow, "s1")
+        assert (session.rig_id, session.n_readings, session.idempotency_key) == ("r1", 36, None)
+    database.close()
+
+
+def test_migrations_follow_each_other_one_by_one(tmp_path: Path) -> None:
+    scripts = ScriptDirectory(str(MIGRATIONS))
+    database = Database(tmp_path / "back.sqlite")
+    revisions = [script.revision for script in reversed(list(scripts.walk_revisions()))]
+    assert revisions[0] == "0001"
+    for revision in revisions:
+        database.migrate(revision)
+        with database.engine.connect() as connection:
+            assert connection.execute(text("SELECT version_num FROM alembic_version")).scalar() == revision
+    database.close()
 
 
 def test_a_second_migration_changes_nothing(database: Database) -> None:

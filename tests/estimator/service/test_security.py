@@ -31,7 +31,12 @@ ADDRESS = "http://10.1.2.3:8765"
 
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
-    settings = Settings(data=tmp_path_factory.mktemp("guarded") / "data", host="10.1.2.3", most_body_MB=0.1)
+    settings = Settings(
+        data=tmp_path_factory.mktemp("guarded") / "data",
+        host="10.1.2.3",
+        most_body_MB=0.1,
+        most_refused_per_minute=10_000,
+    )
     return create_app(settings, has_workers=False)
 
 

@@ -1,0 +1,141 @@
+"""Webhooks: addresses that are told when a job has ended, and the log of what they were told."""
+
+from __future__ import annotations
+
+import base64
+import json
+import secrets
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from estimator.service.database import new_id, now
+from estimator.service.post import LONGEST_URL, SECRET_PREFIX, check_url
+from estimator.service.problems import Problem, not_found
+from estimator.service.requests import Admin, CoreOf, Cursor, Id, Limit, Page, audited, page_of
+from estimator.service.schema import Delivery, Webhook
+from estimator.service.webhooks import TEST, message
+
+router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
+MOST_WEBHOOKS = 20
+
+
+class NewWebhook(BaseModel):
+    """A webhook to make."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    url: Annotated[str, Field(min_length=1, max_length=LONGEST_URL, description="Address that takes POST.")]
+
+
+class WebhookInfo(BaseModel):
+    """A webhook."""
+
+    id: str
+    url: str
+    created: str
+    user: str
+
+
+class CreatedWebhook(WebhookInfo):
+    """A webhook with its secret, which is told once."""
+
+    secret: Annotated[str, Field(description="Messages are signed with it, as Standard Webhooks describes.")]
+
+
+class DeliveryInfo(BaseModel):
+    """A message and what became of it; `fault` is of its last attempt."""
+
+    id: str
+    event: str
+    state: Literal["waiting", "delivered", "failed"]
+    created: str
+    attempts: int
+    next_attempt: str | None
+    status: int | None
+    fault: str | None
+    ended: str | None
+
+
+@router.post("", status_code=201)
+def create_webhook(request: Request, core: CoreOf, caller: Admin, body: NewWebhook) -> CreatedWebhook:
+    """Tell an address from now on when a job has ended."""
+    check_url(body.url, core.settings.webhook_networks)
+    secret = SECRET_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode()
+    with core.database.writing() as db:
+        if (db.scalar(select(func.count()).select_from(Webhook)) or 0) >= MOST_WEBHOOKS:
+            raise Problem(409, "webhooks", f"must be at most {MOST_WEBHOOKS}; delete one first")
+        row = Webhook(id=new_id(), url=body.url, secret=secret, created=now(), user=caller.user)
+        db.add(row)
+        audited(db, request, caller, "webhook.create", row.id)
+    return CreatedWebhook.model_validate(row, from_attributes=True)
+
+
+@router.get("")
+def list_webhooks(core: CoreOf, caller: Admin, limit: Limit = 50, cursor: Cursor = None) -> Page[WebhookInfo]:  # noqa: ARG001
+    """Webhooks, newest first."""
+    with core.database.reading() as db:
+        return page_of(
+            db,
+            select(Webhook),
+            Webhook,
+            limit,
+            cursor,
+            lambda row: WebhookInfo.model_validate(row, from_attributes=True),
+        )
+
+
+@router.delete("/{webhook_id}", status_code=204)
+def delete_webhook(request: Request, core: CoreOf, caller: Admin, webhook_id: Id) -> None:
+    """Tell an address nothing more, not even what waits."""
+    with core.database.writing() as db:
+        row = _webhook(db, webhook_id)
+        db.execute(delete(Delivery).where(Delivery.webhook_id == webhook_id))
+        db.delete(row)
+        audited(db, request, caller, "webhook.delete", webhook_id)
+
+
+@router.post("/{webhook_id}/test", status_code=202)
+def send_test(core: CoreOf, caller: Admin, webhook_id: Id) -> DeliveryInfo:
+    """Send a message that tells of nothing."""
+    with core.database.writing() as db:
+        _webhook(db, webhook_id)
+        body = json.dumps({"type": TEST, "timestamp": now(), "data": {"user": caller.user}})
+        row = message(webhook_id, TEST, body)
+        db.add(row)
+    return DeliveryInfo.model_validate(row, from_attributes=True)
+
+
+@router.get("/{webhook_id}/deliveries")
+def list_deliveries(
+    core: CoreOf,
+    caller: Admin,  # noqa: ARG001
+    webhook_id: Id,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+    state: Annotated[Literal["waiting", "delivered", "failed"] | None, Query()] = None,
+) -> Page[DeliveryInfo]:
+    """What a webhook was told, newest first."""
+    rows = select(Delivery).where(Delivery.webhook_id == webhook_id)
+    if state is not None:
+        rows = rows.where(Delivery.state == state)
+    with core.database.reading() as db:
+        _webhook(db, webhook_id)
+        return page_of(
+            db,
+            rows,
+            Delivery,
+            limit,
+            cursor,
+            lambda row: DeliveryInfo.model_validate(row, from_attributes=True),
+        )
+
+
+def _webhook(db: Session, webhook_id: str) -> Webhook:
+    row = db.get(Webhook, webhook_id)
+    if row is None:
+        raise not_found("webhook", webhook_id)
+    return row

@@ -1,0 +1,140 @@
+"""What webhooks are told, and the thread that tells them: every message until it is taken, or until it was tried long enough.
+
+Messages are rows, written in the transaction of what they tell of. A kill between an answer and its row sends a message again, under the
+same id.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from estimator.service.database import Database, new_id, now
+from estimator.service.post import Undelivered, post
+from estimator.service.schema import Delivery, Job, Webhook
+from estimator.service.settings import Settings
+
+WAITING, DELIVERED, FAILED = "waiting", "delivered", "failed"
+JOB_ENDED, TEST = "job.ended", "test"
+PAUSES_S = (
+    5,
+    60,
+    600,
+    3600,
+    6 * 3600,
+    24 * 3600,
+)  # before each further attempt; a weekend with the receiver off is survived by few more
+KEPT_DAYS = 90  # of what was delivered or has failed
+LOOK_EVERY_S, TIDY_EVERY_S = 1.0, 3600.0
+log = logging.getLogger("coilcal.service")
+
+
+def announce(db: Session, event: str, data: Mapping[str, Any]) -> None:
+    """Queue a message for every webhook, in the transaction of what it tells of."""
+    body = json.dumps({"type": event, "timestamp": now(), "data": dict(data)})
+    for webhook_id in db.scalars(select(Webhook.id)):
+        db.add(message(webhook_id, event, body))
+
+
+def announce_end(db: Session, job: Job, result: Mapping[str, Any] | None = None) -> None:
+    """Tell of a job that has ended."""
+    names = ("id", "kind", "state", "session_id", "user", "created", "started", "ended", "fault")
+    announce(db, JOB_ENDED, {name: getattr(job, name) for name in names} | {"result": dict(result or {})})
+
+
+def message(webhook_id: str, event: str, body: str) -> Delivery:
+    """A message that waits for its first attempt."""
+    row = Delivery(id=new_id(), webhook_id=webhook_id, event=event, body=body, created=now())
+    row.state, row.attempts, row.next_attempt = WAITING, 0, row.created
+    return row
+
+
+class Courier:
+    """A thread that delivers messages.
+
+    Args:
+        database: Where they are kept.
+        settings: Networks that may be reached though they are not public.
+    """
+
+    def __init__(self, database: Database, settings: Settings) -> None:
+        self._database, self._settings = database, settings
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="coilcal courier", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, after the attempts that are under way."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=30)
+
+    def _run(self) -> None:
+        tidied_s = -TIDY_EVERY_S
+        while not self._stopping.is_set():
+            try:
+                if time.monotonic() - tidied_s >= TIDY_EVERY_S:
+                    self.tidy()
+                    tidied_s = time.monotonic()
+                self.deliver_due()
+            except Exception:  # such as a disk that is full for a while
+                log.exception("webhooks were not told")
+            self._stopping.wait(LOOK_EVERY_S)
+
+    def deliver_due(self) -> int:
+        """Try the oldest message of each webhook that is due, all at once; how many there were."""
+        with self._database.reading() as db:
+            due = select(func.min(Delivery.number)).where(
+                Delivery.state == WAITING, Delivery.next_attempt <= now()
+            )
+            numbers = list(db.scalars(due.group_by(Delivery.webhook_id)))
+            query = select(Delivery, Webhook).join(Webhook, Webhook.id == Delivery.webhook_id)
+            rows = [(row[0], row[1]) for row in db.execute(query.where(Delivery.number.in_(numbers)))]
+        if rows:
+            asyncio.run(self._deliver_all(rows))
+        return len(rows)
+
+    def tidy(self) -> None:
+        """Forget what ended long ago."""
+        before = (datetime.now(UTC) - timedelta(days=KEPT_DAYS)).isoformat(timespec="milliseconds")
+        with self._database.writing() as db:
+            db.execute(delete(Delivery).where(Delivery.state != WAITING, Delivery.created < before))
+
+    async def _deliver_all(self, rows: list[tuple[Delivery, Webhook]]) -> None:
+        await asyncio.gather(*(self._deliver(delivery, webhook) for delivery, webhook in rows))
+
+    async def _deliver(self, delivery: Delivery, webhook: Webhook) -> None:
+        fault, status = None, None
+        try:
+            body, networks = delivery.body.encode(), self._settings.webhook_networks
+            status = await post(webhook.url, webhook.secret, delivery.id, int(time.time()), body, networks)
+        except Undelivered as undelivered:
+            fault = str(undelivered)
+        except Exception as error:
+            log.exception("a webhook could not be told", extra={"webhook": webhook.id})
+            fault = f"message must be sent; it was not: {type(error).__name__}"
+        with self._database.writing() as db:
+            row = db.get(Delivery, delivery.number)
+            if row is None:  # its webhook was deleted
+                return
+            row.attempts, row.status, row.fault = row.attempts + 1, status, fault
+            is_last = row.attempts > len(PAUSES_S)
+            if fault is None or is_last:
+                row.state, row.next_attempt = DELIVERED if fault is None else FAILED, None
+                row.ended = now()
+            else:
+                later = datetime.now(UTC) + timedelta(seconds=PAUSES_S[row.attempts - 1])
+                row.next_attempt = later.isoformat(timespec="milliseconds")
+        log.info("webhook", extra={"webhook": webhook.id, "delivery": delivery.id, "fault": fault})

@@ -1,0 +1,191 @@
+"""A backup of a service that works holds what was acknowledged before, is whole or refused, and never overwrites."""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from starlette.testclient import TestClient
+
+from estimator.cli.main import main
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput
+from estimator.rig.rig import Rig
+from estimator.service.app import create_app
+from estimator.service.backup import backup, restore
+from estimator.service.settings import Settings
+from estimator.store.session import Session
+from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, upload_rig
+
+
+def serving(data: Path) -> Any:
+    """A service on a folder, as it starts after a restore."""
+    return TestClient(create_app(Settings(data=data), has_workers=False), base_url="http://127.0.0.1:8765")
+
+
+def numbered(session: Session, rig: Rig, n: int) -> list[bytes]:
+    known = lines_of(session, rig).splitlines()
+    return [
+        json.dumps({**json.loads(known[i % len(known)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
+        for i in range(n)
+    ]
+
+
+def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowledged(
+    idle: Callable[..., TestClient],
+    rig_text: str,
+    readings_csv: bytes,
+    small_session: Session,
+    small_rig: Rig,
+    tmp_path: Path,
+) -> None:
+    client = idle()
+    rig_id = upload_rig(client, rig_text)
+    imported = import_csv(client, rig_id, readings_csv)
+    session_id = begin_session(client, rig_id)
+    lines = numbered(small_session, small_rig, 2000)
+    job = client.post("/v1/jobs/calibrate", json={"session_id": imported["id"]}).json()
+    acknowledged, end = [0], threading.Event()
+
+    def send() -> None:
+        for first in range(0, len(lines), 5):
+            answer = append(client, session_id, b"".join(lines[first : first + 5]))
+            acknowledged[0] = answer.json()["n_readings"]
+            if end.is_set():
+                return
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    counts = []
+    for number in range(3):
+        while acknowledged[0] < 20 * (number + 1):
+            pass
+        before = acknowledged[0]
+        backup(tmp_path / "data", tmp_path / f"{number}.tar")
+        counts.append((before, acknowledged[0]))
+    end.set()
+    sender.join()
+    for number, (before, after) in enumerate(counts):
+        data = tmp_path / f"restored{number}"
+        restore(tmp_path / f"{number}.tar", data)
+        with serving(data) as other:
+            n = other.get(f"/v1/sessions/{session_id}").json()["n_readings"]
+            assert before <= n <= after + 5
+            assert other.get(f"/v1/sessions/{imported['id']}/session.zip").status_code == 200
+            assert other.get(f"/v1/jobs/{job['id']}").json()["state"] == "queued"
+            assert append(other, session_id, b"".join(lines[: n + 10])).json() == {
+                "n_readings": n + 10,
+                "n_new": 10,
+            }
+            assert other.post(f"/v1/sessions/{session_id}/close").json()["n_readings"] == n + 10
+    assert (data.stat().st_mode & 0o777, (tmp_path / "0.tar").stat().st_mode & 0o777) == (0o700, 0o600)
+
+
+@pytest.fixture
+def data(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path) -> Path:
+    """A data folder that is served, with things that a kill or a job may have left."""
+    client = idle()
+    imported = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    folder = tmp_path / "data" / "sessions"
+    (folder / "a.zarr.begun").mkdir()
+    (folder / "a.zarr.begun" / "journal.jsonl").write_bytes(b"x")
+    sealing = folder / f"{imported['id']}.zarr" / "sealing.partial"
+    sealing.mkdir()
+    job = tmp_path / "data" / "jobs" / "j"
+    (job / "versions" / "0001").mkdir(parents=True)
+    (job / "versions" / "0001" / "zarr.json").write_text("{}", encoding="utf-8")
+    (job / "current").symlink_to("versions/0001")
+    return tmp_path / "data"
+
+
+def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, tmp_path: Path) -> None:
+    told = backup(data, tmp_path / "b.tar")
+    restored = restore(tmp_path / "b.tar", tmp_path / "restored")
+    assert told["files"] == restored["files"]
+    assert (tmp_path / "restored" / "jobs" / "j" / "current" / "zarr.json").read_text() == "{}"
+    assert not (tmp_path / "restored" / "sessions" / "a.zarr.begun").exists()
+    for path in (tmp_path / "restored").rglob("*"):
+        if path.is_file() and path.suffix != ".sqlite":
+            assert path.read_bytes() == (data / path.relative_to(tmp_path / "restored")).read_bytes()
+    kept = {path.relative_to(data) for path in (data / "sessions").rglob("*.json")}
+    assert kept == {
+        p.relative_to(tmp_path / "restored") for p in (tmp_path / "restored" / "sessions").rglob("*.json")
+    }
+
+
+def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
+    backup(data, tmp_path / "b.tar")
+    with pytest.raises(InvalidInput, match="output must not exist yet"):
+        backup(data, tmp_path / "b.tar")
+    with pytest.raises(InvalidInput, match="must be a folder that does not exist yet"):
+        restore(tmp_path / "b.tar", data)
+    (tmp_path / "empty").mkdir()
+    restore(tmp_path / "b.tar", tmp_path / "empty")
+    with pytest.raises(InvalidInput, match="must be the folder of a service"):
+        backup(tmp_path / "nothing", tmp_path / "c.tar")
+    with pytest.raises(InvalidInput, match="must be a file that can be read"):
+        restore(tmp_path / "c.tar", tmp_path / "other")
+    with pytest.raises(InvalidInput, match="must be writable"):
+        backup(data, tmp_path / "no folder" / "c.tar")
+    assert not (tmp_path / "other").exists()
+
+
+def with_member(name: str, kind: bytes = tarfile.REGTYPE, link: str = "") -> bytes:
+    """A backup with one more member."""
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = kind, link
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.addfile(member)
+    return buffer.getvalue()[: -2 * tarfile.BLOCKSIZE].rstrip(b"\0").ljust(tarfile.BLOCKSIZE, b"\0")
+
+
+def test_damage_and_other_files_are_refused_and_leave_nothing(data: Path, tmp_path: Path) -> None:
+    backup(data, tmp_path / "b.tar")
+    good = (tmp_path / "b.tar").read_bytes()
+    position = good.index(b"SQLite format 3") + 5000
+    damaged = {
+        "a flipped bit": good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :],
+        "half of it": good[: len(good) // 2],
+        "the beginning": good[:1000],
+        "nothing": b"",
+        "words": b"hello" * 1000,
+        "a path that leads out": with_member("../outside") + good,
+        "a path from the root": with_member("/tmp/coilcal-outside") + good,
+        "a link that leads out": with_member("data/link", tarfile.SYMTYPE, "../../outside") + good,
+        "a pipe": with_member("data/pipe", tarfile.FIFOTYPE) + good,
+        "one file more": with_member("data/jobs/more") + good,
+        "another kind": good.replace(b'"coilcal backup"', b'"coilcal lookup"'),
+    }
+    for name, content in damaged.items():
+        (tmp_path / "damaged.tar").write_bytes(content)
+        with pytest.raises(CoilcalError) as caught:
+            restore(tmp_path / "damaged.tar", tmp_path / "other")
+        assert isinstance(caught.value, CorruptStore), (name, str(caught.value))
+        assert not (tmp_path / "other").exists(), name
+        assert not (tmp_path / "other.restoring").exists(), name
+        assert not (tmp_path / "outside").exists(), name
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, ["serve", *map(str, words)])
+
+
+def test_the_commands_say_what_they_did(data: Path, tmp_path: Path) -> None:
+    made = run("backup", tmp_path / "b.tar", "--data", data, "--json")
+    assert made.exit_code == 0, made.stderr
+    assert json.loads(made.stdout)["bytes"] == (tmp_path / "b.tar").stat().st_size
+    again = run("backup", tmp_path / "b.tar", "--data", data)
+    assert (again.exit_code, again.stdout) == (2, "")
+    restored = run("restore", tmp_path / "b.tar", "--data", tmp_path / "restored")
+    assert restored.exit_code == 0, restored.stderr
+    assert "restored to" in restored.stdout
+    assert run("restore", tmp_path / "b.tar", "--data", tmp_path / "restored").exit_code == 2
+    (tmp_path / "no.tar").write_bytes(b"no backup")
+    assert run("restore", tmp_path / "no.tar", "--data", tmp_path / "other").exit_code == 3

@@ -1,0 +1,141 @@
+"""Floods, guesses of tokens and bodies that trickle in are refused; what is counted is what happened."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from starlette.testclient import TestClient
+
+from estimator.rig.rig import Rig
+from estimator.service import metrics, rate_limits
+from estimator.service.tokens import Scope, create_token
+from estimator.store.session import Session
+from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
+
+
+def bearer(client: TestClient, user: str) -> dict[str, str]:
+    secret, _ = create_token(client.app.state.core.database, user, Scope.WRITE, 1.0)
+    return {"Authorization": f"Bearer {secret}"}
+
+
+@pytest.fixture
+def still(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The middle of a minute, in which the windows of the limits begin."""
+    begin_s = 60.0 * (time.time() // 60) + 20.0
+    monkeypatch.setattr("limits.storage.memory.time.time", lambda: begin_s)
+    monkeypatch.setattr(rate_limits.time, "time", lambda: begin_s)
+
+
+@pytest.mark.usefixtures("still")
+def test_a_token_has_so_many_requests_a_minute_and_another_token_its_own(
+    idle: Callable[..., TestClient],
+) -> None:
+    client = idle(require_tokens=True, most_requests_per_minute=5)
+    anne, berta = bearer(client, "anne"), bearer(client, "berta")
+    for _ in range(5):
+        assert client.get("/v1/state", headers=anne).status_code == 200
+    answer = client.get("/v1/state", headers=anne)
+    assert refusal(answer, 429)["rule"] == "must be at most 5 a minute"
+    assert 1 <= int(answer.headers["retry-after"]) <= 60
+    assert client.get("/v1/state", headers=berta).status_code == 200
+
+
+@pytest.mark.usefixtures("still")
+def test_tokens_that_are_guessed_are_no_longer_looked_up(
+    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = idle(require_tokens=True, most_refused_per_minute=3)
+    valid = bearer(client, "anne")
+    for guess in ("a", "b", "c"):
+        refusal(client.get("/v1/state", headers={"Authorization": f"Bearer {guess}"}), 401)
+    monkeypatch.setattr("estimator.service.guard.caller_of", None)
+    answer = client.get("/v1/state", headers={"Authorization": "Bearer d"})
+    assert refusal(answer, 429)["rule"] == "must be at most 3 a minute without a valid token"
+    refusal(client.get("/v1/state", headers=valid), 429)
+
+
+def test_loopback_without_tokens_has_no_rate(idle: Callable[..., TestClient]) -> None:
+    client = idle(most_requests_per_minute=1)
+    assert [client.get("/v1/state").status_code for _ in range(5)] == [200] * 5
+
+
+def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable[..., TestClient]) -> None:
+    client = idle(most_body_s=0.3)
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        await asyncio.sleep(0.02)
+        return {"type": "http.request", "body": b" ", "more_body": True}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    headers = [(b"host", b"127.0.0.1:8765"), (b"content-type", b"application/yaml")]
+    scope = {"type": "http", "method": "POST", "scheme": "http", "path": "/v1/rigs", "raw_path": b"/v1/rigs"}
+    scope |= {"query_string": b"", "headers": headers, "client": ("127.0.0.1", 5), "root_path": ""}
+    begin_s = time.monotonic()
+    asyncio.run(client.app(scope, receive, send))
+    assert time.monotonic() - begin_s < 5.0
+    assert sent[0]["status"] == 408
+    assert json.loads(sent[1]["body"])["rule"] == "must arrive within 0.3 s"
+
+
+def samples(client: TestClient) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    answer = client.get("/metrics")
+    assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    found = {}
+    for family in text_string_to_metric_families(answer.text):
+        assert family.documentation
+        for sample in family.samples:
+            found[sample.name, tuple(sorted(sample.labels.items()))] = sample.value
+    return found
+
+
+def test_requests_readings_sessions_and_jobs_are_counted(
+    idle: Callable[..., TestClient],
+    rig_text: str,
+    small_session: Session,
+    small_rig: Rig,
+) -> None:
+    client = idle()
+    rig_id = upload_rig(client, rig_text)
+    session_id = begin_session(client, rig_id)
+    assert append(client, session_id, lines_of(small_session, small_rig)).status_code == 200
+    append(client, session_id, lines_of(small_session, small_rig))  # again: acknowledged once
+    client.post(f"/v1/sessions/{session_id}/close")
+    client.post("/v1/jobs/calibrate", json={"session_id": session_id})
+    client.get("/v1/sessions/" + "f" * 32)
+    client.get("/v1/nothing/" + "f" * 32)
+    client.request("STEAL", "/v1/state")
+    counted = samples(client)
+
+    def requests(method: str, route: str, status: int) -> float:
+        return counted[
+            "coilcal_requests_total", (("method", method), ("route", route), ("status", str(status)))
+        ]
+
+    assert requests("POST", "/v1/sessions/{session_id}/readings", 200) == 2
+    assert requests("GET", "/v1/sessions/{session_id}", 404) == 1
+    assert requests("GET", metrics.NO_ROUTE, 404) == 1
+    assert (
+        sum(
+            v
+            for (name, labels), v in counted.items()
+            if ("method", metrics.NO_ROUTE) in labels and "count" in name
+        )
+        == 1
+    )
+    assert counted["coilcal_readings_acknowledged_total", ()] == len(small_session.observations)
+    assert counted["coilcal_jobs", (("state", "queued"),)] == 1
+    assert counted["coilcal_jobs", (("state", "failed"),)] == 0
+    assert counted["coilcal_sessions", (("state", "closed"),)] == 1
+    durations = ("method", "POST"), ("route", "/v1/sessions/{session_id}/readings")
+    assert counted["coilcal_request_duration_seconds_count", durations] == 2
+    assert counted["coilcal_request_duration_seconds_sum", durations] > 0
+    assert not any(session_id in str(key) for key in counted)
