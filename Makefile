@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: demo test lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm figures
+.PHONY: demo test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -13,6 +13,12 @@ demo: $(INSTALLED)
 	$(BIN)/coilcal diagnose demo/flawed.zarr --out demo/diagnosis --seed 1 --overwrite
 
 test: lint types imports unit
+
+docs: $(INSTALLED)        # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
+	$(RUN) pip install -c constraints.txt -e '.[docs]'
+	$(RUN) scripts.documentation.causes --out docs/reference/causes
+	$(RUN) sphinx -W --keep-going -b html -d site/.doctrees docs site
+	$(RUN) scripts.documentation.offline site
 
 lint: $(INSTALLED)
 	$(RUN) ruff check

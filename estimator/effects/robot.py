@@ -153,7 +153,7 @@ class MountTilt(MountEffect):
     source: ClassVar[str] = "a printed or bolted mount, 1 to 2 degrees"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Rotation vector across the body's axis; a turn about it is absorbed by the pose (docs/physics.md)."""
+        """Rotation vector across the body's axis; a turn about it is absorbed by the pose (docs/explanation/field-model.md)."""
         return (normal("x_rad", "rad", math.radians(1.5)), normal("y_rad", "rad", math.radians(1.5)))
 
     def places(self, rig: Rig) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ pi / (2 AGM), and Legendre's sum over the AGM gives E. Every quantity is then ev
     (Bx, By) = (x, y) h,   h = mu0 I / (4 M p^2) z (4 a^2 - s t),   Bz = mu0 I / (4 M p^2) (2 a^2 u + rho^2 t (2 z^2 - u))
 
 with M the mean and t = sum 2^(n-1) c_n^2 / rho^2. No term cancels by more than the logarithm of the distance to the wire, and the
-derivatives on the axis are those of a smooth function. The derivation is in `docs/physics.md`.
+derivatives on the axis are those of a smooth function. The derivation is in `docs/explanation/field-model.md`.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def loop_terms(
 
 
 class LoopDerivatives(NamedTuple):
-    """The factors of a loop's field and their derivatives along z; all others follow from these (`docs/physics.md`)."""
+    """The factors of a loop's field and their derivatives along z; all others follow from these (`docs/explanation/field-model.md`)."""
 
     h_T_per_A_m: Float[Tensor, "..."]
     axial_T_per_A: Float[Tensor, "..."]
@@ -80,7 +80,7 @@ def loop_derivatives(
 
     Args:
         x_m, y_m, z_m, radius_m, steps: As in `loop_terms`.
-    References: derivatives of the elliptic integrals, DLMF 19.4; combined in `docs/physics.md`.
+    References: derivatives of the elliptic integrals, DLMF 19.4; combined in `docs/explanation/field-model.md`.
     """
     q, u, s, z2, p2, mean, t = _means(x_m, y_m, z_m, radius_m, steps)
     radius2 = radius_m * radius_m

@@ -2,7 +2,7 @@
 
 The nodes are the zeros of the discrete Chebyshev (Gram) polynomials. The rule is exact for polynomials of degree 2 n - 1 and is the
 full sum for n = N. Its Jacobi matrix is analytic in N, so a loop count may be any real number and carries a derivative
-(docs/physics.md, The winding).
+(docs/explanation/field-model.md, The winding).
 """
 
 from __future__ import annotations

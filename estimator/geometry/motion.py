@@ -22,7 +22,7 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
     """Flange pose from a mover's readings: base_from_flange, or the displacement in the end-effector frame.
 
     References: Osinde et al., eq 18-22; a controller that reports displacements in its base frame needs base_from_flange(q0)^T first
-        (docs/physics.md).
+        (docs/explanation/field-model.md).
     """
     if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
         return base_from_flange(str(mover.motion), motion)

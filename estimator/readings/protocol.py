@@ -1,7 +1,7 @@
 """The recommended protocol: which currents to set, and in which order to visit poses.
 
 Zero current shows fields that are not the coil's, the sign shows what the sensor adds, a second magnitude shows saturation and heating. A
-random order shows drift, and poses visited again show when it happened (docs/physics.md).
+random order shows drift, and poses visited again show when it happened (docs/explanation/what-cannot-be-told-apart.md).
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ def gauss(count: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
 
 
 def loop_terms(rho2: jax.Array, z: jax.Array, a: jax.Array, steps: int) -> tuple[jax.Array, jax.Array]:
-    """K and E by the arithmetic-geometric mean; docs/physics.md."""
+    """K and E by the arithmetic-geometric mean; docs/explanation/field-model.md."""
     u, s = a**2 - rho2 + z**2, a**2 + rho2 + z**2
     p = jnp.sqrt(u**2 + 4.0 * rho2 * z**2)
     mean, geometric = jnp.sqrt(0.5 * (s + p)), jnp.sqrt(p)

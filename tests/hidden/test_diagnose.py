@@ -46,7 +46,7 @@ def test_hidden_cause_is_named(tmp_path, cause):
 
 
 def test_twins_are_not_told_apart_and_the_session_says_so_beforehand(tmp_path):
-    """A fixed sensor cannot tell its own offset from a field of the room (docs/physics.md)."""
+    """A fixed sensor cannot tell its own offset from a field of the room (docs/explanation/what-cannot-be-told-apart.md)."""
     found = verdict(tmp_path, 311, "background_field", 8.0, "paper")
     assert found["verdict"] == "indistinguishable"
     first = credible_sets({"causes": found["causes"]})[0]

@@ -1,6 +1,6 @@
 """Resolution of a session, before any cause is named: the smallest visible size of each cause, and causes that it cannot tell apart.
 
-Both follow from the columns of the causes, less what the fit can follow (docs/physics.md).
+Both follow from the columns of the causes, less what the fit can follow (docs/explanation/what-cannot-be-told-apart.md).
 """
 
 from __future__ import annotations

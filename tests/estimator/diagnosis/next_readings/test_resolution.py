@@ -1,4 +1,4 @@
-"""What a session can reveal: the numbers of docs/physics.md, what is absorbed, which causes are twins, and what a size means.
+"""What a session can reveal: the numbers of docs/explanation/what-cannot-be-told-apart.md, what is absorbed, which causes are twins, and what a size means.
 
 The sizes are those of a grid of 5^3 positions whose middle lies 35 mm in front of the coil, visited to and fro at 3 A with 20 uT of noise:
 all of them then come out within a quarter. configs/paper_simulation.yaml puts the middle at 40 mm, where gradients
@@ -32,7 +32,7 @@ from tests.estimator.diagnosis.paper_grid import (
 
 pytestmark = pytest.mark.whole
 
-# Cause: unit of the numbers, smallest and largest of its quantities in docs/physics.md.
+# Cause: unit of the numbers, smallest and largest of its quantities in docs/explanation/what-cannot-be-told-apart.md.
 SIZES = {
     "background_field": (1e-6, 12.0, 21.0),
     "axis_gain": (1e-2, 0.2, 0.2),
@@ -56,7 +56,7 @@ def near() -> dict[str, Resolved]:
 
 @pytest.fixture(scope="module")
 def configured() -> Resolved:
-    """The grid as configs/paper_simulation.yaml has it, with the causes that docs/physics.md calls absorbed or twins."""
+    """The grid as configs/paper_simulation.yaml has it, with the causes that docs/explanation/what-cannot-be-told-apart.md calls absorbed or twins."""
     rig = paper_rig()
     absorbed = (
         "current_gain",

@@ -1,0 +1,63 @@
+"""Navigation and pictures of the documentation site; building it is `make docs`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.test_docs import CAUSE_PAGES, PAGES, ROOT
+
+DOCS = ROOT / "docs"
+TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)\s]+)\)")
+CELL = re.compile(r"^```\{code-cell\} ipython3\n(.*?)^```", re.DOTALL | re.MULTILINE)
+DRAWS = re.compile(r"\bpicture\(|\bdrawn\(|plt\.show\(")
+
+
+def entries(page: Path) -> list[Path]:
+    """Pages that the tables of contents of a page name."""
+    named: list[Path] = []
+    for text in TOCTREE.findall(page.read_text(encoding="utf-8")):
+        is_glob = ":glob:" in text
+        for line in filter(None, (line.strip() for line in text.splitlines())):
+            if line.startswith(":"):
+                continue
+            target = (page.parent / f"{line}.md").resolve()
+            named += sorted(target.parent.glob(target.name)) if is_glob else [target]
+    return named
+
+
+def on_the_site() -> list[Path]:
+    return [page for page in PAGES if DOCS in page.parents]
+
+
+def test_every_page_is_reached_from_the_first_one_and_once() -> None:
+    reached, to_do = [DOCS / "index.md"], [DOCS / "index.md"]
+    while to_do:
+        for page in entries(to_do.pop()):
+            assert page.exists() or page in CAUSE_PAGES, page
+            reached.append(page)
+            if page.exists():
+                to_do.append(page)
+    assert len(reached) == len(set(reached)), "a page stands in two tables of contents"
+    assert set(reached) - CAUSE_PAGES == set(on_the_site())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pictures_are_there_and_say_what_they_show(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for words, path in PICTURE.findall(text):
+        assert (page.parent / path).exists(), f"{path} in {page}"
+        assert len(words.split()) >= 3, f"{path} in {page} needs a text for those who cannot see it"
+    for cell in CELL.findall(text):
+        assert not DRAWS.search(cell) or re.search(r"^    alt: \w+,? \w+,? \w+", cell, re.MULTILINE), (
+            f"{cell} in {page}"
+        )
+
+
+def test_the_site_loads_nothing_from_elsewhere() -> None:
+    """Settings and styles of our own; `make docs` checks the pages that were built."""
+    for file in (DOCS / "conf.py", *(DOCS / "_static").iterdir(), *(DOCS / "_extensions").glob("*.py")):
+        assert not re.search(r"https?://", file.read_text(encoding="utf-8")), file
