@@ -17,6 +17,7 @@ test: lint types imports unit
 docs: $(INSTALLED)        # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
 	$(RUN) pip install -c constraints.txt -e '.[docs]'
 	$(RUN) scripts.documentation.causes --out docs/reference/causes
+	$(RUN) scripts.documentation.rig_keys --out docs/reference/rig-keys.txt
 	$(RUN) sphinx -W --keep-going -b html -d site/.doctrees docs site
 	$(RUN) scripts.documentation.offline site
 

@@ -217,7 +217,7 @@ class Section:
             )
         if not isinstance(node, yaml.MappingNode):
             self.refuse(key, "must hold keys and values", repr(self.value(key)))
-        return Section(node, self.path_of(key), self.file)
+        return self._below(node, key, self.path_of(key))
 
     def sections(self, key: str) -> list[Section]:
         """Mappings in a list below this one; none if the key is absent."""
@@ -228,7 +228,11 @@ class Section:
         entries = node.value if isinstance(node, yaml.SequenceNode) else []
         if not entries or not all(isinstance(entry, yaml.MappingNode) for entry in entries):
             self.refuse(key, "must be a list of keys and values", repr(self.value(key)))
-        return [Section(entry, f"{self.path_of(key)}[{i}]", self.file) for i, entry in enumerate(entries)]
+        return [self._below(entry, key, f"{self.path_of(key)}[{i}]") for i, entry in enumerate(entries)]
+
+    def _below(self, node: yaml.MappingNode, key: str, path: str) -> Section:
+        """A mapping below a key; a reader that watches what is asked makes another kind of section here."""
+        return Section(node, path, self.file)
 
     def is_section(self, key: str) -> bool:
         """Whether the key holds a mapping."""
@@ -240,7 +244,7 @@ class Section:
         Raises:
             InvalidInput: The key has no unit, one of another dimension, or appears with two units.
         """
-        symbols = [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
+        symbols = self.symbols(dimension)
         self._known |= dict.fromkeys(f"{quantity}_{symbol}" for symbol in symbols)
         keys = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
         for key in keys:
@@ -259,14 +263,18 @@ class Section:
         assert unit is not None
         return keys[0], unit
 
+    @staticmethod
+    def symbols(dimension: str) -> list[str]:
+        """Units that a quantity of this dimension may be given in; the first is that of SI."""
+        return [unit.symbol for unit in UNITS.values() if unit.dimension == dimension]
+
     def quantity(self, quantity: str, dimension: str) -> tuple[str, float] | None:
         """SI key and SI value of a plain quantity; None if it is absent."""
         entry = self.key_with_unit(quantity, dimension)
         if entry is None:
             return None
         key, key_unit = entry
-        si_symbol = next(unit.symbol for unit in UNITS.values() if unit.dimension == dimension)
-        return f"{quantity}_{si_symbol}", self.number(key) * key_unit.to_si
+        return f"{quantity}_{self.symbols(dimension)[0]}", self.number(key) * key_unit.to_si
 
     def finish(self) -> None:
         """Refuse keys that nobody read."""

@@ -21,6 +21,7 @@ from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
 from estimator.cli.rig_simulator import rig_simulator_command
+from estimator.cli.schema import schema_group
 from estimator.cli.serve import serve_group
 from estimator.cli.simulate import simulate_command
 
@@ -54,6 +55,7 @@ for command in (
     predict_command,
     report_command,
     explain_command,
+    schema_group,
     recalibrate_command,
     batch_command,
     devices_group,

@@ -54,15 +54,16 @@ def load_rig(path: Path | str) -> Rig:
     Raises:
         InvalidInput: Unknown key, missing unit, impossible geometry, unknown mover: with file, line, key, rule and value.
     """
-    return _rig(Section.from_file(Path(path)))
+    return read_rig(Section.from_file(Path(path)))
 
 
 def rig_from_text(text: str, file: str = "rig") -> Rig:
     """Read a rig from YAML text; `file` names its origin in messages."""
-    return _rig(Section.from_text(text, file))
+    return read_rig(Section.from_text(text, file))
 
 
-def _rig(top: Section) -> Rig:
+def read_rig(top: Section) -> Rig:
+    """Read a rig from the top of a file."""
     version = top.required("schema_version")
     if version != SCHEMA_VERSION:
         top.refuse("schema_version", f"must be {SCHEMA_VERSION}", repr(version))
