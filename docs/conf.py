@@ -52,9 +52,11 @@ nb_execution_timeout = 1200
 nb_execution_show_tb = True
 nb_merge_streams = True
 
+default_role = "code"  # what docstrings put between single backticks
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
@@ -86,9 +88,10 @@ html_theme_options = {
 
 
 def setup(app: Sphinx) -> None:
-    """Help texts of commands are plain text: an asterisk in them is one."""
+    """Help texts of commands are plain text, and a section of a docstring may stand on one line."""
     app.connect("sphinx-click-process-options", _plain)
     app.connect("sphinx-click-process-description", _plain)
+    app.connect("autodoc-process-docstring", _below_its_title, priority=400)  # before napoleon reads it
 
 
 def _plain(_app: Sphinx, _context: click.Context, lines: list[str]) -> None:
@@ -96,3 +99,27 @@ def _plain(_app: Sphinx, _context: click.Context, lines: list[str]) -> None:
         line if line.lstrip().startswith("..") else re.sub(r"(?<![*\\])\*(?!\*)", r"\\*", line)
         for line in lines
     ]
+
+
+ONE_LINE = re.compile(r"(\s*)(Returns|Raises|References): (\S.*)")
+
+
+def _below_its_title(
+    _app: Sphinx, _what: str, _name: str, _thing: object, _options: object, lines: list[str]
+) -> None:
+    """`Returns: what` as napoleon wants it, in two lines."""
+    for i in reversed(range(len(lines))):
+        match = ONE_LINE.fullmatch(lines[i])
+        if match is not None:
+            indent, title, words = match.groups()
+            words = (
+                re.sub(r"(\w): ", r"\1 - ", words, count=1) if title == "Returns" else words
+            )  # a colon would make it a type
+            lines[i : i + 1] = ["", f"{indent}{title}:", f"{indent}    {words}"]
+    for i in reversed(range(1, len(lines))):
+        if (
+            lines[i].endswith(":")
+            and lines[i].strip() in ("Returns:", "Raises:", "References:", "Examples:")
+            and lines[i - 1].strip()
+        ):
+            lines.insert(i, "")

@@ -1,6 +1,6 @@
 """An example to edit: simulate sessions of one rig, calibrate them all from Python, open the results.
 
-Replace `days()` with your own sessions. On Slurm, pass the address of a Dask scheduler (docs/decisions/0013-batch.md).
+Replace `days()` with your own sessions. On Slurm, pass the address of a Dask scheduler (docs/how-to/run-on-slurm.md).
 """
 
 from __future__ import annotations

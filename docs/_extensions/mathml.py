@@ -22,5 +22,8 @@ def _inline(writer: Any, node: nodes.math) -> None:
 
 
 def _display(writer: Any, node: nodes.math_block) -> None:
-    writer.body.append(f'<div class="math">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>')
+    formula = latex2mathml.tex2mathml(node.astext(), as_block=False).replace(
+        "<math", '<math display="block"', 1
+    )
+    writer.body.append(f'<div class="math">{formula}</div>')
     raise nodes.SkipNode

@@ -1,19 +1,42 @@
-"""Pictures of reports, for tutorials: what a reader sees in a page that `coilcal` writes is what the site shows."""
+"""What the cells of tutorials use: a terminal, files, and the pictures that a reader sees in the pages that `coilcal` writes.
+
+IPython's own `%%sh` hands on what a program prints in pieces, in the middle of lines, and standard error after standard output.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
 import re
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from IPython.core.error import UsageError
+from IPython.core.magic import register_cell_magic
 from IPython.display import Image
 
 if TYPE_CHECKING:
     from estimator import Diagnosis
 
 PICTURE = re.compile(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]*)">')
+
+
+@register_cell_magic
+def sh(_: str, cell: str) -> None:
+    """Run commands as a terminal does, and print what they print; a command that fails stops the building of the site."""
+    ran = subprocess.run(
+        ["sh", "-ec", cell], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    print(ran.stdout.rstrip())
+    if ran.returncode:
+        raise UsageError(f"exit code {ran.returncode}")
+
+
+@register_cell_magic
+def writefile(name: str, cell: str) -> None:
+    """Write a file, without a word."""
+    Path(name).write_text(cell, encoding="utf-8")
 
 
 def picture(page: str, title: str) -> Image:
