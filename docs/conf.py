@@ -71,7 +71,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "results": []}
 html_theme_options = {
     "logo": {"text": "coilcal"},
     "navbar_align": "left",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from scripts.documentation.offline import loaded_from_elsewhere
 from tests.test_docs import CAUSE_PAGES, PAGES, ROOT
 
 DOCS = ROOT / "docs"
@@ -61,3 +62,17 @@ def test_the_site_loads_nothing_from_elsewhere() -> None:
     """Settings and styles of our own; `make docs` checks the pages that were built."""
     for file in (DOCS / "conf.py", *(DOCS / "_static").iterdir(), *(DOCS / "_extensions").glob("*.py")):
         assert not re.search(r"https?://", file.read_text(encoding="utf-8")), file
+
+
+def test_what_is_loaded_from_elsewhere_is_found(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text(
+        '<a href="https://example.org">a link loads nothing</a><img src="figure.png"><script src="https://cdn.example/a.js">',
+        encoding="utf-8",
+    )
+    (tmp_path / "site.css").write_text(
+        '@import "//fonts.example/a.css"; b {background: url(b.png)}', encoding="utf-8"
+    )
+    assert loaded_from_elsewhere(tmp_path) == [
+        "index.html: https://cdn.example/a.js",
+        "site.css: //fonts.example/a.css",
+    ]

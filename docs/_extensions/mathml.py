@@ -25,5 +25,5 @@ def _display(writer: Any, node: nodes.math_block) -> None:
     formula = latex2mathml.tex2mathml(node.astext(), as_block=False).replace(
         "<math", '<math display="block"', 1
     )
-    writer.body.append(f'<div class="math">{formula}</div>')
+    writer.body.append(f'<div class="formula">{formula}</div>')
     raise nodes.SkipNode
