@@ -16,7 +16,8 @@ from estimator.rig_files.schema import rig_schema
 from estimator.yaml_section import Loader
 from tests.estimator.conftest import CORRECTION, RIG, TWO_COILS
 
-SHIPPED = sorted((Path(__file__).parents[3] / "configs").glob("*.yaml"))
+CONFIGS = Path(__file__).parents[3] / "configs"
+SHIPPED = sorted(path for path in CONFIGS.glob("*.yaml") if path.name != "service.yaml")
 
 
 @pytest.fixture(scope="module")
