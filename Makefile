@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
+DOCS_INSTALLED := .venv/.docs_installed
 
 .PHONY: demo test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm figures
 
@@ -14,8 +15,7 @@ demo: $(INSTALLED)
 
 test: lint types imports unit
 
-docs: $(INSTALLED)        # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
-	$(RUN) pip install -c constraints.txt -e '.[docs]'
+docs: $(DOCS_INSTALLED)   # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
 	$(RUN) scripts.documentation.causes --out docs/reference/causes
 	$(RUN) scripts.documentation.rig_keys --out docs/reference/rig-keys.txt
 	$(RUN) sphinx -W --keep-going -b html -d site/.doctrees docs site
@@ -133,4 +133,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
 	then $(RUN) pip install -e '.[dev]'; \
 	else $(RUN) pip install -c constraints.txt -e '.[dev]'; fi
+	touch $@
+
+$(DOCS_INSTALLED): $(INSTALLED)
+	$(RUN) pip install -c constraints.txt -e '.[docs]'
 	touch $@
