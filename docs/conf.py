@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
-
-import click
-from sphinx.application import Sphinx
 
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS / "_extensions")]
@@ -32,6 +28,7 @@ extensions = [
     "sphinx_click",
     "sphinx_copybutton",
     "mathml",
+    "plain_words",
     "terminal_cells",
 ]
 exclude_patterns = ["figures"]
@@ -85,41 +82,3 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-
-
-def setup(app: Sphinx) -> None:
-    """Help texts of commands are plain text, and a section of a docstring may stand on one line."""
-    app.connect("sphinx-click-process-options", _plain)
-    app.connect("sphinx-click-process-description", _plain)
-    app.connect("autodoc-process-docstring", _below_its_title, priority=400)  # before napoleon reads it
-
-
-def _plain(_app: Sphinx, _context: click.Context, lines: list[str]) -> None:
-    lines[:] = [
-        line if line.lstrip().startswith("..") else re.sub(r"(?<![*\\])\*(?!\*)", r"\\*", line)
-        for line in lines
-    ]
-
-
-ONE_LINE = re.compile(r"(\s*)(Returns|Raises|References): (\S.*)")
-
-
-def _below_its_title(
-    _app: Sphinx, _what: str, _name: str, _thing: object, _options: object, lines: list[str]
-) -> None:
-    """`Returns: what` as napoleon wants it, in two lines."""
-    for i in reversed(range(len(lines))):
-        match = ONE_LINE.fullmatch(lines[i])
-        if match is not None:
-            indent, title, words = match.groups()
-            words = (
-                re.sub(r"(\w): ", r"\1 - ", words, count=1) if title == "Returns" else words
-            )  # a colon would make it a type
-            lines[i : i + 1] = ["", f"{indent}{title}:", f"{indent}    {words}"]
-    for i in reversed(range(1, len(lines))):
-        if (
-            lines[i].endswith(":")
-            and lines[i].strip() in ("Returns:", "Raises:", "References:", "Examples:")
-            and lines[i - 1].strip()
-        ):
-            lines.insert(i, "")
