@@ -76,3 +76,14 @@ def test_what_is_loaded_from_elsewhere_is_found(tmp_path: Path) -> None:
         "index.html: https://cdn.example/a.js",
         "site.css: //fonts.example/a.css",
     ]
+
+
+def test_tutorials_show_pictures_that_reports_have() -> None:
+    """By their titles, up to a number or a name that the report fills in."""
+    figures = [file.read_text(encoding="utf-8") for file in (ROOT / "estimator").glob("*/figures.py")]
+    titles = [title.split("{")[0] for text in figures for title in re.findall(r'"([A-Z][^"\n]{3,})"', text)]
+    for page in (DOCS / "tutorials").glob("*.md"):
+        for wanted in re.findall(r'(?:picture|drawn)\([^)]*"([^"]+)"\)', page.read_text(encoding="utf-8")):
+            assert any(title.startswith(wanted) or wanted.startswith(title) for title in titles), (
+                f"{wanted} in {page}"
+            )
