@@ -23,6 +23,7 @@ from estimator.service.routes import (
     jobs,
     operation,
     predictions,
+    registries,
     rigs,
     sessions,
     webhooks,
@@ -66,7 +67,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations, predictions, webhooks):
+    for module in (operation, rigs, registries, sessions, jobs, calibrations, predictions, webhooks):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)
