@@ -24,6 +24,7 @@ from estimator.service.routes import (
     operation,
     predictions,
     rigs,
+    schedules,
     sessions,
     webhooks,
 )
@@ -49,8 +50,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         if has_workers:
-            core.jobs.start()
-            core.courier.start()
+            core.start()
         yield
         await run_in_threadpool(core.close)
 
@@ -66,7 +66,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations, predictions, webhooks):
+    for module in (operation, rigs, sessions, jobs, calibrations, predictions, webhooks, schedules):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)
