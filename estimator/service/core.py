@@ -63,6 +63,11 @@ class Core:
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
         self._loading = threading.Lock()
         self.predictor = Predictor(self.calibration, settings.most_predictions)
+        self.metrics.watch(
+            "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
+        )
+        words = "Predictions that are at work or wait."
+        self.metrics.watch("coilcal_predictions_waiting", words, lambda: self.predictor.n_admitted)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
