@@ -23,6 +23,7 @@ from estimator.service.routes import (
     jobs,
     operation,
     predictions,
+    registries,
     rigs,
     schedules,
     sessions,
@@ -66,7 +67,17 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, sessions, jobs, calibrations, predictions, webhooks, schedules):
+    for module in (
+        operation,
+        rigs,
+        registries,
+        sessions,
+        jobs,
+        calibrations,
+        predictions,
+        webhooks,
+        schedules,
+    ):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)

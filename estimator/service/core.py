@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import shutil
 import threading
@@ -27,7 +28,7 @@ from estimator.service.ticker import Ticker
 from estimator.service.webhooks import Courier
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
-SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
+SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
 
 
@@ -52,6 +53,7 @@ class Core:
             self.data / JOBS,
             self.sessions.path,
             lambda rig_id: self.rig_version(rig_id).text,
+            self.registry_path,
         )
         self.courier = Courier(self.database, settings)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
@@ -74,6 +76,10 @@ class Core:
     def uploads(self) -> Path:
         """Folder of what is being unpacked; it does not survive."""
         return self.data / UPLOADS
+
+    def registry_path(self, rig_name: str) -> Path:
+        """Folder of the registry of a rig; no word of a request becomes part of it."""
+        return self.data / REGISTRIES / hashlib.sha256(rig_name.encode()).hexdigest()[:32]
 
     def rig_version(self, rig_id: str) -> RigVersion:
         """A rig version that is known to be there."""
