@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import select, update
 from starlette.testclient import TestClient
 
+from estimator.service.app import create_app
+from estimator.service.backup import backup, restore
 from estimator.service.job_queue import JobQueue
 from estimator.service.schedules import next_run
 from estimator.service.schema import Job, Schedule, SessionRow
-from tests.estimator.service.conftest import begin_session, import_csv, refusal, upload_rig
+from estimator.service.settings import Settings
+from tests.estimator.service.conftest import PATIENCE_S, begin_session, import_csv, refusal, upload_rig
+from tests.estimator.service.test_webhooks import Receiver
 
 
 def schedule(cron: str | None = None, every_s: int | None = None, timezone: str = "UTC") -> Schedule:
@@ -201,3 +207,33 @@ def test_a_full_queue_is_waited_for(
     assert tick(client) == 0
     end_job(client)
     assert tick(client) == 1
+
+
+@pytest.mark.slow
+def test_a_schedule_makes_a_calibration_that_a_webhook_hears_of_and_a_backup_holds(
+    tmp_path: Path, rig_text: str, readings_csv: bytes
+) -> None:
+    receiver = Receiver()
+    app = create_app(Settings(data=tmp_path / "data", workers=1, webhook_networks=("127.0.0.0/8",)))
+    try:
+        with TestClient(app, base_url="http://127.0.0.1:8765") as client:
+            client.post("/v1/webhooks", json={"url": receiver.url})
+            rig_id = upload_rig(client, rig_text)
+            session = import_csv(client, rig_id, readings_csv)
+            client.post(f"/v1/schedules/{made(client, rig_id)['id']}/run")
+            end_s = time.monotonic() + PATIENCE_S
+            while not receiver.got and time.monotonic() < end_s:
+                time.sleep(0.1)
+            told = json.loads(receiver.got[0][1])["data"]
+            assert (told["kind"], told["state"], told["fault"]) == ("recalibrate", "done", None)
+            assert (told["session_id"], told["result"]["conclusion"]) == (session["id"], "updated")
+    finally:
+        receiver.close()
+    backup(tmp_path / "data", tmp_path / "backup.tar")
+    restore(tmp_path / "backup.tar", tmp_path / "restored")
+    app = create_app(Settings(data=tmp_path / "restored"), has_workers=False)
+    with TestClient(app, base_url="http://127.0.0.1:8765") as client:
+        registry = client.get(f"/v1/rigs/{rig_id}/registry").json()
+        assert (registry["current"], registry["n_entries"]) == (1, 1)
+        summary = client.get(f"/v1/calibrations/{registry['calibration_id']}/summary").json()
+        assert summary["session_hash"] == session["hash"]
