@@ -25,6 +25,7 @@ from estimator.service.routes import (
     predictions,
     registries,
     rigs,
+    schedules,
     sessions,
     webhooks,
 )
@@ -50,8 +51,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         if has_workers:
-            core.jobs.start()
-            core.courier.start()
+            core.start()
         yield
         await run_in_threadpool(core.close)
 
@@ -67,7 +67,17 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, rigs, registries, sessions, jobs, calibrations, predictions, webhooks):
+    for module in (
+        operation,
+        rigs,
+        registries,
+        sessions,
+        jobs,
+        calibrations,
+        predictions,
+        webhooks,
+        schedules,
+    ):
         app.include_router(module.router)
     install(app, str(core.data))
     _add_schema(app)

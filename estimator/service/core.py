@@ -14,14 +14,17 @@ from sqlalchemy import select
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput, reason
+from estimator.service import schedules, webhooks
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
+from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.ticker import Ticker
 from estimator.service.webhooks import Courier
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
@@ -53,10 +56,20 @@ class Core:
             self.registry_path,
         )
         self.courier = Courier(self.database, settings)
+        self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
+        self._tickers = (
+            Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
+            Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
+        )
         self.n_streams = 0
         self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
         self._loading = threading.Lock()
         self.predictor = Predictor(self.calibration, settings.most_predictions)
+        self.metrics.watch(
+            "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
+        )
+        words = "Predictions that are at work or wait."
+        self.metrics.watch("coilcal_predictions_waiting", words, lambda: self.predictor.n_admitted)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
@@ -86,10 +99,17 @@ class Core:
     def _n_bytes(self) -> int:
         return sum(part.nbytes for each in self._calibrations.values() for part in each.draws.values())
 
+    def start(self) -> None:
+        """Begin to work on jobs, to tell webhooks and to follow schedules."""
+        self.jobs.start()
+        for ticker in self._tickers:
+            ticker.start()
+
     def close(self) -> None:
         """Hand everything back for the next process."""
+        for ticker in self._tickers:
+            ticker.stop()
         self.predictor.close()
-        self.courier.stop()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()
