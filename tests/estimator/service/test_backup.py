@@ -21,7 +21,16 @@ from estimator.service.app import create_app
 from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
 from estimator.store.session import Session
-from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, upload_rig
+from tests.estimator.service.conftest import (
+    Served,
+    append,
+    begin_session,
+    import_csv,
+    lines_of,
+    upload_rig,
+    wait_for,
+)
+from tests.estimator.service.test_kill import LONG, STEPS, files_of, steps_of
 
 
 def serving(data: Path) -> Any:
@@ -195,3 +204,31 @@ def test_the_commands_say_what_they_did(data: Path, tmp_path: Path) -> None:
     assert run("restore", tmp_path / "b.tar", "--data", tmp_path / "restored").exit_code == 2
     (tmp_path / "no.tar").write_bytes(b"no backup")
     assert run("restore", tmp_path / "no.tar", "--data", tmp_path / "other").exit_code == 3
+
+
+@pytest.mark.slow
+def test_a_job_that_ran_during_the_backup_ends_after_a_restore_with_the_same_bytes(
+    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    service = served()
+    session = import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
+    body = {"session_id": session["id"], "seed": 5, "settings": LONG}
+    job_id = service.client.post("/v1/jobs/calibrate", json=body).json()["id"]
+    n_backups = 0
+    while steps_of(tmp_path / "data" / "jobs" / job_id) < STEPS:  # at many moments of its work
+        if steps_of(tmp_path / "data" / "jobs" / job_id) > 0:
+            backup(tmp_path / "data", tmp_path / f"{n_backups}.tar")
+            n_backups += 1
+    assert wait_for(service.client, job_id)["state"] == "done"
+    service.end()
+    assert n_backups > 2
+    for number in {0, n_backups // 2, n_backups - 1}:
+        restore(tmp_path / f"{number}.tar", tmp_path / f"restored{number}")
+        other = served(data=tmp_path / f"restored{number}")
+        job = wait_for(other.client, job_id)
+        assert (job["state"], job["fault"]) == ("done", None)
+        other.end()
+        expected, found = (
+            files_of(tmp_path / name / "jobs" / job_id) for name in ("data", f"restored{number}")
+        )
+        assert found == expected
