@@ -114,7 +114,7 @@ fuzz-service: $(INSTALLED)   # five minutes of requests made from the schema, al
 service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 clients stream; ten minutes
 	$(RUN) scripts.studies.service_storm --kills 30 --clients 100 --seed 1
 
-bench-service: $(INSTALLED)  # an appended batch and a prediction over HTTP
+bench-service: $(INSTALLED)  # appended batches and predictions over HTTP, by clients and beside the same in process
 	$(RUN) scripts.benchmarks.service
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
