@@ -13,6 +13,7 @@ from sqlalchemy import select
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput, reason
+from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
@@ -40,6 +41,7 @@ class Core:
         self._lock = _locked(self.data)
         self.database = Database(self.data / DATABASE)
         self.database.migrate()
+        self.cookies = Cookies(self.data)
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)
         self.metrics = Metrics(self.database, settings)

@@ -22,7 +22,7 @@ from estimator.store.files import write_text
 
 JOB, RESULT, PROGRESS, LOCK = "job.json", "result.json", "progress.jsonl", "lock"
 CALIBRATION, DIAGNOSIS = "calibration", "diagnosis"
-REPORT = "report.html"
+REPORT, PANELS = "report.html", "panels.json"
 PROGRESS_EVERY_S = 0.2
 
 STOP = "stop"  # a file that says that the job must end, for workers that cannot be replaced
@@ -110,6 +110,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
     from estimator.calibration.report import calibration_report
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.limits import Limits
+    from estimator.diagnosis.panels import panels, panels_text
     from estimator.diagnosis.progress import Progress
     from estimator.diagnosis.report import diagnosis_report
     from estimator.diagnosis.result import CALIBRATION_FOLDER
@@ -141,6 +142,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
     )
     tell("page", {})
     command = _command(job, "diagnose")
+    write_text(out / PANELS, panels_text(panels(diagnosis)))
     write_text(out / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
         write_text(out / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))

@@ -13,6 +13,7 @@ from sqlalchemy import select
 from starlette.responses import HTMLResponse, Response
 
 from estimator.calibration.result import SUMMARY_FILE
+from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
 from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.inference.ensemble import SamplerSettings
@@ -40,7 +41,7 @@ from estimator.service.routes.sessions import closed_row_of
 from estimator.service.schema import CalibrationRow, Job, RigVersion
 from estimator.service.tokens import Scope
 from estimator.service.webhooks import announce_end
-from estimator.service.work import DIAGNOSIS, REPORT, calibration_folder
+from estimator.service.work import DIAGNOSIS, PANELS, REPORT, calibration_folder
 from estimator.store.session import load_session
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -262,6 +263,17 @@ def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Re
     path = (calibration_folder(job.kind, folder) if job.kind == "calibrate" else folder / DIAGNOSIS) / REPORT
     headers = {"Content-Security-Policy": PAGE_POLICY}
     return with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8"), headers=headers))
+
+
+@router.get("/{job_id}/panels", responses={304: {"description": "They have not changed."}})
+def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Panels:  # noqa: ARG001
+    """What the page shows of a diagnosis, as numbers: maps, hypotheses, shifts of parameters and plans."""
+    job = _done(core, job_id)
+    path = core.jobs.folder(job_id) / DIAGNOSIS / PANELS
+    if job.kind != "diagnose" or not path.exists():
+        raise Problem(409, "job", "must be a diagnosis that has panels", job.kind, job_id)
+    content = path.read_bytes()
+    return with_etag(request, f"{job_id}-panels", lambda: Response(content, media_type="application/json"))  # type: ignore[return-value]
 
 
 @router.get("/{job_id}/events", response_class=EventSourceResponse)

@@ -1,0 +1,57 @@
+// Jobs: what waits, runs and has ended.
+
+import { html } from "./vendor/lit-html.js";
+import { all, post } from "./api.js";
+import { age, short } from "./words.js";
+
+const LOOK_EVERY_MS = 2000;
+
+export class JobsView {
+  title = "jobs";
+  jobs = null;
+
+  constructor(update) {
+    this.update = update;
+  }
+
+  async load() {
+    this.jobs = await all("/v1/jobs", 200);
+    this.update();
+    if (this.isClosed) return;
+    this.timer = setTimeout(() => this.load(), LOOK_EVERY_MS);
+  }
+
+  close() {
+    this.isClosed = true;
+    clearTimeout(this.timer);
+  }
+
+  template() {
+    if (this.jobs === null) return html`<h1>Jobs</h1><p class="waiting">Loading</p>`;
+    return html`<h1>Jobs</h1>
+      ${this.jobs.length === 0 ? html`<p>Nothing has been asked for yet.</p>` : null}
+      <ul class="list">
+        ${this.jobs.map(
+          (job) => html`<li class="card row">
+            <div class="grow">
+              <h2><a href="#/jobs/${job.id}">${job.kind} ${short(job.id)}</a></h2>
+              <p>
+                <span class="state ${job.state}">${job.state}</span> ${age(job.ended ?? job.started ?? job.created)},
+                session ${short(job.session_id)}, ${job.user} ${job.fault ? html`<br />${job.fault}` : null}
+              </p>
+            </div>
+            <div class="actions">${cancelButton(job, () => this.update())}</div>
+          </li>`,
+        )}
+      </ul>`;
+  }
+}
+
+export function cancelButton(job, after) {
+  if (!["queued", "running"].includes(job.state)) return null;
+  const cancel = async () => {
+    Object.assign(job, await post(`/v1/jobs/${job.id}/cancel`));
+    after();
+  };
+  return html`<button aria-label="Cancel ${job.kind} ${short(job.id)}" @click=${cancel}>Cancel</button>`;
+}
