@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis.drawing import outline_of, rounded
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline, quantity_words
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step
@@ -25,7 +26,6 @@ from estimator.diagnosis.panel_records import (
     Runner,
     Shown,
     Vectors,
-    WindingOutline,
 )
 from estimator.diagnosis.report import warnings_of
 from estimator.diagnosis.result import Diagnosis
@@ -33,7 +33,6 @@ from estimator.diagnosis.sizes import SizedCause
 from estimator.diagnosis.structure.covariates import predicted_T
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
-from estimator.model.bodies import winding_of
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
 from estimator.reporting.numbers import displays, interval_with_unit, size_with_unit
@@ -42,7 +41,6 @@ from estimator.rig.rig import Cause, Coil
 MOST_MAPS, MOST_PATTERNS, MOST_RUNNERS, MOST_RACES, MOST_PLANS = 2, 6, 12, 6, 3
 N_STOPS = 20  # of a plan that shrinks an interval
 LEAST_SHRINK = 0.9  # of the standard deviation: a plan that leaves more is not worth its time
-DIGITS = 5
 
 
 def panels(diagnosis: Diagnosis) -> Panels:
@@ -102,26 +100,19 @@ def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:
     for i in powered[:MOST_MAPS]:
         coil = extended.rig.coils[i]
         rows = is_on[:, i] & is_known
-        position_m, coil_from_sensor = _in_coil(extended, coil.name)
-        winding = winding_of(extended.rig, coil, extended.values) if isinstance(coil, Coil) else None
+        position_m, coil_from_sensor = extended.posterior.model.readings_in_coil(coil, extended.values)
 
         def shown(
             field_sensor_T: Float[Tensor, "reading 3"],
             rotation: Tensor = coil_from_sensor,
             rows: Tensor = rows,
         ) -> Vectors:
-            return _rounded((rotation @ field_sensor_T.nan_to_num()[..., None])[rows, :, 0])
+            return rounded((rotation @ field_sensor_T.nan_to_num()[..., None])[rows, :, 0])
 
         yield ResidualMap(
             coil=coil.name,
-            winding=None
-            if winding is None
-            else WindingOutline(
-                float(winding.radius_m - winding.thickness_m),
-                float(winding.radius_m),
-                float(winding.length_m),
-            ),
-            position_m=_rounded(position_m[rows]),
+            winding=outline_of(extended, coil) if isinstance(coil, Coil) else None,
+            position_m=rounded(position_m[rows]),
             before_T=shown(measured_T - predicted_T(plain)),
             after_T=shown(measured_T - predicted_T(extended)),
             patterns_T={
@@ -136,16 +127,6 @@ def _leaders(diagnosis: Diagnosis) -> list[Hypothesis]:
     """Causes of the first comparison, by evidence."""
     first = diagnosis.findings.search.steps[0].hypotheses
     return sorted((h for h in first if h.cause is not None), key=lambda h: -h.log_bayes_factor)
-
-
-def _in_coil(fit: Fit, name: str) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
-    """Position of the sensor in a coil's frame, and the rotation coil_from_sensor, for every reading."""
-    model = fit.posterior.model
-    coil = next(coil for coil in model.rig.coils if coil.name == name)
-    n = len(model.sensor)
-    with torch.no_grad():
-        position_m, sensor_from_coil = model.sensor_in_coil(coil, torch.arange(n), fit.values)
-    return position_m.expand(n, 3)[model.pose_row], sensor_from_coil.expand(n, 3, 3)[model.pose_row].mT
 
 
 def _race(diagnosis: Diagnosis, title: str, step: Step, number: int) -> Race:
@@ -242,8 +223,3 @@ def _plan(diagnosis: Diagnosis, words: str, readings: Observations) -> str:
     history_s = readings.history.time_s
     pace_s = float((history_s[-1] - history_s[0]) / max(len(history_s) - 1, 1)) or 1.0
     return plan_text(words, diagnosis.rig, readings, pace_s)
-
-
-def _rounded(values: Float[Tensor, "reading 3"]) -> Vectors:
-    """Vectors to the digits that a screen shows."""
-    return [[float(f"{value:.{DIGITS}g}") for value in row] for row in values.tolist()]

@@ -28,6 +28,7 @@ from estimator.service.routes import (
     rigs,
     sessions,
     webhooks,
+    what_if,
 )
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
@@ -68,7 +69,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, login, rigs, sessions, jobs, calibrations, predictions, webhooks):
+    for module in (operation, login, rigs, sessions, what_if, jobs, calibrations, predictions, webhooks):
         app.include_router(module.router)
     app.include_router(page_router())
     install(app, str(core.data))

@@ -5,13 +5,15 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import threading
-from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import select
 
 from estimator.calibration.result import Calibration
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
 from estimator.service.cookies import Cookies
 from estimator.service.database import Database
@@ -20,13 +22,18 @@ from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
+from estimator.service.problems import Problem
+from estimator.service.recent import Recent
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.watching import Watching
 from estimator.service.webhooks import Courier
+from estimator.store.session import load_session
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
 MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
+MOST_FITS = 4
 
 
 class Core:
@@ -53,9 +60,10 @@ class Core:
             lambda rig_id: self.rig_version(rig_id).text,
         )
         self.courier = Courier(self.database, settings)
+        self.watching = Watching(self.sessions.path, settings.most_watched)
         self.n_streams = 0
-        self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
-        self._loading = threading.Lock()
+        self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
+        self.fits = Recent(self._fitted, MOST_FITS)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
@@ -71,25 +79,40 @@ class Core:
 
     def calibration(self, folder: Path) -> Calibration:
         """A calibration, checked when it is read; those used last stay in memory."""
-        with self._loading:
-            known = self._calibrations.pop(folder, None)
-            calibration = known if known is not None else Calibration.load(folder)
-            self._calibrations[folder] = calibration
-            while len(self._calibrations) > 1 and self._n_bytes() > MOST_CALIBRATION_BYTES:
-                self._calibrations.popitem(last=False)
-            return calibration
+        return self._calibrations[folder]
 
-    def _n_bytes(self) -> int:
-        return sum(part.nbytes for each in self._calibrations.values() for part in each.draws.values())
+    def _fitted(self, session_id: str) -> Fit:
+        return fit_for_what_if(load_session(self.sessions.path(session_id)))
+
+    @contextmanager
+    def stream(self) -> Iterator[None]:
+        """Room for an event stream.
+
+        Raises:
+            Problem: Too many are followed.
+        """
+        if self.n_streams >= self.settings.most_streams:
+            rule = f"must be at most {self.settings.most_streams} at once"
+            raise Problem(429, "event streams", rule, headers={"Retry-After": "10"})
+        self.n_streams += 1
+        try:
+            yield
+        finally:
+            self.n_streams -= 1
 
     def close(self) -> None:
         """Hand everything back for the next process."""
+        self.watching.stop()
         self.predictor.close()
         self.courier.stop()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()
         os.close(self._lock)
+
+
+def _n_bytes(calibration: Calibration) -> float:
+    return sum(part.nbytes for part in calibration.draws.values())
 
 
 def _locked(data: Path) -> int:

@@ -132,6 +132,7 @@ async function begin() {
   await go();
 }
 
+window.addEventListener("resize", update);
 window.addEventListener("hashchange", () => {
   go();
   document.getElementById("main")?.focus();

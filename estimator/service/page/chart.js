@@ -29,9 +29,12 @@ function xAxis(x, domain, y, top, label, middle) {
 
 const ROW = 24;
 
+// Width to draw in, so that letters keep their size on narrow screens.
+export const fitting = (most) => Math.max(320, Math.min(most, innerWidth - 70));
+
 // Horizontal bars; rows are {label, value, role, note}.
-export function bars(name, rows, label, width = 640) {
-  const [left, right, top] = [170, 70, 6];
+export function bars(name, rows, label, width = fitting(640)) {
+  const [left, right, top] = [width < 500 ? 140 : 170, 60, 6];
   const bottom = top + ROW * rows.length;
   const values = rows.map((row) => row.value);
   const domain = [Math.min(0, ...values), Math.max(1, ...values)];
@@ -51,8 +54,9 @@ export function bars(name, rows, label, width = 640) {
 }
 
 // Pairs of values with intervals; rows are {label, before: [middle, low, high], after, note}, all in one scale.
-export function pairs(name, rows, label, width = 640) {
-  const [left, right, top, row] = [150, 190, 22, 34];
+export function pairs(name, rows, label, width = fitting(900)) {
+  const isNarrow = width < 560;
+  const [left, right, top, row] = isNarrow ? [95, 14, 22, 48] : [150, 190, 22, 34];
   const bottom = top + row * rows.length;
   const ends = rows.flatMap((r) => [...r.before, ...r.after]);
   const domain = [Math.min(...ends), Math.max(...ends)];
@@ -68,20 +72,20 @@ export function pairs(name, rows, label, width = 640) {
       return svg`<g><title>${r.label}: ${r.note}</title>
         <text class="end" x=${left - 8} y=${y + 21}>${r.label}</text>
         ${mark(r.before, y + 11, "before")} ${mark(r.after, y + 23, "after")}
-        <text class="small" x=${width - right + 12} y=${y + 21}>${r.note}</text></g>`;
+        <text class="small ${isNarrow ? "end" : ""}" x=${isNarrow ? width - right : width - right + 12} y=${y + (isNarrow ? 39 : 21)}>${r.note}</text></g>`;
     })}
     <path class="zero" d="M${x(0)} ${top}V${bottom}" />
   </svg>`;
 }
 
 // Lines over a common axis; series are {label, kind, points: [[x, y], ...]}; `log` makes the y axis logarithmic.
-export function lines(name, series, { xLabel, yLabel, log = false, band = null, dots = false, width = 640, height = 280 }) {
-  const [left, right, top] = [64, 110, 10];
+export function lines(name, series, { xLabel, yLabel, log = false, mark = null, dots = false, width = fitting(540), height = 320 }) {
+  const [left, right, top] = [58, dots ? 14 : 96, 10];
   const bottom = height - 42;
   const map = log ? (v) => Math.log10(Math.max(v, 1e-30)) : (v) => v;
   const points = series.flatMap((s) => s.points);
   const xs = points.map((p) => p[0]);
-  const ys = points.map((p) => map(p[1])).concat(band ? [map(band), log ? map(band) : -band] : []);
+  const ys = points.map((p) => map(p[1])).concat(mark === null ? [] : [0, 2 * mark]);
   const range = (values) => (values.length ? [Math.min(...values), Math.max(...values)] : [0, 1]);
   const [xDomain, yDomain] = [range(xs), range(ys)];
   if (yDomain[1] === yDomain[0]) yDomain[1] += 1;
@@ -89,7 +93,6 @@ export function lines(name, series, { xLabel, yLabel, log = false, band = null, 
   const y = scale(yDomain, [bottom, top]);
   const yTicks = log ? ticks(...yDomain, 4).filter((t) => Number.isInteger(t) || yDomain[1] - yDomain[0] < 2) : ticks(...yDomain);
   return svg`<svg class="chart" viewBox="0 0 ${width} ${height}" role="img" aria-label=${name}>
-    ${band && !log ? svg`<rect class="noise-band" x=${left} y=${y(band)} width=${width - right - left} height=${y(-band) - y(band)} />` : null}
     ${xAxis(x, xDomain, bottom, top, xLabel, (left + width - right) / 2)}
     ${yTicks.map(
       (t) => svg`<path class="grid" d="M${left} ${y(t)}H${width - right}" />
@@ -102,6 +105,7 @@ export function lines(name, series, { xLabel, yLabel, log = false, band = null, 
         ? svg`<path class="points ${s.kind}" d=${path.map((p) => `M${p}h.01`).join("")} />`
         : svg`<path class="line ${s.kind}" d="M${path.join("L")}" />`;
     })}
+    ${mark === null ? null : svg`<path class="zero" d="M${left} ${y(mark)}H${width - right}" />`}
     ${labels(series, x, y, map, width - right, [top, bottom])}
   </svg>`;
 }

@@ -153,7 +153,7 @@ export class Diagnosis {
           <table>
             <thead><tr><th>hypothesis</th><th>meaning</th><th class="num">leaves (noise)</th></tr></thead>
             <tbody>
-              ${race.runners.slice(0, 8).map((one) => html`<tr class=${kind(one)}>
+              ${race.runners.slice(0, 6).map((one) => html`<tr class=${kind(one)}>
                 <th scope="row">${one.label}</th><td>${one.words}${one.role === "other" ? null : html` <em>(${ROLES[one.role]})</em>`}</td>
                 <td class="num">${one.left_sigma === null ? "–" : one.left_sigma.toFixed(2)}</td></tr>`)}
             </tbody>
@@ -185,7 +185,7 @@ export class Diagnosis {
       <h2 id="impact">What the flaw did to each parameter</h2>
       <p class="lead">${words}</p>
       ${figure("impact", "Values with 90 % credible intervals", "In standard deviations of the fit as described, from its value.",
-        pairs("Parameters before and after the extension", rows, "shift (standard deviations of the fit as described)", 760), table)}
+        pairs("Parameters before and after the extension", rows, "shift (standard deviations of the fit as described)"), table)}
     </section>`;
   }
 

@@ -68,7 +68,7 @@ export class SessionsView {
       event.preventDefault();
       const { rig, file } = event.target.elements;
       const isZip = file.files[0].name.endsWith(".zip");
-      const path = isZip ? "/v1/sessions/import-zip" : `/v1/sessions/import-csv?rig_id=${rig.value}`;
+      const path = `/v1/sessions/import-${isZip ? "zip" : "csv"}?rig_id=${rig.value}`;
       await ask("POST", path, { body: file.files[0], type: isZip ? "application/zip" : "text/csv" });
       event.target.reset();
       await this.load();
@@ -76,7 +76,7 @@ export class SessionsView {
     return html`<form class="card row" @submit=${send}>
       <label>Readings (CSV, or a zipped session)
         <input name="file" type="file" accept=".csv,.zip" required /></label>
-      <label>Rig of a CSV
+      <label>of the rig
         <select name="rig">
           ${this.rigs.map((rig) => html`<option value=${rig.id}>${rig.name} (${short(rig.id)})</option>`)}
         </select></label>

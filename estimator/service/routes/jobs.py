@@ -6,7 +6,7 @@ import json
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
@@ -32,6 +32,7 @@ from estimator.service.requests import (
     Limit,
     Page,
     Reader,
+    StreamRoom,
     Writer,
     audited,
     page_of,
@@ -280,11 +281,12 @@ def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Pa
 async def follow_job(
     core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    job_id: Id,
+    room: StreamRoom,  # noqa: ARG001
+    first: Annotated[JobInfo, Depends(get_job)],
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=20)] = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Progress of a job as server-sent events: `progress` as it works, and `end` with the job when it has ended."""
-    async for event in events_of(core, job_id, last_event_id, lambda: info_of(job_of(core, job_id))):
+    async for event in events_of(core, first.id, last_event_id, lambda: info_of(job_of(core, first.id))):
         yield event
 
 
