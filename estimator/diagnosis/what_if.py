@@ -22,6 +22,7 @@ from estimator.model.preflight import check_readings
 from estimator.readings.split import thinned
 from estimator.rig.rig import Coil
 from estimator.store.session import Session
+from estimator.units import split_quotient
 
 MOST_READINGS = 200
 
@@ -40,7 +41,7 @@ class Pattern:
     """What one quantity of a cause does, for each unit of it in SI.
 
     Attributes:
-        key: The quantity, with its unit.
+        key, words: The quantity, with its unit and without.
         unit: Its unit in SI.
         typical: Standard deviation of its prior.
         visible: Size that changes the readings by five standard deviations beyond what the fit can follow; None where none does.
@@ -50,6 +51,7 @@ class Pattern:
     """
 
     key: str
+    words: str
     unit: str
     typical: float
     visible: float | None
@@ -129,6 +131,7 @@ def what_if(fit: Fit, label: str) -> WhatIf:
         patterns.append(
             Pattern(
                 key=key,
+                words=split_quotient(key)[0].replace("_", " "),
                 unit=best.units[i],
                 typical=float(best.prior_sd[i]),
                 visible=policy.VISIBLE_SIGMA / norm if norm > 0.0 else None,

@@ -48,9 +48,12 @@ def page_router() -> APIRouter:
 
 def _answering(content: bytes, media_type: str) -> Callable[[Request], Response]:
     tag = hashlib.sha256(content).hexdigest()[:32]
-    headers = {"Content-Security-Policy": POLICY}
 
     def page_file(request: Request) -> Response:
-        return with_etag(request, tag, lambda: Response(content, media_type=media_type, headers=headers))
+        response = with_etag(request, tag, lambda: Response(content, media_type=media_type))
+        response.headers["Content-Security-Policy"] = (
+            POLICY  # on 304 too, whose headers replace those of the copy
+        )
+        return response
 
     return page_file

@@ -4,7 +4,7 @@ import { html } from "./vendor/lit-html.js";
 import { get } from "./api.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { plainWords, short, size } from "./words.js";
+import { short, size } from "./words.js";
 
 const STEPS = 100;
 const MOST_TYPICAL = 3; // standard deviations of the prior at the ends of the slider
@@ -57,7 +57,7 @@ export class WhatIfView {
         </optgroup>`)}</select></label>
       ${this.told && this.told.patterns.length > 1
         ? html`<label>Quantity <select @change=${(e) => { this.quantity = Number(e.target.value); this.update(); }}>
-            ${this.told.patterns.map((one, i) => html`<option value=${i} ?selected=${i === this.quantity}>${plainWords(one.key)}</option>`)}</select></label>`
+            ${this.told.patterns.map((one, i) => html`<option value=${i} ?selected=${i === this.quantity}>${one.words}</option>`)}</select></label>`
         : null}
       ${pattern
         ? html`<label class="grow">Size: <output>${size(this.size(pattern), pattern.unit)}</output>

@@ -64,4 +64,3 @@ export function age(iso) {
 
 export const when = (iso) => new Date(iso).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 export const short = (id) => id.slice(0, 8);
-export const plainWords = (key) => key.replaceAll("_", " ");

@@ -262,8 +262,11 @@ def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Re
     job = _done(core, job_id)
     folder = core.jobs.folder(job_id)
     path = (calibration_folder(job.kind, folder) if job.kind == "calibrate" else folder / DIAGNOSIS) / REPORT
-    headers = {"Content-Security-Policy": PAGE_POLICY}
-    return with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8"), headers=headers))
+    answer = with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8")))
+    answer.headers["Content-Security-Policy"] = (
+        PAGE_POLICY  # on 304 too, whose headers replace those of the copy
+    )
+    return answer
 
 
 @router.get("/{job_id}/panels", responses={304: {"description": "They have not changed."}})

@@ -78,7 +78,8 @@ def test_the_page_needs_no_token_and_its_policy_allows_its_own_files_only(browse
         assert "default-src 'none'; script-src 'self'; style-src 'self'" in policy
         assert "unsafe" not in policy
         tag = {"If-None-Match": answer.headers["etag"]}
-        assert browser.get(path, headers=tag).status_code == 304
+        again = browser.get(path, headers=tag)
+        assert (again.status_code, again.headers["content-security-policy"]) == (304, policy)
     refusal(browser.get("/v1/state"), 401)
     refusal(browser.get("/page/../app.js"), 401)
     refusal(browser.get("/page/missing.js"), 401)
