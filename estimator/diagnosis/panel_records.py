@@ -77,7 +77,7 @@ class Runner:
         label: The cause; `nothing`, or `unexplained` for a flexible curve.
         words: What it is.
         log_bayes_factor: Against nothing wrong.
-        role: `named`, `stand-in` or `other`.
+        role: `named`, `alternative` to what was named, `stand-in` or `other`.
         left_sigma: Root mean square of what it leaves, in units of the noise; None where it was not fitted in full.
     """
 

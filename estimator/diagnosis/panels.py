@@ -135,7 +135,16 @@ def _race(diagnosis: Diagnosis, title: str, step: Step, number: int) -> Race:
 
     def runner(hypothesis: Hypothesis) -> Runner:
         cause = hypothesis.cause
-        role = "named" if cause in named else "stand-in" if cause in added else "other"
+        is_twin = step.taken in named and hypothesis in step.credible
+        role = (
+            "named"
+            if cause in named
+            else "alternative"
+            if is_twin
+            else "stand-in"
+            if cause in added
+            else "other"
+        )
         if cause is not None:
             words = EFFECTS[cause.name].words
         else:

@@ -5,11 +5,11 @@ import { ask, download, post } from "./api.js";
 import { bars, pairs } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { minus, percent, rounded, short, size } from "./words.js";
+import { minus, percent, rounded, short } from "./words.js";
 
 const HALF_WIDTH_90 = 1.645;
 const STRONG_SIGMA = 3; // from here on an arrow is hardly noise
-const ROLES = { named: "named", "stand-in": "stands in for something unknown", other: "not needed" };
+const ROLES = { named: "named", alternative: "cannot be told from what was named", "stand-in": "stands in for something unknown", other: "not needed" };
 
 export class Diagnosis {
   constructor(update, job, result, panels) {
@@ -38,7 +38,8 @@ export class Diagnosis {
     if (!answers.length) return html`<dl class="tiles">${fit}</dl>`;
     return answers.slice(0, 3).map(
       (answer, i) => html`<dl class="tiles">
-        ${tile("What", answer.label, answer.words)} ${tile("Where", answer.place, answer.kind === answer.place ? "" : answer.kind)}
+        ${tile("What", [answer.label, ...twins(answer)].join(" or "), answer.words)}
+        ${tile("Where", answer.place, answer.kind === answer.place ? "" : answer.kind)}
         ${tile("How sure", percent(answer.probability), answer.alternatives.length ? `or ${answer.alternatives.slice(0, 3).map(([name, p]) => `${name} ${percent(p)}`).join(", ")}` : "")}
         ${tile("How large", answer.sizes[0] ?? "not told", answer.sizes.slice(1, 3).join("; "))} ${i ? null : fit}
       </dl>`,
@@ -80,10 +81,9 @@ export class Diagnosis {
     const extent = extentOf(map.position_m, map.winding);
     const field = arrowScale(map.before_T);
     const noise = STRONG_SIGMA * panels.noise_T;
-    const drawn = (name, vectors, scale, kinds) =>
+    const drawn = (name, vectors, kinds) =>
       space({
-        name, points: map.position_m, vectors, winding: map.winding, extent, view,
-        field: scale, fieldWords: size(scale, "T"),
+        name, points: map.position_m, vectors, winding: map.winding, extent, view, field,
         kinds: kinds ?? vectors.map((v) => (Math.hypot(...v) > noise ? "strong" : "weak")),
       });
     const rows = (vectors) => () => [
@@ -91,7 +91,6 @@ export class Diagnosis {
       ...map.position_m.map((p, i) => [...p, ...vectors[i]]),
     ];
     const pattern = map.patterns_T[this.pattern];
-    const scale = pattern ? arrowScale(pattern) : field;
     return html`<section aria-labelledby="maps">
       <h2 id="maps">What is left at each place, around ${map.coil}</h2>
       <p class="lead">Each arrow is measured less predicted field, in the frame of ${map.coil}. Arrows over three standard deviations of the noise are
@@ -101,15 +100,15 @@ export class Diagnosis {
             ${panels.maps.map((m, i) => html`<option value=${i}>${m.coil}</option>`)}</select></label>`
         : null}
       <div class="figures three before-after">
-        <div class="before">${figure("residual-as-described", "As described", this.share(map.before_T), drawn("Residuals of the rig as described", map.before_T, field), rows(map.before_T))}</div>
-        <div class="after">${figure("residual-extended", "Extended", this.share(map.after_T), drawn("Residuals of the extended rig", map.after_T, field), rows(map.after_T))}</div>
+        <div class="before">${figure("residual-as-described", "As described", this.share(map.before_T), drawn("Residuals of the rig as described", map.before_T), rows(map.before_T))}</div>
+        <div class="after">${figure("residual-extended", "Extended", this.share(map.after_T), drawn("Residuals of the extended rig", map.after_T), rows(map.after_T))}</div>
         ${pattern
           ? html`<div class="pattern">${figure(
               "pattern", html`<label>What <select aria-label="Hypothesis" @change=${(e) => { this.pattern = e.target.value; this.update(); }}>
                 ${Object.keys(map.patterns_T).map((name) => html`<option ?selected=${name === this.pattern}>${name}</option>`)}</select>
               would have left</label>`,
               html`Without noise, once all else was fitted. ${this.left()}`,
-              drawn(`Pattern of ${this.pattern}`, pattern, scale, pattern.map(() => "strong")), rows(pattern),
+              drawn(`Pattern of ${this.pattern}`, pattern, pattern.map(() => "strong")), rows(pattern),
             )}</div>`
           : null}
       </div>
@@ -204,3 +203,6 @@ export class Diagnosis {
     </section>`;
   }
 }
+
+// Alternatives that are nearly as probable as what was named.
+const twins = ({ probability, alternatives }) => alternatives.filter(([, p]) => p > 0.5 * probability).map(([name]) => name);

@@ -5,6 +5,14 @@ import { all, post } from "./api.js";
 import { age, short } from "./words.js";
 
 const LOOK_EVERY_MS = 2000;
+const NAMES = { calibrate: "Calibration", diagnose: "Diagnosis" };
+
+// Name of the rig of each session.
+async function rigOfSessions() {
+  const [sessions, rigs] = await Promise.all([all("/v1/sessions"), all("/v1/rigs")]);
+  const names = new Map(rigs.map((rig) => [rig.id, rig.name]));
+  return new Map(sessions.map((session) => [session.id, names.get(session.rig_id)]));
+}
 
 export class JobsView {
   title = "jobs";
@@ -15,6 +23,7 @@ export class JobsView {
   }
 
   async load() {
+    this.rigs ??= await rigOfSessions();
     this.jobs = await all("/v1/jobs", 200);
     this.update();
     if (this.isClosed) return;
@@ -34,10 +43,10 @@ export class JobsView {
         ${this.jobs.map(
           (job) => html`<li class="card row">
             <div class="grow">
-              <h2><a href="#/jobs/${job.id}">${job.kind} ${short(job.id)}</a></h2>
+              <h2><a href="#/jobs/${job.id}">${NAMES[job.kind] ?? job.kind} of ${this.rigs.get(job.session_id) ?? "a session"}</a></h2>
               <p>
                 <span class="state ${job.state}">${job.state}</span> ${age(job.ended ?? job.started ?? job.created)},
-                session ${short(job.session_id)}, ${job.user} ${job.fault ? html`<br />${job.fault}` : null}
+                <span class="muted">job ${short(job.id)}, session ${short(job.session_id)}, ${job.user}</span> ${job.fault ? html`<br />${job.fault}` : null}
               </p>
             </div>
             <div class="actions">${cancelButton(job, () => this.update())}</div>

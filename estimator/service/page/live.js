@@ -5,7 +5,7 @@ import { get } from "./api.js";
 import { lines } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { rounded, short, shownIn, size } from "./words.js";
+import { rounded, short, shownIn } from "./words.js";
 
 const STRONG_SIGMA = 3;
 const MOST_LINES = 6;
@@ -88,7 +88,7 @@ export class LiveView {
     return figure(
       "places", "Places taken, and what the estimate leaves",
       html`Measured less predicted field in the frame of ${coil}. Over three standard deviations in colour, the newest reading thick. ${choice}`,
-      space({ name: "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, fieldWords: size(field, "T"), view: this.view }),
+      space({ name: "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, view: this.view }),
       () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "rms_sigma"],
         ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.residual_T, one.rms_sigma])],
     );

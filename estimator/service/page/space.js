@@ -1,6 +1,7 @@
 // A view in space that can be turned: places with arrows, and the coil's winding. Orthographic, so that lengths can be compared.
 
 import { svg } from "./vendor/lit-html.js";
+import { size } from "./words.js";
 
 const WIDTH = 440;
 const HEIGHT = 360;
@@ -40,26 +41,28 @@ export function extentOf(points, winding) {
   return { middle, half: Math.max(1e-6, 0.5 * Math.hypot(...high.map((v, k) => v - low[k]))) };
 }
 
-// Field whose arrow has the length `arrow_m`: nearly the largest of some vectors.
+// Field of the longest arrows: nearly the largest of some vectors.
 export function arrowScale(vectors) {
   const sizes = vectors.map((v) => Math.hypot(...v)).sort((a, b) => a - b);
-  return nice(sizes[Math.floor(0.97 * (sizes.length - 1))] || 1e-9);
+  return sizes[Math.floor(0.97 * (sizes.length - 1))] || 1e-9;
 }
 
-export function nice(value) {
+// The largest round number up to a value.
+function nice(value) {
   const power = 10 ** Math.floor(Math.log10(value));
-  return [1, 2, 5, 10].map((k) => k * power).find((k) => k >= 0.999 * value);
+  return [5, 2, 1].map((k) => k * power).find((k) => k <= 1.001 * value);
 }
 
-/* options: name (for screen readers), points, vectors, kinds (class of each arrow), winding, extent, field (of the longest arrow),
-   fieldWords, view. */
-export function space({ name, points, vectors, kinds, winding, extent, field, fieldWords, view }) {
+/* options: name (for screen readers), points (m), vectors (T), kinds (class of each arrow), winding, extent, field (of the longest
+   arrows), view. */
+export function space({ name, points, vectors, kinds, winding, extent, field, view }) {
   const pixels = (0.54 * Math.min(WIDTH, HEIGHT) * view.zoom) / extent.half;
   const at = (point) => {
     const [right, up, near] = view.project(point.map((v, k) => v - extent.middle[k]));
     return [WIDTH / 2 + right * pixels, HEIGHT / 2 - up * pixels, near];
   };
-  const arrow = 0.22 * extent.half; // of the given field
+  const arrow = 0.24 * extent.half; // of the given field
+  const shown = nice(field);
   const strokes = {};
   points.forEach((point, i) => {
     const tip = point.map((v, k) => v + (vectors[i][k] / field) * arrow);
@@ -70,7 +73,7 @@ export function space({ name, points, vectors, kinds, winding, extent, field, fi
   });
   const order = ["far", "middle", "near"];
   const keys = Object.keys(strokes).sort((a, b) => order.indexOf(a.split(" ")[1]) - order.indexOf(b.split(" ")[1]));
-  const bar = nice(0.35 * extent.half);
+  const bar = nice(0.5 * extent.half);
   const turn = (event) => {
     if (event.buttons & 1) view.turn(-TURN * event.movementX, TURN * event.movementY);
   };
@@ -86,8 +89,8 @@ export function space({ name, points, vectors, kinds, winding, extent, field, fi
       <text x="0" y="-7">${Number((1e3 * bar).toPrecision(2))} mm</text>
     </g>
     <g transform="translate(${WIDTH - 14} ${HEIGHT - 14})">
-      <path class="arrow strong near" d=${arrowPath([-arrow * pixels, 0], [0, 0])} />
-      <text class="end" x="0" y="-7">${fieldWords}</text>
+      <path class="arrow strong near" d=${arrowPath([(-arrow * pixels * shown) / field, 0], [0, 0])} />
+      <text class="end" x="0" y="-7">${size(shown, "T")}</text>
     </g>
   </svg>`;
 }

@@ -90,7 +90,7 @@ export class WhatIfView {
       const field = arrowScale(scaled(unit_T, largest));
       const kinds = vectors.map((v) => (Math.hypot(...v) > STRONG_SIGMA * told.noise_T ? "strong" : "weak"));
       return figure(name, title, caption,
-        space({ name: title, points: told.position_m, vectors, kinds, winding: told.winding, extent, field, fieldWords: size(field, "T"), view }),
+        space({ name: title, points: told.position_m, vectors, kinds, winding: told.winding, extent, field, view }),
         () => [["x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T"], ...told.position_m.map((p, i) => [...p, ...vectors[i]])]);
     };
     const visible = !pattern.visible || pattern.visible > MOST_TYPICAL * pattern.typical

@@ -284,6 +284,8 @@ def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis: Diagnosis
     values = [runner.log_bayes_factor for runner in race.runners]
     assert values == sorted(values, reverse=True)
     assert [runner.label for runner in race.runners if runner.role == "named"] == [answer.label]
+    twins = [runner.label for runner in race.runners if runner.role == "alternative"]
+    assert twins == [name for name, _ in answer.alternatives]
     nothing = next(runner for runner in race.runners if runner.label == "nothing")
     assert nothing.left_sigma is not None
     assert nothing.left_sigma == pytest.approx(made.left_sigma[0], rel=1e-3)
