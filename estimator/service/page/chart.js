@@ -21,7 +21,7 @@ function scale([low, high], [from, to]) {
 
 function xAxis(x, domain, y, top, label, middle) {
   return svg`<g>
-    ${ticks(...domain, Math.min(6, Math.max(2, Math.floor((x(domain[1]) - x(domain[0])) / 75)))).map(
+    ${ticks(...domain, Math.min(6, Math.max(2, Math.round((x(domain[1]) - x(domain[0])) / 60)))).map(
       (t) => svg`<path class="grid" d="M${x(t)} ${top}V${y}" /><text class="middle" x=${x(t)} y=${y + 15}>${number(t)}</text>`,
     )}
     <text class="middle label" x=${middle} y=${y + 33}>${label}</text></g>`;

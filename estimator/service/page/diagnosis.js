@@ -5,7 +5,7 @@ import { ask, download, post } from "./api.js";
 import { bars, pairs } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { minus, percent, rounded, short } from "./words.js";
+import { breakable, minus, percent, rounded, short } from "./words.js";
 
 const HALF_WIDTH_90 = 1.645;
 const STRONG_SIGMA = 3; // from here on an arrow is hardly noise
@@ -30,16 +30,22 @@ export class Diagnosis {
       ${this.maps()} ${this.races()} ${this.impact()} ${this.next()}`;
   }
 
+  // Whether the extended rig differs from the one described.
+  get isChanged() {
+    return this.panels.answers.length > 0 || this.panels.verdict === "unexplained";
+  }
+
   tiles() {
     const { answers, left_sigma: left } = this.panels;
     const tile = (name, value, more) =>
       html`<div class="tile"><dt>${name}</dt><dd>${value}</dd>${more ? html`<dd class="muted">${more}</dd>` : null}</div>`;
-    const fit = tile("Left over, in noise", html`${left[0].toFixed(2)} <span aria-label="falls to">→</span> ${left[1].toFixed(2)}`, "root mean square, as described → extended");
+    const after = this.isChanged ? ` → ${left[1].toFixed(2)}` : "";
+    const fit = tile("Left over, in noise", `${left[0].toFixed(2)}${after}`, `root mean square${after ? ", as described → extended" : ""}`);
     if (!answers.length) return html`<dl class="tiles">${fit}</dl>`;
     return answers.slice(0, 3).map(
       (answer, i) => html`<dl class="tiles">
-        ${tile("What", [answer.label, ...twins(answer)].join(" or "), answer.words)}
-        ${tile("Where", answer.place, answer.kind === answer.place ? "" : answer.kind)}
+        ${tile("What", breakable([answer.label, ...twins(answer)].join(" or ")), answer.words)}
+        ${tile("Where", answer.place, [answer.kind === answer.place ? "" : answer.kind, twins(answer).length ? `if it is ${answer.label}` : ""].filter(Boolean).join(", "))}
         ${tile("How sure", percent(answer.probability), answer.alternatives.length ? `or ${answer.alternatives.slice(0, 3).map(([name, p]) => `${name} ${percent(p)}`).join(", ")}` : "")}
         ${tile("How large", answer.sizes[0] ?? "not told", answer.sizes.slice(1, 3).join("; "))} ${i ? null : fit}
       </dl>`,
@@ -49,9 +55,8 @@ export class Diagnosis {
   actions() {
     const { result, job } = this;
     const rig = result.extended_rig;
-    const isChanged = this.panels.answers.length > 0 || this.panels.verdict === "unexplained";
     return html`<div class="actions">
-      ${isChanged && rig
+      ${this.isChanged && rig
         ? html`<button class="main" ?disabled=${this.accepted} @click=${() => this.accept()}>Accept the extended rig</button>
             <button @click=${() => download("rig_extended.yaml", rig, "application/yaml")}>Download rig_extended.yaml</button>`
         : null}
@@ -101,7 +106,9 @@ export class Diagnosis {
         : null}
       <div class="figures three before-after">
         <div class="before">${figure("residual-as-described", "As described", this.share(map.before_T), drawn("Residuals of the rig as described", map.before_T), rows(map.before_T))}</div>
-        <div class="after">${figure("residual-extended", "Extended", this.share(map.after_T), drawn("Residuals of the extended rig", map.after_T), rows(map.after_T))}</div>
+        ${this.isChanged
+          ? html`<div class="after">${figure("residual-extended", "Extended", this.share(map.after_T), drawn("Residuals of the extended rig", map.after_T), rows(map.after_T))}</div>`
+          : null}
         ${pattern
           ? html`<div class="pattern">${figure(
               "pattern", html`<label>What <select aria-label="Hypothesis" @change=${(e) => { this.pattern = e.target.value; this.update(); }}>
@@ -132,7 +139,7 @@ export class Diagnosis {
     if (!race) return null;
     const kind = (one) => (one.label === "unexplained" ? "left" : one.role);
     const rows = race.runners.map((one) => ({
-      label: one.label, value: one.log_bayes_factor, role: kind(one), note: minus(one.log_bayes_factor.toFixed(1)),
+      label: one.label, value: one.log_bayes_factor, role: kind(one), note: minus((Math.round(10 * one.log_bayes_factor) / 10 + 0).toFixed(1)),
     }));
     const table = () => [
       ["hypothesis", "meaning", "log_bayes_factor", "role", "left_over_in_noise"],
@@ -153,7 +160,7 @@ export class Diagnosis {
             <thead><tr><th>hypothesis</th><th>meaning</th><th class="num">leaves (noise)</th></tr></thead>
             <tbody>
               ${race.runners.slice(0, 6).map((one) => html`<tr class=${kind(one)}>
-                <th scope="row">${one.label}</th><td>${one.words}${one.role === "other" ? null : html` <em>(${ROLES[one.role]})</em>`}</td>
+                <th scope="row">${breakable(one.label)}</th><td>${one.words}${one.role === "other" ? null : html` <em>(${ROLES[one.role]})</em>`}</td>
                 <td class="num">${one.left_sigma === null ? "–" : one.left_sigma.toFixed(2)}</td></tr>`)}
             </tbody>
           </table>
@@ -184,7 +191,7 @@ export class Diagnosis {
       <h2 id="impact">What the flaw did to each parameter</h2>
       <p class="lead">${words}</p>
       ${figure("impact", "Values with 90 % credible intervals", "In standard deviations of the fit as described, from its value.",
-        pairs("Parameters before and after the extension", rows, "shift (standard deviations of the fit as described)"), table)}
+        pairs("Parameters before and after the extension", rows, "shift (sd of the fit as described)"), table)}
     </section>`;
   }
 

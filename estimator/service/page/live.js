@@ -5,7 +5,7 @@ import { get } from "./api.js";
 import { lines } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { rounded, short, shownIn } from "./words.js";
+import { breakable, rounded, short, shownIn } from "./words.js";
 
 const STRONG_SIGMA = 3;
 const MOST_LINES = 6;
@@ -126,7 +126,7 @@ export class LiveView {
           ${Object.entries(state.intervals).map(([name, one]) => {
             const { factor, unit } = shownIn(one.unit);
             const [value, sd, low, high] = [one.value, one.sd, one.low, one.high].map((v) => v * factor);
-            return html`<tr><th scope="row">${name}</th><td class="num">${rounded(value, sd)} ± ${rounded(sd, sd)}</td>
+            return html`<tr><th scope="row">${breakable(name)}</th><td class="num">${rounded(value, sd)} ± ${rounded(sd, sd)}</td>
               <td class="num">${rounded(low, sd)} to ${rounded(high, sd)}</td><td>${unit}</td></tr>`;
           })}
         </tbody>

@@ -2,7 +2,7 @@
 
 import { html } from "./vendor/lit-html.js";
 import { all, ask, get } from "./api.js";
-import { age, rounded, short, shownIn, when } from "./words.js";
+import { age, breakable, rounded, short, shownIn, when } from "./words.js";
 
 export class RigsView {
   title = "rigs";
@@ -85,7 +85,7 @@ export function intervalTable(known) {
           const sd = one.sd * factor;
           const [low, high] = one.ci90.map((end) => rounded(end * factor, sd));
           return html`<tr>
-            <th scope="row">${name}</th>
+            <th scope="row">${breakable(name)}</th>
             <td class="num">${rounded(one.median * factor, sd)} ± ${rounded(sd, sd)}</td>
             <td class="num">${low} to ${high}</td>
             <td>${unit}</td>

@@ -1,4 +1,6 @@
-// Numbers and times as people read them.
+// Numbers, names and times as people read them.
+
+import { html } from "./vendor/lit-html.js";
 
 const SHOWN = { m: [1e3, "mm"], rad: [1e3, "mrad"], T: [1e6, "µT"], A: [1, "A"], s: [1, "s"], 1: [1, ""] };
 const PREFIXES = [
@@ -63,4 +65,7 @@ export function age(iso) {
 }
 
 export const when = (iso) => new Date(iso).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+// A name that may be broken where its words are joined.
+export const breakable = (name) => name.split("_").flatMap((word, i) => (i ? ["_", html`<wbr />`, word] : [word]));
+
 export const short = (id) => id.slice(0, 8);
