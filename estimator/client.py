@@ -28,6 +28,7 @@ from torch import Tensor
 
 from estimator.errors import CoilcalError, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
+from estimator.recalibration.registry import Entry
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
@@ -111,9 +112,7 @@ class Client:
             JobFailed: The readings cannot support a fit, or the job was cancelled.
             ServiceFault: The service cannot be reached.
         """
-        wanted = asdict(settings or SamplerSettings())
-        wanted.pop("seed")
-        body = {"seed": seed, "settings": wanted, "has_integer_counts": has_integer_counts}
+        body = {"seed": seed, "settings": _sampling(settings), "has_integer_counts": has_integer_counts}
         result = self._done("calibrate", session, rig, body, on_progress)
         return RemoteCalibration(self, result["calibration_id"], result["result"])
 
@@ -146,6 +145,76 @@ class Client:
             summary = self.request("GET", f"/v1/calibrations/{result['calibration_id']}/summary").json()
             posterior = RemoteCalibration(self, result["calibration_id"], summary)
         return RemoteDiagnosis(result["result"], result["extended_rig"], posterior)
+
+    def recalibrate(
+        self,
+        session: Session,
+        rig: Rig | None = None,
+        *,
+        seed: int = 0,
+        settings: SamplerSettings | None = None,
+        on_progress: Tell | None = None,
+    ) -> Entry:
+        """Judge a session against the current version of its rig's registry, as `estimator.recalibrate` does with those of an inbox.
+
+        Args:
+            session, rig, seed, settings, on_progress: As in `calibrate`.
+        Returns: The entry of the registry's log; `session` is the id of the session. What was judged before is not judged again.
+        Raises:
+            InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
+        """
+        body = {"seed": seed, "settings": _sampling(settings)}
+        return Entry(**self._done("recalibrate", session, rig, body, on_progress)["result"])
+
+    def design(
+        self, session: Session, rig: Rig | None = None, *, on_progress: Tell | None = None, **aim: Any
+    ) -> dict[str, Any]:
+        """Propose the next readings, as `estimator.design` does.
+
+        Args:
+            session, rig, on_progress: As in `calibrate`.
+            aim: `split`, `shrink` or `correction`, and `degree` and `n_readings` where wanted, as in `estimator.design`.
+        Returns: What `coilcal design --json` prints; `plan` is the text of the plan.
+        Raises:
+            InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
+        """
+        return dict(self._done("design", session, rig, aim, on_progress)["result"])
+
+    def batch(
+        self,
+        sessions: Sequence[Session],
+        rig: Rig | None = None,
+        *,
+        hypotheses: Sequence[str] = ("plain",),
+        is_each_coil: bool = False,
+        has_posterior: bool = True,
+        seed: int = 0,
+        settings: SamplerSettings | None = None,
+        on_progress: Tell | None = None,
+    ) -> dict[str, Any]:
+        """Calibrate many sessions under several hypotheses, as `estimator.batch` does.
+
+        Args:
+            sessions, hypotheses, is_each_coil, has_posterior: As in `estimator.batch`.
+            rig, seed, settings, on_progress: As in `calibrate`.
+        Returns: `fits`, a row for each as in `summary.csv`, and `failed`, reasons by session.
+        Raises:
+            InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
+        """
+        body = {
+            "session_ids": [self.upload(session) for session in sessions],
+            "rig_id": None if rig is None else self.upload_rig(rig),
+            "hypotheses": list(hypotheses),
+            "is_each_coil": is_each_coil,
+            "has_posterior": has_posterior,
+            "seed": seed,
+            "settings": _sampling(settings),
+        }
+        return dict(self._job("batch", body, on_progress)["result"])
+
+    def registry(self, rig: Rig) -> RemoteRegistry:
+        """The registry that versions of a rig share by its name."""
+        return RemoteRegistry(self, self.upload_rig(rig))
 
     def calibration(self, calibration_id: str) -> RemoteCalibration:
         """A calibration that the service has."""
@@ -181,6 +250,14 @@ class Client:
         call["headers"] = {"Idempotency-Key": key or uuid.uuid4().hex}
         return RemoteSession(self, str(self.request("POST", "/v1/sessions", **call).json()["id"]))
 
+    def pages(self, path: str, **params: Any) -> Iterator[dict[str, Any]]:
+        """Every item of a list of the service, page after page."""
+        page = self.request("GET", path, params=params).json()
+        yield from page["items"]
+        while page["next"] is not None:
+            page = self.request("GET", path, params={**params, "cursor": page["next"]}).json()
+            yield from page["items"]
+
     def request(self, method: str, path: str, **call: Any) -> httpx.Response:
         """The answer to a request, which is made again while the service cannot answer.
 
@@ -210,9 +287,12 @@ class Client:
     def _done(
         self, kind: str, session: Session, rig: Rig | None, options: Mapping[str, Any], tell: Tell | None
     ) -> dict[str, Any]:
-        """The result of a job that is made, followed and waited for."""
+        """The result of a job for one session."""
         rig_id = None if rig is None else self.upload_rig(rig)
-        body = {"session_id": self.upload(session), "rig_id": rig_id, **options}
+        return self._job(kind, {"session_id": self.upload(session), "rig_id": rig_id, **options}, tell)
+
+    def _job(self, kind: str, body: Mapping[str, Any], tell: Tell | None) -> dict[str, Any]:
+        """The result of a job that is made, followed and waited for."""
         key = {"Idempotency-Key": uuid.uuid4().hex}  # a request that is made again gives the same job
         job = self.request("POST", f"/v1/jobs/{kind}", json=body, headers=key).json()
         for words in self._events(job["id"]):
@@ -417,6 +497,54 @@ class RemoteSession:
     def close(self) -> dict[str, Any]:
         """End the session, so that it can be calibrated; what `info` then says."""
         return dict(self._client.request("POST", f"/v1/sessions/{self.id}/close").json())
+
+
+class RemoteRegistry:
+    """The versions of a rig's calibration at a service.
+
+    Args:
+        client: The connection.
+        rig_id: Any version of the rig.
+    """
+
+    def __init__(self, client: Client, rig_id: str) -> None:
+        self._client, self._path = client, f"/v1/rigs/{rig_id}/registry"
+
+    @property
+    def current(self) -> int | None:
+        """Number of the version in use; None before the first."""
+        number = self._client.request("GET", self._path).json()["current"]
+        return None if number is None else int(number)
+
+    def calibration(self) -> RemoteCalibration:
+        """The current version.
+
+        Raises:
+            InvalidInput: There is none.
+        """
+        calibration_id = self._client.request("GET", self._path).json()["calibration_id"]
+        if calibration_id is None:
+            raise InvalidInput("registry must have a version; it has none")
+        return self._client.calibration(str(calibration_id))
+
+    def versions(self) -> list[dict[str, Any]]:
+        """Every version with its parameters, newest first."""
+        return list(self._client.pages(f"{self._path}/versions"))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Conclusions and rollbacks, newest first."""
+        return list(self._client.pages(f"{self._path}/entries"))
+
+    def roll_back(self, version: int) -> dict[str, Any]:
+        """Make an earlier version current again; the entry of the log."""
+        return dict(self._client.request("POST", f"{self._path}/roll-back", json={"version": version}).json())
+
+
+def _sampling(settings: SamplerSettings | None) -> dict[str, Any]:
+    """Settings as the service takes them: the seed stands beside."""
+    wanted = asdict(settings or SamplerSettings())
+    wanted.pop("seed")
+    return wanted
 
 
 def _wish(currents_A: Mapping[str, float], motion: Mapping[str, Tensor] | None) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from tests.documented import CAUSES, COMMANDS, SERVICE, SUMMARY, keys, section
 
 ROOT = Path(__file__).parents[1]
 CAUSE_FOLDER = ROOT / "docs/reference/causes"  # `make docs` writes its pages
+MADE = ("docs/reference/causes", "docs/reference/rig-keys")  # by `make docs`, and not kept
 PAGES = sorted(
     page
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md"))
@@ -96,7 +97,8 @@ def test_what_is_cited_is_in_the_repository(folder: str) -> None:
     for file in sorted(file for file in files if file.suffix in (".py", ".md", ".yaml")):
         text = file.read_text(encoding="utf-8")
         for path in re.findall(r"(?<![\w/.])docs/[\w/-]++(?:\.md)?(?!\[)", text):
-            assert any(ROOT.glob(f"{path}*")), f"{path} in {file}"
+            is_made = path in MADE
+            assert is_made or any(ROOT.glob(f"{path}*")), f"{path} in {file}"
         for name in re.findall(r"\b[A-Z][A-Z_]{3,}\.md\b", text):
             assert (ROOT / name).is_file(), f"{name} in {file}"
 

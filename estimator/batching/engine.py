@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
@@ -32,6 +32,27 @@ def _words(error: BaseException | None) -> str:
     if isinstance(error, KilledWorker):
         return f"{DEATHS_ALLOWED + 1} workers died on it"
     return f"{type(error).__name__}: {error}"
+
+
+@runtime_checkable
+class Runner(Protocol):
+    """What makes the calls of a batch."""
+
+    def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
+        """Make every call once, and pass each result, or the exception in its place, to `tell` as it comes."""
+
+
+class ThisProcess:
+    """Makes calls one after another where it is, such as inside a call of another cluster."""
+
+    def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
+        """Make every call once, and pass each result, or the exception in its place, to `tell` as it comes."""
+        for name, (function, arguments) in calls.items():
+            try:
+                result = function(*arguments)
+            except Exception as error:
+                result = RuntimeError(_words(error))
+            tell(name, result)
 
 
 class Cluster:

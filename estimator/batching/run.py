@@ -6,13 +6,14 @@ A batch that was interrupted, or is repeated with more sessions, does only what 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from estimator.batching.engine import Cluster, cluster
+from estimator.batching.engine import Runner, ThisProcess, cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
 from estimator.batching.work import (
@@ -62,7 +63,7 @@ def batch(
         has_posterior: Sample the leading hypotheses.
         seed: Seed of starts and sampling.
         settings: When to stop sampling. A posterior that ended before these targets is continued.
-        workers, scheduler: Number of processes on this computer, or the address of a Dask scheduler.
+        workers, scheduler: Number of processes on this computer, 0 for none but this one; or the address of a Dask scheduler.
         tell: Called with the number of finished jobs, the number of all jobs, and what was done in words.
     Returns: The results, and the reasons of sessions that failed, which do not stop the others.
     Raises:
@@ -80,7 +81,7 @@ def batch(
     described_rig = load_rig(rig) if rig else None
     hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
-    with cluster(workers, scheduler) as connected:
+    with nullcontext(ThisProcess()) if workers == 0 else cluster(workers, scheduler) as connected:
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
         described = run.describe(paths, (described_rig, hypotheses, is_each_coil, seed, chosen))
         described.sort(
@@ -101,7 +102,7 @@ class _Run:
         n_new: Number of fits and posteriors made so far.
     """
 
-    def __init__(self, folder: Path, connected: Cluster, tell: Callable[[int, int, str], None]) -> None:
+    def __init__(self, folder: Path, connected: Runner, tell: Callable[[int, int, str], None]) -> None:
         self.failed: dict[str, str] = {}
         self.n_new = 0
         self._folder, self._cluster, self._tell = folder, connected, tell

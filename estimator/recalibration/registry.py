@@ -35,6 +35,10 @@ RIG, PROVENANCE = "rig.yaml", "provenance.json"
 ROLLED_BACK = "rolled_back"
 
 
+class RegistryBusy(InvalidInput):
+    """Another job writes to the registry."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """One entry of the log.
@@ -174,7 +178,8 @@ class Registry:
         """Hold the registry for one job, after completing the work of an interrupted one.
 
         Raises:
-            InvalidInput: Another job holds it, or the folder cannot be written.
+            RegistryBusy: Another job holds it.
+            InvalidInput: The folder cannot be written.
         """
         import fcntl  # missing on Windows, where registries can still be read
 
@@ -189,7 +194,7 @@ class Registry:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise InvalidInput(
+                raise RegistryBusy(
                     f"registry must be free; another recalibration is at work on {self.folder}"
                 ) from None
             self._complete()

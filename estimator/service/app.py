@@ -25,7 +25,9 @@ from estimator.service.routes import (
     login,
     operation,
     predictions,
+    registries,
     rigs,
+    schedules,
     sessions,
     webhooks,
     what_if,
@@ -52,8 +54,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         if has_workers:
-            core.jobs.start()
-            core.courier.start()
+            core.start()
         yield
         await run_in_threadpool(core.close)
 
@@ -69,7 +70,19 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (operation, login, rigs, sessions, what_if, jobs, calibrations, predictions, webhooks):
+    for module in (
+        operation,
+        login,
+        rigs,
+        registries,
+        sessions,
+        what_if,
+        jobs,
+        calibrations,
+        predictions,
+        webhooks,
+        schedules,
+    ):
         app.include_router(module.router)
     app.include_router(page_router())
     install(app, str(core.data))

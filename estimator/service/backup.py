@@ -44,6 +44,7 @@ def backup(data: Path, file: Path) -> dict[str, Any]:
     Raises:
         InvalidInput: There is no data folder, the file exists, or it cannot be written.
     """
+    data = data.absolute()
     if not (data / DATABASE).is_file():
         raise InvalidInput(f"data must be the folder of a service; {data} has no {DATABASE}")
     if file.exists():
@@ -112,7 +113,7 @@ def _write(data: Path, stream: Any, scratch: Path) -> int:
             name = f"{FOLDER}/{file.relative_to(data).as_posix()}"
             try:
                 if file.is_symlink():
-                    _add_link(archive, name, str(file.readlink()))
+                    _add_link(archive, name, file, data)
                 else:
                     _add(archive, name, file.read_bytes(), checksums)
             except FileNotFoundError:  # a job has replaced or finished it
@@ -158,10 +159,13 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes, checksums: dict[st
     checksums[name] = hashlib.sha256(content).hexdigest()
 
 
-def _add_link(archive: tarfile.TarFile, name: str, target: str) -> None:
-    member = tarfile.TarInfo(name)
-    member.type, member.linkname = tarfile.SYMTYPE, target
-    archive.addfile(member)
+def _add_link(archive: tarfile.TarFile, name: str, link: Path, data: Path) -> None:
+    """A link to something in the data folder, relative wherever the folder will be; others are left out."""
+    target = Path(os.path.normpath(link.parent / link.readlink()))
+    if target.is_relative_to(data):
+        member = tarfile.TarInfo(name)
+        member.type, member.linkname = tarfile.SYMTYPE, os.path.relpath(target, link.parent)
+        archive.addfile(member)
 
 
 def _read(file: Path, folder: Path) -> tuple[dict[str, Any], int]:

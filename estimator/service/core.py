@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import shutil
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
+from estimator.service import schedules, webhooks
 from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
@@ -24,14 +26,16 @@ from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.recent import Recent
+from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.ticker import Ticker
 from estimator.service.watching import Watching
 from estimator.service.webhooks import Courier
 from estimator.store.session import load_session
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
-SESSIONS, JOBS, UPLOADS = "sessions", "jobs", "uploads"
+SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
 MOST_FITS = 4
 
@@ -58,19 +62,34 @@ class Core:
             self.data / JOBS,
             self.sessions.path,
             lambda rig_id: self.rig_version(rig_id).text,
+            self.registry_path,
         )
         self.courier = Courier(self.database, settings)
         self.watching = Watching(self.sessions.path, settings.most_watched)
+        self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
+        self._tickers = (
+            Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
+            Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
+        )
         self.n_streams = 0
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
+        self.metrics.watch(
+            "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
+        )
+        words = "Predictions that are at work or wait."
+        self.metrics.watch("coilcal_predictions_waiting", words, lambda: self.predictor.n_admitted)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
     def uploads(self) -> Path:
         """Folder of what is being unpacked; it does not survive."""
         return self.data / UPLOADS
+
+    def registry_path(self, rig_name: str) -> Path:
+        """Folder of the registry of a rig; no word of a request becomes part of it."""
+        return self.data / REGISTRIES / hashlib.sha256(rig_name.encode()).hexdigest()[:32]
 
     def rig_version(self, rig_id: str) -> RigVersion:
         """A rig version that is known to be there."""
@@ -100,11 +119,18 @@ class Core:
         finally:
             self.n_streams -= 1
 
+    def start(self) -> None:
+        """Begin to work on jobs, to tell webhooks and to follow schedules."""
+        self.jobs.start()
+        for ticker in self._tickers:
+            ticker.start()
+
     def close(self) -> None:
         """Hand everything back for the next process."""
         self.watching.stop()
+        for ticker in self._tickers:
+            ticker.stop()
         self.predictor.close()
-        self.courier.stop()
         self.jobs.stop()
         self.sessions.close()
         self.database.close()

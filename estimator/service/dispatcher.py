@@ -26,6 +26,8 @@ from estimator.store.files import write_text
 from estimator.store.journal import sync
 
 LOOK_EVERY_S = 0.5
+GRACE_S = 1.0  # in which a cancelled job may notice it; most look five times a second
+END_S = 10.0  # for cancelled jobs when the service ends
 log = logging.getLogger("coilcal.service")
 
 
@@ -44,6 +46,7 @@ class Dispatcher:
         folder: Where jobs have their folders, each under its id.
         session_path: Folder of a session, by its id.
         rig_text: Text of a rig, by its id.
+        registry_path: Folder of the registry of a rig, by its name.
     """
 
     def __init__(
@@ -53,10 +56,12 @@ class Dispatcher:
         folder: Path,
         session_path: Callable[[str], Path],
         rig_text: Callable[[str], str],
+        registry_path: Callable[[str], Path],
     ) -> None:
         self._queue, self._settings, self._folder = queue, settings, folder
-        self._session_path, self._rig_text = session_path, rig_text
+        self._session_path, self._rig_text, self._registry_path = session_path, rig_text, registry_path
         self._running: dict[str, _Running] = {}
+        self._ending: list[threading.Thread] = []
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._ready = threading.Event()
         self.fault: str | None = None
@@ -102,6 +107,8 @@ class Dispatcher:
                     self._look(workers_of_jobs)
                     self._wake.wait(LOOK_EVERY_S)
                     self._wake.clear()
+                for thread in self._ending:
+                    thread.join(END_S)
         except Exception as error:
             self.fault = str(error) if isinstance(error, CoilcalError) else type(error).__name__
             log.exception("jobs can no longer run")
@@ -125,16 +132,18 @@ class Dispatcher:
             else:
                 continue
             del self._running[job_id]
-        while len(self._running) < self._settings.n_workers and (job := self._queue.next()) is not None:
+        self._ending = [thread for thread in self._ending if thread.is_alive()]  # these have a worker still
+        n_free = self._settings.n_workers - len(self._running) - len(self._ending)
+        while n_free > 0 and (job := self._queue.next()) is not None:
             self._begin(workers, job)
+            n_free -= 1
 
     def _begin(self, workers: Cluster, job: Job) -> None:
         folder = self.folder(job.id)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if not (folder / JOB).exists():
-                rig = None if job.rig_id is None else self._rig_text(job.rig_id)
-                told = {"id": job.id, "kind": job.kind, "options": job.options, "rig": rig}
+                told = self._assignment(job)
                 write_text(folder / JOB, json.dumps(told, indent=2) + "\n")
                 sync(folder)
         except (CoilcalError, OSError) as error:
@@ -144,10 +153,35 @@ class Dispatcher:
         self._running[job.id] = _Running(workers.start(call, self._wake.set), time.monotonic())
         log.info("job begins", extra={"job": job.id, "start": job.starts})
 
+    def _assignment(self, job: Job) -> dict[str, Any]:
+        """What a worker is told of a job."""
+        options = dict(job.options)
+        sessions = options.pop("session_ids", [job.session_id])
+        registry = options.pop("registry", None)  # name of a rig
+        return {
+            "id": job.id,
+            "kind": job.kind,
+            "options": options,
+            "rig": None if job.rig_id is None else self._rig_text(job.rig_id),
+            "sessions": [str(self._session_path(session_id).absolute()) for session_id in sessions],
+            "registry": None if registry is None else str(self._registry_path(registry).absolute()),
+        }
+
     def _end(self, workers: Cluster, job_id: str, running: _Running) -> None:
-        """End the work of a job, by its own hand where it looks soon enough, else with its worker."""
+        """End the work of a job while others go on: by its own hand where it looks soon enough, else with its worker."""
         (self.folder(job_id) / STOP).touch()
-        workers.stop(running.future)
+
+        def end() -> None:
+            end_s = time.monotonic() + GRACE_S
+            while outcome(running.future) is None and time.monotonic() < end_s:
+                time.sleep(0.05)
+            if outcome(running.future) is None:
+                workers.stop(running.future)  # takes seconds: a worker is replaced
+            self._wake.set()
+
+        thread = threading.Thread(target=end, name=f"end of job {job_id}", daemon=True)
+        self._ending.append(thread)
+        thread.start()
 
     def _record(self, job_id: str, ending: str) -> None:
         if ending == "lost":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
@@ -49,6 +49,10 @@ class Metrics:
         """Count a request whose answer begins."""
         self._requests.labels(method, route, str(status)).inc()
         self._durations_s.labels(method, route).observe(took_s)
+
+    def watch(self, name: str, words: str, read: Callable[[], float]) -> None:
+        """Ask for a number whenever the others are read."""
+        Gauge(name, words, registry=self._registry).set_function(read)
 
     def text(self) -> bytes:
         """All of them, as Prometheus reads them."""

@@ -48,6 +48,11 @@ class Predictor:
         self._thread = threading.Thread(target=self._run, name="coilcal predictions", daemon=True)
         self._thread.start()
 
+    @property
+    def n_admitted(self) -> int:
+        """Requests that are at work or wait."""
+        return self._n_admitted
+
     @contextmanager
     def admitted(self) -> Iterator[None]:
         """A place in the queue for one request, however many blocks it asks for.

@@ -10,9 +10,11 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
+from starlette.routing import compile_path
 
 from estimator.errors import CoilcalError, CorruptStore
 
@@ -161,13 +163,24 @@ def install(app: FastAPI, data: str) -> None:
         thing = {404: "path", 405: "method"}.get(error.status_code, "request")
         value = {404: request.url.path, 405: request.method}.get(error.status_code)
         rule = words.get(error.status_code, f"must be acceptable: {error.detail}")
-        problem = Problem(error.status_code, thing, rule, value, headers=error.headers)
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods(app, request.url.path))
+        problem = Problem(error.status_code, thing, rule, value, headers=headers)
         return answer_to(problem, id_of(request))
 
     @app.exception_handler(Exception)
     async def failed(request: Request, error: Exception) -> Response:
         log.error("a request failed", exc_info=error, extra={"request_id": id_of(request)})
         return answer_to(failure(), id_of(request))
+
+
+def _methods(app: FastAPI, path: str) -> list[str]:
+    """Methods that a path takes by all its routes; FastAPI would name those of the first."""
+    routes = list(iter_route_contexts(app.routes))
+    matching = [route for route in routes if compile_path(str(route.path))[0].match(path)]
+    exact = [route for route in matching if route.path == path]  # before one with an id in its place
+    return sorted({method for route in exact or matching for method in route.methods or ()})
 
 
 def failure() -> Problem:

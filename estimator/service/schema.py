@@ -139,6 +139,24 @@ class Delivery(Base):
     ended: Mapped[str | None]
 
 
+class Schedule(Base):
+    """When the new sessions of a rig are judged: by a cron expression, or every so many seconds."""
+
+    __tablename__ = "schedules"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    rig_name: Mapped[str]
+    cron: Mapped[str | None]
+    every_s: Mapped[int | None]
+    timezone: Mapped[str]
+    seed: Mapped[int]
+    created: Mapped[str]
+    user: Mapped[str]
+    next_run: Mapped[str] = mapped_column(index=True)
+    last_run: Mapped[str | None]
+    is_at_work: Mapped[bool]
+
+
 class Audit(Base):
     """Who changed what, and when; written in the transaction of the change itself."""
 

@@ -76,7 +76,7 @@ class Settings:
     most_watched: int = 8
     most_streams: int = 100
     most_body_s: float = 60.0
-    most_requests_per_minute: int = 6_000
+    most_requests_per_minute: int = 20_000
     most_refused_per_minute: int = 60
     source: str = field(default="", compare=False)
 

@@ -1,4 +1,4 @@
-"""What webhooks are told, and the thread that tells them: every message until it is taken, or until it was tried long enough.
+"""What webhooks are told, and who tells them: every message until it is taken, or until it was tried long enough.
 
 Messages are rows, written in the transaction of what they tell of. A kill between an answer and its row sends a message again, under the
 same id.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import threading
+import math
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -59,7 +59,7 @@ def message(webhook_id: str, event: str, body: str) -> Delivery:
 
 
 class Courier:
-    """A thread that delivers messages.
+    """Delivers messages.
 
     Args:
         database: Where they are kept.
@@ -68,30 +68,14 @@ class Courier:
 
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database, self._settings = database, settings
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="coilcal courier", daemon=True)
+        self._tidied_s = -math.inf
 
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End, after the attempts that are under way."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout=30)
-
-    def _run(self) -> None:
-        tidied_s = -TIDY_EVERY_S
-        while not self._stopping.is_set():
-            try:
-                if time.monotonic() - tidied_s >= TIDY_EVERY_S:
-                    self.tidy()
-                    tidied_s = time.monotonic()
-                self.deliver_due()
-            except Exception:  # such as a disk that is full for a while
-                log.exception("webhooks were not told")
-            self._stopping.wait(LOOK_EVERY_S)
+    def tick(self) -> None:
+        """Deliver what is due, and tidy now and then."""
+        self.deliver_due()
+        if time.monotonic() - self._tidied_s >= TIDY_EVERY_S:
+            self.tidy()
+            self._tidied_s = time.monotonic()
 
     def deliver_due(self) -> int:
         """Try the oldest message of each webhook that is due, all at once; how many there were."""

@@ -17,17 +17,26 @@ from typing import Any
 import torch
 
 from estimator.errors import CoilcalError
-from estimator.rig.rig import Rig
+from estimator.service.tasks import (
+    BATCH,
+    CALIBRATION,
+    CONCLUSION,
+    DESIGN,
+    REPORT,
+    Tell,
+    batch_job,
+    command_of,
+    design_job,
+    recalibrate_job,
+    rig_of,
+)
 from estimator.store.files import write_text
 
 JOB, RESULT, PROGRESS, LOCK = "job.json", "result.json", "progress.jsonl", "lock"
-CALIBRATION, DIAGNOSIS = "calibration", "diagnosis"
-REPORT, PANELS = "report.html", "panels.json"
+DIAGNOSIS, PANELS = "diagnosis", "panels.json"
 PROGRESS_EVERY_S = 0.2
 
 STOP = "stop"  # a file that says that the job must end, for workers that cannot be replaced
-
-Tell = Callable[[str, Mapping[str, Any]], None]
 
 
 class Stopped(BaseException):
@@ -88,7 +97,7 @@ def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
     else:
         calibration = calibrate(
             load_session(session_path),
-            _rig(job),
+            rig_of(job),
             out=out,
             seed=options["seed"],
             settings=SamplerSettings(**options["settings"]),
@@ -96,7 +105,7 @@ def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
             on_stage=on_stage,
         )
     tell("page", {})
-    write_text(out / REPORT, calibration_report(calibration, _command(job, "calibrate")))
+    write_text(out / REPORT, calibration_report(calibration, command_of(job, "calibrate")))
     summary = calibration.summary()
     return {
         "is_converged": summary["is_converged"],
@@ -131,7 +140,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
 
     diagnosis = diagnose(
         load_session(session_path),
-        _rig(job),
+        rig_of(job),
         out=out,
         seed=options["seed"],
         has_posterior=options["has_posterior"],
@@ -141,7 +150,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
         on_progress=on_progress,
     )
     tell("page", {})
-    command = _command(job, "diagnose")
+    command = command_of(job, "diagnose")
     write_text(out / PANELS, panels_text(panels(diagnosis)))
     write_text(out / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
@@ -156,23 +165,33 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
 WORK: Mapping[str, Callable[[Mapping[str, Any], Path, Path, Tell], dict[str, Any]]] = {
     "calibrate": _calibrate,
     "diagnose": _diagnose,
+    "recalibrate": recalibrate_job,
+    "batch": batch_job,
+    "design": design_job,
 }
 
 
 def calibration_folder(kind: str, folder: Path) -> Path:
     """Where a job of a kind leaves its calibration."""
-    return folder / CALIBRATION if kind == "calibrate" else folder / DIAGNOSIS / CALIBRATION
+    return folder / DIAGNOSIS / CALIBRATION if kind == "diagnose" else folder / CALIBRATION
 
 
-def _rig(job: Mapping[str, Any]) -> Rig | None:
-    from estimator.rig_files.read import rig_from_text
+def result_file(kind: str, folder: Path) -> Path:
+    """Where a job of a kind leaves what it has found, as JSON."""
+    names = {
+        "calibrate": f"{CALIBRATION}/summary.json",
+        "diagnose": f"{DIAGNOSIS}/diagnosis.json",
+        "recalibrate": CONCLUSION,
+        "batch": BATCH,
+        "design": DESIGN,
+    }
+    return folder / names[kind]
 
-    return None if job["rig"] is None else rig_from_text(job["rig"], "rig of the job")
 
-
-def _command(job: Mapping[str, Any], name: str) -> str:
-    """The command that would do the same, for the page."""
-    return f"coilcal {name} SESSION --seed {job['options']['seed']}   (job {job['id']} of coilcal serve)"
+def report_file(kind: str, folder: Path) -> Path:
+    """Where a job of a kind leaves its page; a design has none."""
+    names = {"calibrate": f"{CALIBRATION}/{REPORT}", "diagnose": f"{DIAGNOSIS}/{REPORT}"}
+    return folder / names.get(kind, REPORT)
 
 
 def _is_converged(out: Path) -> bool:
@@ -185,16 +204,18 @@ def _is_converged(out: Path) -> bool:
 
 
 def _teller(folder: Path) -> Tell:
-    """Appends lines of progress to a file; what repeats its words comes five times a second at most. Ends a job that must end."""
-    last_words, last_s = "", 0.0
+    """Appends lines of progress to a file; new numbers of the same kind come five times a second at most. Ends a job that must end."""
+    last_kind: tuple[str, ...] = ()
+    last_s = 0.0
 
     def tell(words: str, numbers: Mapping[str, Any]) -> None:
-        nonlocal last_words, last_s
+        nonlocal last_kind, last_s
         if (folder / STOP).exists():
             raise Stopped
-        if words == last_words and time.monotonic() - last_s < PROGRESS_EVERY_S:
+        kind = (words, *numbers)
+        if kind == last_kind and time.monotonic() - last_s < PROGRESS_EVERY_S:
             return
-        last_words, last_s = words, time.monotonic()
+        last_kind, last_s = kind, time.monotonic()
         line = {"time_s": round(time.time(), 3), "words": words, **_finite(numbers)}
         with (folder / PROGRESS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")

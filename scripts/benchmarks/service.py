@@ -129,12 +129,13 @@ def predictions(url: str, data: Path) -> None:
     currents_A = {coil.name: 2.0 for coil in rig.coils}
     with Client(url) as client:
         there = client.calibrate(session, settings=QUICK)
-    (folder,) = data.glob("jobs/*/calibration")
-    here = Calibration.load(folder)
-    for where, calibration in (("service", there), ("in process", here)):
-        for name in ("field", "field_interval"):
-            call = asked(calibration, name, points(POINTS, 0), currents_A)
-            tell(f"{where}: {name} of {POINTS} points", [took_s(call) for _ in range(PREDICTIONS)])
+        (folder,) = data.glob("jobs/*/calibration")
+        here = Calibration.load(folder)
+        for where, calibration in (("service", there), ("in process", here)):
+            for name in ("field", "field_interval"):
+                call = asked(calibration, name, points(POINTS, 0), currents_A)
+                call()
+                tell(f"{where}: {name} of {POINTS} points", [took_s(call) for _ in range(PREDICTIONS)])
     for n_points in SMALL:
         for name in ("field", "field_interval"):
             what = f"{name} of {n_points} points"

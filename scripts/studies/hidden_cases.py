@@ -25,13 +25,23 @@ Row = dict[str, Any]
 Case = tuple[str, int]  # kind and seed
 
 
+def _among(kinds: Sequence[str]) -> Callable[[str], str]:
+    def check(text: str) -> str:
+        for kind in text.split(","):
+            if kind not in kinds:
+                raise argparse.ArgumentTypeError(f"must be among {', '.join(kinds)}; received {kind!r}")
+        return text
+
+    return check
+
+
 def options_of(
     words: str | None, kinds: Sequence[str], cases: int, first_seed: int, out: str
 ) -> argparse.ArgumentParser:
     """Options that these studies have in common; the numbers are defaults."""
     parser = argparse.ArgumentParser(description=words)
     parser.add_argument("--cases", type=int, default=cases, help="number of cases of each kind")
-    parser.add_argument("--kinds", default=",".join(kinds))
+    parser.add_argument("--kinds", default=",".join(kinds), type=_among(kinds))
     parser.add_argument("--first-seed", type=int, default=first_seed)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path(out))

@@ -128,7 +128,7 @@ def main() -> None:
         n = sum(client.n_acknowledged for client in clients)
         n_again = sum(client.n_sent_again for client in clients)
         print(
-            f"{arguments.kills} kills, {arguments.clients} clients: {n} readings acknowledged, {n_again} requests cut off and made again, "
+            f"{arguments.kills} kills, {arguments.clients} clients: {n} readings acknowledged, {n_again} requests without an answer, "
             f"{len(wrong)} sessions wrong; back after {sum(down_s) / len(down_s):.1f} s"
         )
         for number, words in wrong.items():

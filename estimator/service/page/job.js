@@ -5,7 +5,7 @@ import { get } from "./api.js";
 import { Diagnosis } from "./diagnosis.js";
 import { cancelButton } from "./jobs.js";
 import { intervalTable } from "./rigs.js";
-import { short, when } from "./words.js";
+import { jobName, short, when } from "./words.js";
 
 export class JobView {
   job = null;
@@ -55,13 +55,13 @@ export class JobView {
   template() {
     if (this.job === null) return html`<p class="waiting">Loading</p>`;
     if (this.diagnosis) return this.diagnosis.template();
-    return html`<h1>${this.job.kind === "diagnose" ? "Diagnosis" : "Calibration"} ${short(this.id)}</h1>
+    return html`<h1>${jobName(this.job.kind)} ${short(this.id)}</h1>
       <p>
         <span class="state ${this.job.state}">${this.job.state}</span> asked for by ${this.job.user},
         ${when(this.job.created)} ${cancelButton(this.job, this.update)}
       </p>
       ${this.job.fault ? html`<p class="fault" role="alert">${this.job.fault}</p>` : null}
-      ${this.result ? this.calibration() : this.progress()}`;
+      ${this.result ? this.found() : this.progress()}`;
   }
 
   progress() {
@@ -75,13 +75,15 @@ export class JobView {
     </section>`;
   }
 
-  calibration() {
+  found() {
     const { result } = this.result;
     return html`<section class="card">
       <h2>${result.quality?.verdict ?? "Result"}</h2>
-      ${result.is_converged ? null : html`<p class="warn">The chain has not converged.</p>`}
-      ${intervalTable(result)}
-      <p><a class="button" href="/v1/jobs/${this.id}/report" target="_blank" rel="noopener">Report</a></p>
+      ${result.is_converged === false ? html`<p class="warn">The chain has not converged.</p>` : null}
+      ${result.parameters ? intervalTable(result) : html`<pre class="scroll" tabindex="0">${JSON.stringify(result, null, 2)}</pre>`}
+      ${this.job.kind === "design"
+        ? null
+        : html`<p><a class="button" href="/v1/jobs/${this.id}/report" target="_blank" rel="noopener">Report</a></p>`}
     </section>`;
   }
 }

@@ -2,10 +2,9 @@
 
 import { html } from "./vendor/lit-html.js";
 import { all, post } from "./api.js";
-import { age, short } from "./words.js";
+import { age, jobName, short } from "./words.js";
 
 const LOOK_EVERY_MS = 2000;
-const NAMES = { calibrate: "Calibration", diagnose: "Diagnosis" };
 
 // Name of the rig of each session.
 async function rigOfSessions() {
@@ -43,7 +42,7 @@ export class JobsView {
         ${this.jobs.map(
           (job) => html`<li class="card row">
             <div class="grow">
-              <h2><a href="#/jobs/${job.id}">${NAMES[job.kind] ?? job.kind} of ${this.rigs.get(job.session_id) ?? "a session"}</a></h2>
+              <h2><a href="#/jobs/${job.id}">${jobName(job.kind)} of ${this.rigs.get(job.session_id) ?? "a session"}</a></h2>
               <p>
                 <span class="state ${job.state}">${job.state}</span> ${age(job.ended ?? job.started ?? job.created)},
                 <span class="muted">job ${short(job.id)}, session ${short(job.session_id)}, ${job.user}</span> ${job.fault ? html`<br />${job.fault}` : null}

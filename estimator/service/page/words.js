@@ -68,4 +68,7 @@ export const when = (iso) => new Date(iso).toLocaleString([], { dateStyle: "medi
 // A name that may be broken where its words are joined.
 export const breakable = (name) => name.split("_").flatMap((word, i) => (i ? ["_", html`<wbr />`, word] : [word]));
 
-export const short = (id) => id.slice(0, 8);
+export const short = (id) => id?.slice(0, 8) ?? "";
+
+const JOBS = { calibrate: "Calibration", diagnose: "Diagnosis", recalibrate: "Recalibration", batch: "Batch", design: "Design" };
+export const jobName = (kind) => JOBS[kind] ?? kind;

@@ -10,8 +10,9 @@ from pydantic import BaseModel, Field
 from sqlalchemy import select
 from starlette.responses import JSONResponse, Response
 
-from estimator.calibration.result import Calibration
+from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.rig_files.write import rig_text
+from estimator.service.archives import zipped
 from estimator.service.core import Core
 from estimator.service.problems import not_found
 from estimator.service.requests import CoreOf, Cursor, Id, Limit, Page, Reader, page_of, with_etag
@@ -94,25 +95,49 @@ def get_summary(request: Request, core: CoreOf, caller: Reader, calibration_id: 
     return with_etag(request, calibration_id, lambda: JSONResponse(dict(calibration.summary())))  # type: ignore[return-value]
 
 
-@router.get("/{calibration_id}/intervals")
-def get_intervals(core: CoreOf, caller: Reader, calibration_id: Id) -> Intervals:  # noqa: ARG001
+@router.get(
+    "/{calibration_id}/intervals",
+    response_model=Intervals,
+    responses={304: {"description": "It has not changed."}},
+)
+def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """Credible intervals of every parameter."""
     calibration = calibration_of(core, calibration_id)[2]
     summary = calibration.summary()
-    return Intervals.model_validate(
-        {
-            "parameters": summary["parameters"],
-            "best": dict(calibration.best),
-            "is_converged": summary["is_converged"],
-        }
-    )
+    content = {"parameters": summary["parameters"], "best": dict(calibration.best)}
+    intervals = Intervals.model_validate({**content, "is_converged": summary["is_converged"]})
+    return with_etag(request, calibration_id, lambda: JSONResponse(intervals.model_dump()))
 
 
 @router.get(
     "/{calibration_id}/rig",
     response_class=Response,
-    responses={200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}}},
+    responses={
+        200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}},
+        304: {"description": "It has not changed."},
+    },
 )
-def get_calibrated_rig(core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def get_calibrated_rig(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The rig that was fitted, as a rig file."""
-    return Response(rig_text(calibration_of(core, calibration_id)[2].rig), media_type="application/yaml")
+    rig = calibration_of(core, calibration_id)[2].rig
+    return with_etag(request, calibration_id, lambda: Response(rig_text(rig), media_type="application/yaml"))
+
+
+@router.get(
+    "/{calibration_id}/calibration.zip",
+    response_class=Response,
+    responses={
+        200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}},
+        304: {"description": "It has not changed."},
+    },
+)
+def download_calibration(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+    """The folder of a calibration as a zip, for `estimator.Calibration.load` and `coilcal predict`; its hashes seal it."""
+    folder = calibration_of(core, calibration_id)[1]
+    headers = {"Content-Disposition": 'attachment; filename="calibration.zip"'}
+
+    def archive() -> Response:
+        content = zipped(folder, (POSTERIOR_STORE, SUMMARY_FILE))
+        return Response(content, headers=headers, media_type="application/zip")
+
+    return with_etag(request, calibration_id, archive)

@@ -1,4 +1,4 @@
-"""Jobs: calibrations and diagnoses that are asked for, waited for, followed, cancelled and read."""
+"""Jobs: work that is asked for, waited for, followed, cancelled and read."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from estimator.calibration.result import SUMMARY_FILE
 from estimator.diagnosis.panel_records import Panels
-from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
 from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import rig_from_text
@@ -38,17 +36,29 @@ from estimator.service.requests import (
     page_of,
     with_etag,
 )
+from estimator.service.routes.rigs import rig_row_of
 from estimator.service.routes.sessions import closed_row_of
-from estimator.service.schema import CalibrationRow, Job, RigVersion
+from estimator.service.schema import CalibrationRow, Job
 from estimator.service.tokens import Scope
 from estimator.service.webhooks import announce_end
-from estimator.service.work import DIAGNOSIS, PANELS, REPORT, calibration_folder
+from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 LARGEST_SEED = 2**32 - 1
+MOST_SESSIONS = 200  # of a batch
 PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
 """Of reports, which are one file with their style and pictures inside; nothing in them may run."""
+
+
+Kind = Literal["calibrate", "diagnose", "recalibrate", "batch", "design"]
+SessionId = Annotated[str, Field(pattern=ID, description="A closed session.")]
+RigId = Annotated[
+    str | None,
+    Field(pattern=ID, description="Another description of the session's rig; its own where left out."),
+]
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")]
+Word = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class Sampling(BaseModel):
@@ -68,12 +78,9 @@ class NewJob(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    session_id: Annotated[str, Field(pattern=ID, description="A closed session.")]
-    rig_id: Annotated[
-        str | None,
-        Field(pattern=ID, description="Another description of the session's rig; its own where left out."),
-    ] = None
-    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")] = 0
+    session_id: SessionId
+    rig_id: RigId = None
+    seed: Seed = 0
 
 
 class NewCalibration(NewJob):
@@ -94,11 +101,55 @@ class NewDiagnosis(NewJob):
     most_readings: Annotated[int | None, Field(ge=20, le=100_000)] = None
 
 
+class NewRecalibration(NewJob):
+    """A session to judge against the current version of its rig's registry."""
+
+    settings: Sampling = Sampling()
+
+
+class NewDesign(BaseModel):
+    """Readings to propose after a session, with one of three aims."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    session_id: SessionId
+    rig_id: RigId = None
+    split: Annotated[list[Word], Field(max_length=20, description="Causes to be told apart.")] = []
+    shrink: Annotated[Word | None, Field(description="Parameter whose interval is to shrink.")] = None
+    correction: Annotated[Word | None, Field(description="Correction to be determined by a map.")] = None
+    degree: Annotated[int, Field(ge=1, le=5, description="Highest degree of the correction's terms.")] = 3
+    n_readings: Annotated[int, Field(ge=1, le=500)] = 20
+
+
+class NewBatch(BaseModel):
+    """Sessions to fit under several hypotheses."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    session_ids: Annotated[
+        list[Annotated[str, Field(pattern=ID)]],
+        Field(min_length=1, max_length=MOST_SESSIONS, description="Closed sessions."),
+    ]
+    rig_id: RigId = None
+    seed: Seed = 0
+    hypotheses: Annotated[
+        list[Word],
+        Field(
+            min_length=1,
+            max_length=50,
+            description="`plain` for the rig as described, or causes that are free in addition, joined by +.",
+        ),
+    ] = ["plain"]
+    is_each_coil: Annotated[bool, Field(description="Calibrate each coil by itself.")] = False
+    has_posterior: Annotated[bool, Field(description="Sample the probable hypotheses.")] = True
+    settings: Sampling = Sampling()
+
+
 class JobInfo(BaseModel):
     """A job; `fault` is the sentence that says why it failed."""
 
     id: str
-    kind: Literal["calibrate", "diagnose"]
+    kind: Kind
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     session_id: str
     rig_id: str | None
@@ -114,9 +165,13 @@ class JobInfo(BaseModel):
 
 
 class JobResult(BaseModel):
-    """What a job has found: `summary.json` or `diagnosis.json`, and the id of the calibration that it made."""
+    """What a job has found, and the id of the calibration that it made.
 
-    kind: Literal["calibrate", "diagnose"]
+    `result` is `summary.json` of a calibration, `diagnosis.json` of a diagnosis, the entry of the registry of a recalibration, `fits` and
+    `failed` of a batch, and of a design what `coilcal design --json` prints, with the text of the plan.
+    """
+
+    kind: Kind
     calibration_id: str | None
     result: dict[str, Any]
     extended_rig: Annotated[str | None, Field(description="Of a diagnosis: text of rig_extended.yaml.")]
@@ -145,7 +200,9 @@ def calibrate(
 ) -> JobInfo:
     """Queue a calibration: point estimate, posterior, model."""
     options = {"seed": body.seed, **body.model_dump(include={"settings", "has_integer_counts"})}
-    return _queued(request, response, core, caller.user, "calibrate", body, options, key)
+    return _queued(
+        request, response, core, caller.user, "calibrate", [body.session_id], body.rig_id, options, key
+    )
 
 
 @router.post("/diagnose", status_code=201, responses=KNOWN)
@@ -155,7 +212,47 @@ def diagnose(
     """Queue a diagnosis: what the simulation gets wrong, named, and the rig extended by it."""
     limits = {"has_posterior", "minutes", "most_causes", "most_readings"}
     options = {"seed": body.seed, **body.model_dump(include=limits)}
-    return _queued(request, response, core, caller.user, "diagnose", body, options, key)
+    return _queued(
+        request, response, core, caller.user, "diagnose", [body.session_id], body.rig_id, options, key
+    )
+
+
+@router.post("/recalibrate", status_code=201, responses=KNOWN)
+def recalibrate(
+    request: Request,
+    response: Response,
+    core: CoreOf,
+    caller: Writer,
+    body: NewRecalibration,
+    key: Key = None,
+) -> JobInfo:
+    """Queue the judgement of a session: does the current version still hold, and what replaces it."""
+    session = closed_row_of(core, body.session_id)
+    version = rig_row_of(core, body.rig_id or session.rig_id)
+    options = {"registry": version.name, **body.model_dump(include={"seed", "settings"})}
+    return _queued(
+        request, response, core, caller.user, "recalibrate", [body.session_id], body.rig_id, options, key
+    )
+
+
+@router.post("/batch", status_code=201, responses=KNOWN)
+def batch(
+    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewBatch, key: Key = None
+) -> JobInfo:
+    """Queue the calibration of many sessions, with the probabilities of the hypotheses."""
+    options = body.model_dump(exclude={"rig_id"})
+    return _queued(request, response, core, caller.user, "batch", body.session_ids, body.rig_id, options, key)
+
+
+@router.post("/design", status_code=201, responses=KNOWN)
+def design(
+    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewDesign, key: Key = None
+) -> JobInfo:
+    """Queue a proposal of the next readings: to tell causes apart, to shrink an interval, or to map a correction."""
+    options = body.model_dump(exclude={"session_id", "rig_id"})
+    return _queued(
+        request, response, core, caller.user, "design", [body.session_id], body.rig_id, options, key
+    )
 
 
 def _queued(
@@ -163,23 +260,22 @@ def _queued(
     response: Response,
     core: Core,
     user: str,
-    kind: str,
-    body: NewJob,
+    kind: Kind,
+    session_ids: list[str],
+    rig_id: str | None,
     options: dict[str, Any],
     key: str | None,
 ) -> JobInfo:
-    session = closed_row_of(core, body.session_id)
-    if body.rig_id is not None:
-        with core.database.reading() as db:
-            version = db.get(RigVersion, body.rig_id)
-        if version is None:
-            raise not_found("rig", body.rig_id)
-        load_session(core.sessions.path(session.id)).check_rig(rig_from_text(version.text, "rig"))
+    sessions = [closed_row_of(core, session_id) for session_id in session_ids]
+    if rig_id is not None:
+        rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
+        for session in sessions:
+            load_session(core.sessions.path(session.id)).check_rig(rig)
     asked = {
         "kind": kind,
         "user": user,
-        "session_id": body.session_id,
-        "rig_id": body.rig_id,
+        "session_id": session_ids[0],
+        "rig_id": rig_id,
         "options": options,
         "idempotency_key": key,
     }
@@ -235,20 +331,23 @@ def cancel_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> Jo
     return info_of(row)
 
 
-@router.get("/{job_id}/result")
-def get_result(core: CoreOf, caller: Reader, job_id: Id) -> JobResult:  # noqa: ARG001
+@router.get(
+    "/{job_id}/result", response_model=JobResult, responses={304: {"description": "It has not changed."}}
+)
+def get_result(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
     """What a job has found."""
     job = _done(core, job_id)
-    folder = core.jobs.folder(job_id)
+    return with_etag(request, job_id, lambda: JSONResponse(_result_of(core, job).model_dump()))
+
+
+def _result_of(core: Core, job: Job) -> JobResult:
+    folder = core.jobs.folder(job.id)
     with core.database.reading() as db:
-        calibration = db.scalar(select(CalibrationRow.id).where(CalibrationRow.job_id == job_id))
+        calibration = db.scalar(select(CalibrationRow.id).where(CalibrationRow.job_id == job.id))
     extended = None
     if job.kind == "diagnose":
-        path = folder / DIAGNOSIS / DIAGNOSIS_FILE
         extended = (folder / DIAGNOSIS / EXTENDED_RIG).read_text(encoding="utf-8")
-    else:
-        path = calibration_folder(job.kind, folder) / SUMMARY_FILE
-    result = json.loads(path.read_text(encoding="utf-8"))
+    result = json.loads(result_file(job.kind, folder).read_text(encoding="utf-8"))
     return JobResult(kind=info_of(job).kind, calibration_id=calibration, result=result, extended_rig=extended)
 
 
@@ -258,14 +357,14 @@ def get_result(core: CoreOf, caller: Reader, job_id: Id) -> JobResult:  # noqa: 
     responses={304: {"description": "It has not changed."}},
 )
 def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
-    """The page of a calibration or diagnosis, one file without scripts."""
+    """The page of a job, one file without scripts; a design has none."""
     job = _done(core, job_id)
-    folder = core.jobs.folder(job_id)
-    path = (calibration_folder(job.kind, folder) if job.kind == "calibrate" else folder / DIAGNOSIS) / REPORT
+    if job.kind == "design":
+        raise Problem(404, "report", "must be of another kind of job; a design has none", place=job_id)
+    path = report_file(job.kind, core.jobs.folder(job_id))
     answer = with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8")))
-    answer.headers["Content-Security-Policy"] = (
-        PAGE_POLICY  # on 304 too, whose headers replace those of the copy
-    )
+    # On 304 too, whose headers replace those of the copy.
+    answer.headers["Content-Security-Policy"] = PAGE_POLICY
     return answer
 
 

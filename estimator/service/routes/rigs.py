@@ -13,6 +13,7 @@ from starlette.responses import Response
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.problems import not_found
 from estimator.service.requests import (
@@ -86,6 +87,15 @@ def info_of(row: RigVersion) -> RigInfo:
     return RigInfo(id=row.id, name=row.name, hash=row.hash, created=row.created, user=row.user)
 
 
+def rig_row_of(core: Core, rig_id: str) -> RigVersion:
+    """A version of a rig that must be there."""
+    with core.database.reading() as db:
+        row = db.get(RigVersion, rig_id)
+    if row is None:
+        raise not_found("rig", rig_id)
+    return row
+
+
 @router.post(
     "",
     status_code=201,
@@ -136,11 +146,7 @@ def list_rigs(
 @router.get("/{rig_id}")
 def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG001
     """One version of a rig."""
-    with core.database.reading() as db:
-        row = db.get(RigVersion, rig_id)
-    if row is None:
-        raise not_found("rig", rig_id)
-    return info_of(row)
+    return info_of(rig_row_of(core, rig_id))
 
 
 @router.get(
@@ -153,8 +159,5 @@ def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG00
 )
 def get_rig_text(request: Request, core: CoreOf, caller: Reader, rig_id: Id) -> Response:  # noqa: ARG001
     """The text of a rig file, as it was uploaded."""
-    with core.database.reading() as db:
-        row = db.get(RigVersion, rig_id)
-    if row is None:
-        raise not_found("rig", rig_id)
+    row = rig_row_of(core, rig_id)
     return with_etag(request, row.hash, lambda: Response(row.text, media_type="application/yaml"))

@@ -101,6 +101,8 @@ def data(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tm
     (job / "versions" / "0001").mkdir(parents=True)
     (job / "versions" / "0001" / "zarr.json").write_text("{}", encoding="utf-8")
     (job / "current").symlink_to("versions/0001")
+    (job / "session.zarr").symlink_to(folder / f"{imported['id']}.zarr")  # as a recalibration has it
+    (job / "outside").symlink_to("/etc/passwd")
     return tmp_path / "data"
 
 
@@ -109,6 +111,10 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     restored = restore(tmp_path / "b.tar", tmp_path / "restored")
     assert told["files"] == restored["files"]
     assert (tmp_path / "restored" / "jobs" / "j" / "current" / "zarr.json").read_text() == "{}"
+    linked = tmp_path / "restored" / "jobs" / "j" / "session.zarr"
+    assert linked.resolve().is_relative_to(tmp_path / "restored" / "sessions")
+    assert (linked / "zarr.json").is_file()
+    assert not (tmp_path / "restored" / "jobs" / "j" / "outside").is_symlink()
     assert not (tmp_path / "restored" / "sessions" / "a.zarr.begun").exists()
     for path in (tmp_path / "restored").rglob("*"):
         if path.is_file() and path.suffix != ".sqlite":

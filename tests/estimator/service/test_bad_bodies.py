@@ -90,6 +90,21 @@ def test_odd_queries_are_refused_or_find_nothing(idle: Callable[..., TestClient]
             refused(answer, begin_s)
 
 
+def test_a_method_that_a_path_does_not_take_is_refused_with_those_that_it_takes(
+    idle: Callable[..., TestClient],
+) -> None:
+    client = idle()
+    for path, allowed in (
+        ("/v1/sessions", "GET, POST"),
+        ("/v1/rigs/validate", "POST"),
+        (f"/v1/rigs/{ID}", "GET"),
+        (f"/v1/schedules/{ID}", "DELETE, GET"),
+    ):
+        answer = client.request("PATCH", path)
+        assert answer.status_code == 405
+        assert answer.headers["allow"] == allowed
+
+
 def reading_lines(good: bytes) -> dict[str, bytes]:
     """Lines in place of a reading; `good` is one that would be taken."""
     reading = json.loads(good)

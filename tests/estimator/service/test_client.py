@@ -74,6 +74,28 @@ def test_a_calibration_there_is_read_as_one_here(
     restarted[0].end()
 
 
+@pytest.mark.slow
+def test_sessions_are_judged_designed_for_and_fitted_together_there(
+    served: Callable[..., Served], small_session: Session, small_rig: Rig
+) -> None:
+    service = served()
+    with Client(service.url) as client:
+        entry = client.recalibrate(small_session, seed=2, settings=SETTINGS)
+        assert (entry.conclusion, entry.version, entry.made) == ("updated", 1, 1)
+        registry = client.registry(small_rig)
+        assert registry.current == 1
+        assert registry.calibration().summary()["session_hash"] == small_session.hash
+        assert [version["version"] for version in registry.versions()] == [1]
+        assert [item["session_id"] for item in registry.entries()] == [entry.session]
+        with pytest.raises(InvalidInput, match="another than the one in use"):
+            registry.roll_back(1)
+        found = client.batch([small_session], hypotheses=["plain", "axis_gain"], has_posterior=False)
+        assert [fit["hypothesis"] for fit in found["fits"]] == ["plain", "axis_gain"]
+        plan = client.design(small_session, shrink="coil1.radius_m", n_readings=2)
+        assert len(plan["reached"]) == 2
+        assert len(list(client.pages("/v1/jobs", limit=1))) == 3
+
+
 def test_readings_are_streamed_and_a_job_that_fails_says_why(
     served: Callable[..., Served], small_session: Session, small_rig: Rig
 ) -> None:

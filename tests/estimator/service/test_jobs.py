@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,9 +14,12 @@ from starlette.testclient import TestClient
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.inference.ensemble import SamplerSettings
+from estimator.service import dispatcher as dispatcher_module
 from estimator.service.database import now
+from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
+from estimator.service.work import STOP
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
 
@@ -201,3 +206,65 @@ def test_what_ran_when_the_service_ended_goes_on_first(queue: tuple[TestClient, 
     jobs.take_back()
     again = jobs.next()
     assert (again.id, again.starts) == (begun.id, 2)
+
+
+class Workers:
+    """Stands for a cluster: calls never end, and to stop one takes until `go`."""
+
+    def __init__(self) -> None:
+        self.go, self.stopping, self.calls = threading.Event(), threading.Event(), []
+
+    def start(self, call: Any, on_end: Callable[[], None]) -> Any:
+        self.calls.append(call)
+        return SimpleNamespace(status="pending")
+
+    def stop(self, future: Any) -> None:
+        self.stopping.set()
+        self.go.wait(30)
+        future.status = "cancelled"
+
+
+def test_other_jobs_start_while_a_cancelled_one_ends(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker that does not look up has to be replaced, which takes seconds; its place is taken for so long."""
+    monkeypatch.setattr(dispatcher_module, "GRACE_S", 0.0)
+    client, workers = idle(workers=3), Workers()
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    jobs: Dispatcher = client.app.state.core.jobs
+    ids = [add(client, session_id, "local").id for _ in range(2)]
+
+    def states() -> list[str]:
+        return [client.get(f"/v1/jobs/{job_id}").json()["state"] for job_id in ids]
+
+    jobs._look(workers)
+    assert states() == ["running", "running"]
+    client.post(f"/v1/jobs/{ids[0]}/cancel")
+    jobs._look(workers)
+    assert workers.stopping.wait(30)
+    ids += [add(client, session_id, "local").id for _ in range(2)]
+    jobs._look(workers)
+    assert states() == ["cancelled", "running", "running", "queued"]
+    workers.go.set()
+    for thread in jobs._ending:
+        thread.join(30)
+    jobs._look(workers)
+    assert states() == ["cancelled", "running", "running", "running"]
+
+
+def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client, workers = idle(workers=1), Workers()
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    jobs: Dispatcher = client.app.state.core.jobs
+    job_id = add(client, session_id, "local").id
+    jobs._look(workers)
+    client.post(f"/v1/jobs/{job_id}/cancel")
+    running = jobs._running[job_id]
+    jobs._look(workers)
+    assert (jobs.folder(job_id) / STOP).exists()
+    running.future.status = "finished"
+    for thread in jobs._ending:
+        thread.join(30)
+    assert not workers.stopping.is_set()

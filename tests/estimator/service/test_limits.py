@@ -113,7 +113,8 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     client.get("/v1/sessions/" + "f" * 32)
     client.get("/v1/nothing/" + "f" * 32)
     client.request("STEAL", "/v1/state")
-    counted = samples(client)
+    with client.app.state.core.predictor.admitted():
+        counted = samples(client)
 
     def requests(method: str, route: str, status: int) -> float:
         return counted[
@@ -134,6 +135,8 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     assert counted["coilcal_readings_acknowledged_total", ()] == len(small_session.observations)
     assert counted["coilcal_jobs", (("state", "queued"),)] == 1
     assert counted["coilcal_jobs", (("state", "failed"),)] == 0
+    assert counted["coilcal_predictions_waiting", ()] == 1
+    assert counted["coilcal_event_streams", ()] == 0
     assert counted["coilcal_sessions", (("state", "closed"),)] == 1
     durations = ("method", "POST"), ("route", "/v1/sessions/{session_id}/readings")
     assert counted["coilcal_request_duration_seconds_count", durations] == 2

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import threading
+import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -124,6 +126,25 @@ def test_what_the_rig_has_not_or_the_limits_forbid_is_refused(client: TestClient
     refusal(client.post(f"/v1/calibrations/{'d' * 32}/grid", json={"currents_A": {}}), 404)
 
 
+def test_a_calibration_is_downloaded_as_it_lies_on_disk(
+    client: TestClient, small_calibration: Calibration, tmp_path: Path
+) -> None:
+    """Its report stays behind; what is read again is sealed by its hashes."""
+    core: Core = client.app.state.core
+    (core.jobs.folder(ID) / CALIBRATION / "report.html").write_text("page", encoding="utf-8")
+    answer = client.get(f"{PATH}/calibration.zip")
+    assert answer.headers["content-type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        assert {name.split("/")[0] for name in archive.namelist()} == {"posterior.zarr", "summary.json"}
+        archive.extractall(tmp_path / "there")
+    there = Calibration.load(tmp_path / "there")
+    assert there.best == small_calibration.best
+    for name in ("calibration.zip", "rig", "intervals", "summary"):
+        tag = client.get(f"{PATH}/{name}").headers["etag"]
+        again = client.get(f"{PATH}/{name}", headers={"If-None-Match": tag})
+        assert (again.status_code, again.content) == (304, b""), name
+
+
 # The queue
 
 
@@ -182,6 +203,7 @@ def test_batches_hold_one_calibration_one_wish_and_a_limited_number_of_points() 
 
 
 def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: TestClient) -> None:
+    slow["go"].set()
     small: Predictor = slow["predictor"]
     with (
         small.admitted(),

@@ -1,0 +1,186 @@
+"""The registry of a rig: which calibration is in use, how it became so, and the way back to an earlier one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import select
+
+from estimator.recalibration.recalibrate import roll_back
+from estimator.recalibration.registry import Entry, Registry, RegistryBusy
+from estimator.service.core import Core
+from estimator.service.job_queue import RETRY_AFTER_S
+from estimator.service.problems import Problem
+from estimator.service.requests import CoreOf, Cursor, Id, Item, Limit, Page, Reader, Writer, audited
+from estimator.service.routes.calibrations import Interval
+from estimator.service.routes.rigs import rig_row_of
+from estimator.service.schema import CalibrationRow, Job
+
+router = APIRouter(prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
+Row = TypeVar("Row")
+
+
+class RegistryInfo(BaseModel):
+    """The registry that all versions of a rig file with one name share; `current` is null before the first calibration."""
+
+    rig_name: str
+    current: int | None
+    calibration_id: Annotated[str | None, Field(description="Of the current version.")]
+    n_versions: int
+    n_entries: int
+
+
+class EntryInfo(BaseModel):
+    """A conclusion on a session, or a rollback; as a line of `log.jsonl`."""
+
+    number: int
+    conclusion: str
+    reason: str
+    session_id: str | None
+    taken: str
+    concluded: str
+    version: Annotated[int | None, Field(description="Current from then on.")]
+    made: Annotated[int | None, Field(description="Version made from this session.")]
+    agrees: bool | None
+    causes: list[dict[str, Any]]
+    since: str | None
+    checks: dict[str, Any]
+    estimate: Annotated[dict[str, list[float]], Field(description="Value and standard deviation, in SI.")]
+
+
+class VersionInfo(BaseModel):
+    """A calibration that was in use, with its parameters."""
+
+    version: int
+    is_current: bool
+    calibration_id: str | None
+    session_id: str | None
+    conclusion: str
+    taken: str
+    concluded: str
+    parameters: dict[str, Interval]
+
+
+class NewRollback(BaseModel):
+    """The version to return to."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    version: Annotated[int, Field(ge=1, le=10**6)]
+
+
+def registry_of(core: Core, rig_id: str) -> tuple[str, Registry]:
+    """Name of a rig that must be there, and its registry, which may be empty."""
+    name = rig_row_of(core, rig_id).name
+    return name, Registry(core.registry_path(name))
+
+
+@router.get("")
+def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # noqa: ARG001
+    """The state of a rig's registry."""
+    name, registry = registry_of(core, rig_id)
+    entries, current = registry.entries(), registry.current
+    made = next((entry for entry in entries if entry.made is not None and entry.made == current), None)
+    return RegistryInfo(
+        rig_name=name,
+        current=current,
+        calibration_id=None if made is None else _calibration_id(core, made),
+        n_versions=len(registry.versions),
+        n_entries=len(entries),
+    )
+
+
+@router.get("/entries")
+def list_entries(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    rig_id: Id,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> Page[EntryInfo]:
+    """Conclusions and rollbacks, newest first."""
+    entries = registry_of(core, rig_id)[1].entries()
+    return _page(list(enumerate(entries, start=1)), limit, cursor, lambda row: _entry_info(*row))
+
+
+@router.get("/versions")
+def list_versions(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    rig_id: Id,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> Page[VersionInfo]:
+    """Versions with their parameters, newest first."""
+    registry = registry_of(core, rig_id)[1]
+    made = [(entry.made, entry) for entry in registry.entries() if entry.made is not None]
+    current = registry.current
+
+    def info(row: tuple[int, Entry]) -> VersionInfo:
+        version, entry = row
+        parameters = registry.calibration(version).summary()["parameters"]
+        return VersionInfo(
+            version=version,
+            is_current=version == current,
+            calibration_id=_calibration_id(core, entry),
+            session_id=_session_id(entry),
+            conclusion=entry.conclusion,
+            taken=entry.taken,
+            concluded=entry.concluded,
+            parameters={name: Interval.model_validate(numbers) for name, numbers in parameters.items()},
+        )
+
+    return _page(made, limit, cursor, info)
+
+
+@router.post("/roll-back")
+def roll_back_to(request: Request, core: CoreOf, caller: Writer, rig_id: Id, body: NewRollback) -> EntryInfo:
+    """Make an earlier version current again."""
+    name, registry = registry_of(core, rig_id)
+    if not registry.versions:
+        raise Problem(409, "registry", "must have a version; it has none", place=f"registry of {name}")
+    try:
+        entry = roll_back(registry.folder, body.version)
+    except RegistryBusy:
+        headers = {"Retry-After": str(RETRY_AFTER_S)}
+        raise Problem(
+            409, "registry", "must be free; a recalibration is at work on it", place=name, headers=headers
+        ) from None
+    with core.database.writing() as db:
+        audited(db, request, caller, "registry.roll_back", f"{rig_id} {body.version}")
+    return _entry_info(len(registry.entries()), entry)
+
+
+def _entry_info(number: int, entry: Entry) -> EntryInfo:
+    return EntryInfo.model_validate({**asdict(entry), "number": number, "session_id": _session_id(entry)})
+
+
+def _session_id(entry: Entry) -> str | None:
+    return Path(entry.session).stem if entry.session else None
+
+
+def _calibration_id(core: Core, entry: Entry) -> str | None:
+    """The calibration that the first recalibration of the entry's session has left."""
+    rows = (
+        select(CalibrationRow.id)
+        .join(Job, Job.id == CalibrationRow.job_id)
+        .where(Job.kind == "recalibrate", CalibrationRow.session_id == _session_id(entry))
+    )
+    with core.database.reading() as db:
+        return db.scalars(rows.order_by(Job.number)).first()
+
+
+def _page(
+    rows: Sequence[tuple[int, Row]], limit: int, cursor: str | None, shape: Callable[[tuple[int, Row]], Item]
+) -> Page[Item]:
+    """A page of numbered rows, the highest number first; the cursor is the last number of the page before."""
+    if cursor is not None and not (cursor.isascii() and cursor.isdecimal() and len(cursor) < 10):
+        raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query")
+    left = [row for row in sorted(rows, key=lambda row: -row[0]) if cursor is None or row[0] < int(cursor)]
+    following = str(left[limit - 1][0]) if len(left) > limit else None
+    return Page(items=[shape(row) for row in left[:limit]], next=following)

@@ -1,0 +1,130 @@
+"""Schedules: when the new sessions of a rig are judged."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from estimator.service.database import new_id, now
+from estimator.service.problems import Problem, not_found
+from estimator.service.requests import ID, CoreOf, Cursor, Id, Limit, Page, Reader, Writer, audited, page_of
+from estimator.service.schedules import next_run, trigger_of
+from estimator.service.schema import RigVersion, Schedule
+
+router = APIRouter(prefix="/v1/schedules", tags=["schedules"])
+MOST_SCHEDULES = 100
+LARGEST_SEED = 2**32 - 1
+
+
+class NewSchedule(BaseModel):
+    """A schedule to make: either a cron expression or a number of seconds."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    rig_id: Annotated[
+        str, Field(pattern=ID, description="Any version of the rig; sessions of all are judged.")
+    ]
+    cron: Annotated[
+        str | None,
+        Field(min_length=9, max_length=100, description="Minute, hour, day, month, day of the week."),
+    ] = None
+    every_s: Annotated[int | None, Field(ge=60, le=32_000_000, description="Seconds between two runs.")] = (
+        None
+    )
+    timezone: Annotated[str, Field(min_length=1, max_length=64, description="Of the cron expression.")] = (
+        "UTC"
+    )
+    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")] = 0
+
+
+class ScheduleInfo(BaseModel):
+    """A schedule; `is_at_work` while sessions of its last run are being judged."""
+
+    id: str
+    rig_name: str
+    cron: str | None
+    every_s: int | None
+    timezone: str
+    seed: int
+    created: str
+    user: str
+    next_run: str
+    last_run: str | None
+    is_at_work: bool
+
+
+def info_of(row: Schedule) -> ScheduleInfo:
+    """A row as the API shows it."""
+    return ScheduleInfo.model_validate(row, from_attributes=True)
+
+
+@router.post("", status_code=201)
+def create_schedule(request: Request, core: CoreOf, caller: Writer, body: NewSchedule) -> ScheduleInfo:
+    """Judge, from now on, the sessions of a rig that are closed and were not judged yet, one after the other."""
+    if (body.cron is None) == (body.every_s is None):
+        raise Problem(422, "schedule", "must have either cron or every_s", place="body")
+    if body.cron is not None:
+        trigger_of(body.cron, body.timezone)
+    with core.database.writing() as db:
+        rig = db.get(RigVersion, body.rig_id)
+        if rig is None:
+            raise not_found("rig", body.rig_id)
+        if (db.scalar(select(func.count()).select_from(Schedule)) or 0) >= MOST_SCHEDULES:
+            raise Problem(409, "schedules", f"must be at most {MOST_SCHEDULES}; delete one first")
+        told = body.model_dump(exclude={"rig_id"})
+        row = Schedule(
+            id=new_id(), rig_name=rig.name, created=now(), user=caller.user, is_at_work=False, **told
+        )
+        row.next_run = next_run(row, datetime.now(UTC))
+        db.add(row)
+        audited(db, request, caller, "schedule.create", row.id)
+        return info_of(row)
+
+
+@router.get("")
+def list_schedules(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> Page[ScheduleInfo]:
+    """Schedules, newest first."""
+    with core.database.reading() as db:
+        return page_of(db, select(Schedule), Schedule, limit, cursor, info_of)
+
+
+@router.get("/{schedule_id}")
+def get_schedule(core: CoreOf, caller: Reader, schedule_id: Id) -> ScheduleInfo:  # noqa: ARG001
+    """One schedule."""
+    with core.database.reading() as db:
+        return info_of(_schedule(db, schedule_id))
+
+
+@router.post("/{schedule_id}/run", status_code=202)
+def run_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id) -> ScheduleInfo:
+    """Make a schedule due now."""
+    with core.database.writing() as db:
+        row = _schedule(db, schedule_id)
+        row.next_run = now()
+        audited(db, request, caller, "schedule.run", schedule_id)
+        return info_of(row)
+
+
+@router.delete("/{schedule_id}", status_code=204)
+def delete_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id) -> None:
+    """End a schedule; jobs that it has queued go on."""
+    with core.database.writing() as db:
+        db.delete(_schedule(db, schedule_id))
+        audited(db, request, caller, "schedule.delete", schedule_id)
+
+
+def _schedule(db: Session, schedule_id: str) -> Schedule:
+    row = db.get(Schedule, schedule_id)
+    if row is None:
+        raise not_found("schedule", schedule_id)
+    return row
