@@ -5,7 +5,7 @@ RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm figures
+.PHONY: demo test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm browser figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -32,8 +32,8 @@ imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
 unit: $(INSTALLED)
-	$(RUN) pytest -n 3 --dist worksteal -m "not slow and not whole"
-	$(RUN) pytest -n 3 --dist worksteal -m "not slow and whole" --jaxtyping-packages=  # fits and diagnoses: twice as fast without checks of every call
+	$(RUN) pytest -n 3 --dist worksteal -m "not slow and not browser and not whole"
+	$(RUN) pytest -n 3 --dist worksteal -m "not slow and not browser and whole" --jaxtyping-packages=  # fits and diagnoses: twice as fast without checks of every call
 
 # Studies behind the numbers in README and docs/results.md, minutes to an hour each; `make test` leaves them out.
 
@@ -116,6 +116,11 @@ service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 
 
 bench-service: $(INSTALLED)  # appended batches and predictions over HTTP, by clients and beside the same in process
 	$(RUN) scripts.benchmarks.service
+
+browser: $(INSTALLED)    # the page in a browser, with pictures in out/browser; needs Debian's chromium
+	$(RUN) pip install -e '.[browser]'
+	mkdir -p out/browser
+	COILCAL_SCREENSHOTS=out/browser $(RUN) pytest -m browser tests/estimator/service/test_browser.py --jaxtyping-packages=
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'

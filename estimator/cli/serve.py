@@ -47,6 +47,7 @@ class ServeGroup(click.Group):
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes that run jobs.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the jobs instead.")
+@click.option("--open", "opens", is_flag=True, help="Show the page in the browser.")
 @click.option("--check", is_flag=True, help="Say what would be done, and end.")
 @json_option
 @click.pass_context
@@ -58,6 +59,7 @@ def serve_group(
     port: int | None,
     workers: int | None,
     scheduler: str | None,
+    opens: bool,
     check: bool,
     as_json: bool,
 ) -> None:
@@ -79,7 +81,7 @@ def serve_group(
         show(plan, _plan_text(plan), as_json)
         return
     use_threads(ctx.find_root().params.get("threads", 1))
-    serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"))
+    serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"), opens)
 
 
 @serve_group.command("backup", cls=CoilcalCommand)

@@ -59,9 +59,9 @@ def held_back(diagnosis: Diagnosis) -> list[str]:
             alone = prior.mean + (one.median - prior.mean) / (1.0 - (one.sd / prior.sd) ** 2)
             if abs(alone - one.median) > one.sd:
                 sentences.append(
-                    f"The prior of {sized.name} holds its {_quantity(key)} back: {size_with_unit(one.median, one.unit)} with a prior of "
-                    f"± {size_with_unit(prior.sd, one.unit)}, about {size_with_unit(alone, one.unit)} without. If such a size is possible, "
-                    "state a wider prior in the rig file."
+                    f"The prior of {sized.name} holds its {quantity_words(key)} back: {size_with_unit(one.median, one.unit)} with a "
+                    f"prior of ± {size_with_unit(prior.sd, one.unit)}, about {size_with_unit(alone, one.unit)} without. "
+                    "If such a size is possible, state a wider prior in the rig file."
                 )
     return sentences
 
@@ -92,7 +92,7 @@ def _would_have_shown(diagnosis: Diagnosis) -> str:
         if one.is_visible and not EFFECTS[one.cause.name].is_record_mistake:
             first.setdefault(EFFECTS[one.cause.name].kind, one)
     shown = [
-        f"{diagnosis.label(first[kind].cause)} {_quantity(first[kind].key)} from {size_with_unit(first[kind].size, first[kind].unit)}"
+        f"{diagnosis.label(first[kind].cause)} {quantity_words(first[kind].key)} from {size_with_unit(first[kind].size, first[kind].unit)}"
         for kind in (Kind.COIL, Kind.SENSOR, Kind.MOVER)
         if kind in first
     ]
@@ -146,13 +146,19 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
         if key not in shapes and abs(one.median) > CLEAR_SD * one.sd > 0.0
     )
     words = [
-        f"{_quantity(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
+        f"{quantity_words(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
         for _, key, one in clear[:MOST_SIZES]
     ]
     return f"; {', '.join(words)}" if words else ""
 
 
-def _quantity(key: str) -> str:
+def quantity_words(key: str) -> str:
+    """Name of a quantity without its unit.
+
+    Examples:
+        >>> quantity_words("drift_x_T_per_h")
+        'drift x'
+    """
     return split_quotient(key)[0].replace("_", " ")
 
 

@@ -21,7 +21,7 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
         title=f"Diagnosis of {diagnosis.rig.name}",
         subtitle=diagnosis.question.source,
         verdict=headline(diagnosis),
-        warnings=_warnings(diagnosis),
+        warnings=warnings_of(diagnosis),
         tables=tables(diagnosis),
         figures=pictures(diagnosis),
         appendix=appendix(diagnosis),
@@ -30,7 +30,8 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
     return render_report(page)
 
 
-def _warnings(diagnosis: Diagnosis) -> list[str]:
+def warnings_of(diagnosis: Diagnosis) -> list[str]:
+    """What a reader must know before relying on the diagnosis, one sentence each."""
     warnings = [words] if (words := tension_words(diagnosis)) else []
     warnings += held_back(diagnosis)
     improvement = diagnosis.improvement

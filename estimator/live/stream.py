@@ -87,6 +87,12 @@ class Stream:
         """All alarms so far."""
         return tuple(self._watch.alarms)
 
+    @property
+    def values(self) -> dict[str, torch.Tensor]:
+        """Every number of the rig at the estimate."""
+        with torch.no_grad():
+            return self._fit.coordinates.values(self._fit.vector)
+
     def update(self, readings: Observations) -> Estimate:
         """Add readings to the estimate.
 

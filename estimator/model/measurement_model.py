@@ -186,6 +186,15 @@ class MeasurementModel:
         coil_from_sensor = self._in_coil(coil, rows, values)
         return coil_from_sensor.translation_m, coil_from_sensor.rotation.mT
 
+    def readings_in_coil(
+        self, coil: AnyCoil, values: Values
+    ) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
+        """Sensor position in the coil frame and the rotation coil_from_sensor, for every reading; values have no batch."""
+        n = len(self.sensor)
+        with torch.no_grad():
+            position_m, sensor_from_coil = self.sensor_in_coil(coil, torch.arange(n), values)
+        return position_m.expand(n, 3)[self.pose_row], sensor_from_coil.expand(n, 3, 3)[self.pose_row].mT
+
     def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """Pose of the sensor in the room at distinct poses."""
         which = self.sensor[rows]

@@ -16,11 +16,13 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
+from estimator.service.page_files import page_router
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
 from estimator.service.routes import (
     calibrations,
     jobs,
+    login,
     operation,
     predictions,
     registries,
@@ -28,6 +30,7 @@ from estimator.service.routes import (
     schedules,
     sessions,
     webhooks,
+    what_if,
 )
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope
@@ -69,9 +72,11 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     app.state.core = core
     for module in (
         operation,
+        login,
         rigs,
         registries,
         sessions,
+        what_if,
         jobs,
         calibrations,
         predictions,
@@ -79,10 +84,13 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         schedules,
     ):
         app.include_router(module.router)
+    app.include_router(page_router())
     install(app, str(core.data))
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED, compresslevel=GZIP_LEVEL)
-    app.add_middleware(Guard, settings=settings, database=core.database, metrics=core.metrics)
+    app.add_middleware(
+        Guard, settings=settings, database=core.database, cookies=core.cookies, metrics=core.metrics
+    )
     if settings.proxies:  # outermost, so that all others see the client and its scheme, not the proxy's
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(settings.proxies))
     unguarded = [

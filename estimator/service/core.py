@@ -6,30 +6,38 @@ import fcntl
 import hashlib
 import os
 import shutil
-import threading
-from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import select
 
 from estimator.calibration.result import Calibration
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
 from estimator.service import schedules, webhooks
+from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
+from estimator.service.problems import Problem
+from estimator.service.recent import Recent
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
 from estimator.service.ticker import Ticker
+from estimator.service.watching import Watching
 from estimator.service.webhooks import Courier
+from estimator.store.session import load_session
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
+MOST_FITS = 4
 
 
 class Core:
@@ -44,6 +52,7 @@ class Core:
         self._lock = _locked(self.data)
         self.database = Database(self.data / DATABASE)
         self.database.migrate()
+        self.cookies = Cookies(self.data)
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)
         self.metrics = Metrics(self.database, settings)
@@ -56,14 +65,15 @@ class Core:
             self.registry_path,
         )
         self.courier = Courier(self.database, settings)
+        self.watching = Watching(self.sessions.path, settings.most_watched)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
         self._tickers = (
             Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
         self.n_streams = 0
-        self._calibrations: OrderedDict[Path, Calibration] = OrderedDict()
-        self._loading = threading.Lock()
+        self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
+        self.fits = Recent(self._fitted, MOST_FITS)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch(
             "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
@@ -88,16 +98,26 @@ class Core:
 
     def calibration(self, folder: Path) -> Calibration:
         """A calibration, checked when it is read; those used last stay in memory."""
-        with self._loading:
-            known = self._calibrations.pop(folder, None)
-            calibration = known if known is not None else Calibration.load(folder)
-            self._calibrations[folder] = calibration
-            while len(self._calibrations) > 1 and self._n_bytes() > MOST_CALIBRATION_BYTES:
-                self._calibrations.popitem(last=False)
-            return calibration
+        return self._calibrations[folder]
 
-    def _n_bytes(self) -> int:
-        return sum(part.nbytes for each in self._calibrations.values() for part in each.draws.values())
+    def _fitted(self, session_id: str) -> Fit:
+        return fit_for_what_if(load_session(self.sessions.path(session_id)))
+
+    @contextmanager
+    def stream(self) -> Iterator[None]:
+        """Room for an event stream.
+
+        Raises:
+            Problem: Too many are followed.
+        """
+        if self.n_streams >= self.settings.most_streams:
+            rule = f"must be at most {self.settings.most_streams} at once"
+            raise Problem(429, "event streams", rule, headers={"Retry-After": "10"})
+        self.n_streams += 1
+        try:
+            yield
+        finally:
+            self.n_streams -= 1
 
     def start(self) -> None:
         """Begin to work on jobs, to tell webhooks and to follow schedules."""
@@ -107,6 +127,7 @@ class Core:
 
     def close(self) -> None:
         """Hand everything back for the next process."""
+        self.watching.stop()
         for ticker in self._tickers:
             ticker.stop()
         self.predictor.close()
@@ -114,6 +135,10 @@ class Core:
         self.sessions.close()
         self.database.close()
         os.close(self._lock)
+
+
+def _n_bytes(calibration: Calibration) -> float:
+    return sum(part.nbytes for part in calibration.draws.values())
 
 
 def _locked(data: Path) -> int:

@@ -13,7 +13,6 @@ from starlette.concurrency import run_in_threadpool
 
 from estimator.service.core import Core
 from estimator.service.job_queue import ENDED
-from estimator.service.problems import Problem
 from estimator.service.work import PROGRESS
 
 LOOK_EVERY_S = 0.25
@@ -29,32 +28,23 @@ async def events_of(
         job_id: The job.
         last_event_id: Id of the last event that the client has; it gets those after it.
         info: The job as the API shows it, now.
-    Raises:
-        Problem: There is no such job, or too many streams are followed.
     """
-    if core.n_streams >= core.settings.most_streams:
-        rule = f"must be at most {core.settings.most_streams} at once"
-        raise Problem(429, "event streams", rule, headers={"Retry-After": "10"})
     job = await run_in_threadpool(info)
     path = core.jobs.folder(job_id) / PROGRESS
     n_known = (
         int(last_event_id) if last_event_id and last_event_id.isascii() and last_event_id.isdecimal() else 0
     )
-    core.n_streams += 1
-    try:
-        lines = _Lines(path)
-        while not core.jobs.is_stopping:
-            has_ended = job.state in ENDED  # asked before the file is read, so that no line is missed
-            for number, line in await run_in_threadpool(lines.new):
-                if number > n_known:
-                    yield ServerSentEvent(data=line, event="progress", id=str(number))
-            if has_ended:
-                yield ServerSentEvent(data=job, event="end")
-                return
-            await asyncio.sleep(LOOK_EVERY_S)
-            job = await run_in_threadpool(info)
-    finally:
-        core.n_streams -= 1
+    lines = _Lines(path)
+    while not core.jobs.is_stopping:
+        has_ended = job.state in ENDED  # asked before the file is read, so that no line is missed
+        for number, line in await run_in_threadpool(lines.new):
+            if number > n_known:
+                yield ServerSentEvent(data=line, event="progress", id=str(number))
+        if has_ended:
+            yield ServerSentEvent(data=job, event="end")
+            return
+        await asyncio.sleep(LOOK_EVERY_S)
+        job = await run_in_threadpool(info)
 
 
 class _Lines:

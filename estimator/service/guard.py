@@ -1,4 +1,4 @@
-"""What every request passes before a route sees it, its body included: name of the host, origin, token, rate, size and time of the body.
+"""What every request passes before a route sees it: name of the host, origin, token or cookie, rate, size and time of the body.
 
 Refusal is the rule: a path without a token is one of `PUBLIC`, so a new route cannot be forgotten.
 """
@@ -14,17 +14,21 @@ from urllib.parse import urlsplit
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.metrics import NO_ROUTE, Metrics
+from estimator.service.page_files import PAGE, page_files
 from estimator.service.problems import Problem, answer_to
 from estimator.service.rate_limits import RateLimits
 from estimator.service.settings import Settings
-from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of
+from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of, caller_of_id
 
-PUBLIC = frozenset({"/healthz", "/readyz"})
+PUBLIC = frozenset({"/healthz", "/readyz", "/v1/login", *page_files()})
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+SAFE = ("GET", "HEAD")
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -41,9 +45,11 @@ log = logging.getLogger("coilcal.service")
 class Guard:
     """Admits requests, gives each an id, and puts the headers of security on the answers."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, database: Database, metrics: Metrics) -> None:
+    def __init__(
+        self, app: ASGIApp, settings: Settings, database: Database, cookies: Cookies, metrics: Metrics
+    ) -> None:
         self._app, self._settings, self._database, self._metrics = app, settings, database, metrics
-        self._rates = RateLimits(settings)
+        self._cookies, self._rates = cookies, RateLimits(settings)
         own = LOOPBACK_NAMES if settings.is_loopback else (_bracketed(settings.host),)
         self._hosts = {name.lower() for name in (*own, *settings.allowed_hosts)}
 
@@ -69,9 +75,9 @@ class Guard:
 
         try:
             headers = Headers(scope=scope)
-            self._check_site(headers, str(scope["scheme"]))
+            self._check_site(scope, headers)
             address = scope["client"][0] if scope.get("client") else ""
-            scope["caller"] = await self._caller(str(scope["path"]), headers, address)
+            scope["caller"] = await self._caller(scope, headers, address)
             limited = self._limited(headers, receive)
         except Problem as problem:
             await answer_to(problem, request_id)(scope, receive, send_with_headers)
@@ -88,7 +94,7 @@ class Guard:
         method = scope["method"] if scope["method"] in METHODS else NO_ROUTE
         self._metrics.answered(method, route, status, took_s)
 
-    def _check_site(self, headers: Headers, scheme: str) -> None:
+    def _check_site(self, scope: Scope, headers: Headers) -> None:
         """Refuse what a page of another site makes a browser send: by its own name for this address, or across origins."""
         host = headers.get("host", "")
         name = (urlsplit(f"//{host}").netloc.rpartition("@")[2] or "").lower()
@@ -99,31 +105,37 @@ class Guard:
                 403, "host", "must be the service's address or one of allowed_hosts", name, "header Host"
             )
         origin = headers.get("origin")
-        if origin is not None and origin != f"{scheme}://{host}":
+        if origin is not None and origin != f"{scope['scheme']}://{host}":
             raise Problem(403, "origin", "must be the service itself", origin, "header Origin")
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+        is_link = (
+            scope["path"] == PAGE and headers.get("sec-fetch-mode") == "navigate"
+        )  # to the page, from a wiki
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not is_link:
             raise Problem(
                 403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site"
             )
 
-    async def _caller(self, path: str, headers: Headers, address: str) -> Caller | None:
+    async def _caller(self, scope: Scope, headers: Headers, address: str) -> Caller | None:
         """Who asks; refused without a valid token, or with too many requests."""
-        if path in PUBLIC:
+        if scope["path"] in PUBLIC:
             self._rates.count(address)
             return None
         self._rates.check_refused(address)
         try:
-            caller = await self._known_caller(headers)
+            caller = await self._known_caller(scope, headers)
         except Problem:
             self._rates.count_refused(address)
             raise
         self._rates.count(caller.token_id or address)
         return caller
 
-    async def _known_caller(self, headers: Headers) -> Caller:
+    async def _known_caller(self, scope: Scope, headers: Headers) -> Caller:
         kind, _, secret = headers.get("authorization", "").partition(" ")
         if not self._settings.needs_tokens and not secret:
             return NOBODY_ELSE
+        cookie = cookie_parser(headers.get("cookie", "")).get(self._cookies.name)
+        if not kind and cookie is not None:
+            return await self._caller_by_cookie(scope, headers, cookie)
         if kind.lower() != "bearer" or not secret:
             raise Problem(
                 401, "token", "must be given", place="header Authorization: Bearer", headers=CHALLENGE
@@ -133,6 +145,16 @@ class Guard:
             raise Problem(
                 401, "token", "must be one that exists, has not expired and is not revoked", headers=CHALLENGE
             )
+        return caller
+
+    async def _caller_by_cookie(self, scope: Scope, headers: Headers, cookie: str) -> Caller:
+        """Who the page belongs to. A browser says the origin of every change that it asks for, and it was checked."""
+        if scope["method"] not in SAFE and "origin" not in headers:
+            raise Problem(403, "origin", "must be given with a cookie", place="header Origin")
+        token_id = self._cookies.token_id(cookie)
+        caller = None if token_id is None else await run_in_threadpool(caller_of_id, self._database, token_id)
+        if caller is None:
+            raise Problem(401, "login", "must be recent, with a token that is still valid", headers=CHALLENGE)
         return caller
 
     def _limited(self, headers: Headers, receive: Receive) -> Receive:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request
@@ -63,6 +63,15 @@ class Needs:
 Reader = Annotated[Caller, Depends(Needs(Scope.READ))]
 Writer = Annotated[Caller, Depends(Needs(Scope.WRITE))]
 Admin = Annotated[Caller, Depends(Needs(Scope.ADMIN))]
+
+
+def _room(core: CoreOf) -> Iterator[None]:
+    with core.stream():
+        yield
+
+
+StreamRoom = Annotated[None, Depends(_room)]
+"""Of routes with event streams. What such a route refuses has to be refused by what it depends on: once it runs, the answer has begun."""
 
 
 def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes]]:

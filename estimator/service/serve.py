@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import threading
+import webbrowser
 from collections.abc import Callable
 
 import uvicorn
@@ -19,12 +21,13 @@ GRACE_S = 10  # for answers that are under way when the service is told to end
 BACKLOG = 512
 
 
-def serve(settings: Settings, tell: Callable[[str], None]) -> None:
+def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) -> None:
     """Serve until SIGINT or SIGTERM; jobs that run then go on at the next start.
 
     Args:
         settings: How to serve.
         tell: Called with the address, once requests to it are answered.
+        opens: Show the page in this computer's browser.
     Raises:
         InvalidInput: Tokens are needed and there are none, or the address or the data folder cannot be used.
     """
@@ -43,7 +46,10 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
         ssl_certfile=settings.tls_certificate or None,
         ssl_keyfile=settings.tls_key or None,
     )
-    tell(address_of(settings, listener.getsockname()[1]))
+    address = address_of(settings, listener.getsockname()[1])
+    tell(address)
+    if opens:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     uvicorn.Server(config).run(sockets=[listener])
 
 

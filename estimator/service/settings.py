@@ -44,6 +44,7 @@ class Settings:
         most_points: Points of one prediction.
         most_grid_points: Points of one prediction on a grid.
         most_predictions: Predictions that may be at work or wait at once.
+        most_watched: Open sessions whose estimate is followed at once.
         most_streams: Event streams that may be followed at once.
         most_body_s: Time in which the body of a request must arrive.
         most_requests_per_minute: Requests of one token, and of one address without one, where tokens are needed.
@@ -72,6 +73,7 @@ class Settings:
     most_points: int = 20_000
     most_grid_points: int = 100_000
     most_predictions: int = 200
+    most_watched: int = 8
     most_streams: int = 100
     most_body_s: float = 60.0
     most_requests_per_minute: int = 20_000

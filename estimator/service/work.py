@@ -33,7 +33,7 @@ from estimator.service.tasks import (
 from estimator.store.files import write_text
 
 JOB, RESULT, PROGRESS, LOCK = "job.json", "result.json", "progress.jsonl", "lock"
-DIAGNOSIS = "diagnosis"
+DIAGNOSIS, PANELS = "diagnosis", "panels.json"
 PROGRESS_EVERY_S = 0.2
 
 STOP = "stop"  # a file that says that the job must end, for workers that cannot be replaced
@@ -119,6 +119,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
     from estimator.calibration.report import calibration_report
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.limits import Limits
+    from estimator.diagnosis.panels import panels, panels_text
     from estimator.diagnosis.progress import Progress
     from estimator.diagnosis.report import diagnosis_report
     from estimator.diagnosis.result import CALIBRATION_FOLDER
@@ -150,6 +151,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
     )
     tell("page", {})
     command = command_of(job, "diagnose")
+    write_text(out / PANELS, panels_text(panels(diagnosis)))
     write_text(out / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
         write_text(out / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))

@@ -1,4 +1,4 @@
-"""How long `coilcal serve` takes for an appended batch and for predictions, over loopback and beside the same calls in process.
+"""How long `coilcal serve` takes for an appended batch, an estimate and predictions, over loopback and beside the same in process.
 
     python -m scripts.benchmarks.service
 
@@ -7,14 +7,17 @@ Starts a service in a process of its own, calibrates a small simulated session t
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import httpx
 import numpy as np
 import torch
 
@@ -25,6 +28,7 @@ from estimator.client import Client, RemoteCalibration
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 RIG, PLAN = Path("configs/paper_simulation.yaml"), Path("configs/plans/paper_grid.yaml")
 BATCH, BATCHES = 20, 100
+WATCHED, PAUSE_S = 500, 0.1
 POINTS, PREDICTIONS = 1000, 20
 CLIENTS, SMALL, FOR_S = (1, 4, 16), (1, 100), 4.0
 QUICK = SamplerSettings(target_ess=100.0, largest_rhat=1.2, max_steps=1000)
@@ -39,6 +43,7 @@ def main() -> None:
             url = process.stdout.readline().decode().split()[-1]
             for n_clients in (1, 10):
                 appends(url, n_clients)
+            watched(url)
             predictions(url, Path(folder))
         finally:
             process.terminate()
@@ -69,6 +74,52 @@ def appends(url: str, n_clients: int) -> None:
     rate = n_clients * BATCH * BATCHES / (time.perf_counter() - begin_s)
     tell(f"append {BATCH} readings, {n_clients} clients", times_s)
     print(f"  {rate:.0f} readings a second in all")
+
+
+def watched(url: str) -> None:
+    """From the request that appends a reading to the event with the estimate that holds it."""
+    rig = load_rig(RIG)
+    o = simulate(rig, load_plan(PLAN, rig), {}, seed=1)
+    repeats = range(-(-WATCHED // len(o)))
+    rows = [row for _ in repeats for row in range(len(o))][:WATCHED]
+    sent_s: list[float] = []
+    held_s: list[float] = []
+    taken = threading.Condition()
+
+    def follow(session_id: str) -> None:
+        with httpx.stream("GET", f"{url}/v1/sessions/{session_id}/live", timeout=60) as events:
+            for line in events.iter_lines():
+                if not line.startswith("data:"):
+                    continue
+                n = json.loads(line[5:])["n_appended"]
+                with taken:
+                    held_s.extend([time.perf_counter()] * (n - len(held_s)))
+                    taken.notify()
+                if n == WATCHED:
+                    return
+
+    with Client(url) as client:
+        session = client.begin(rig, "watched")
+        watcher = threading.Thread(target=follow, args=(session.id,), daemon=True)
+        watcher.start()
+        for number, row in enumerate(rows):
+            reading = {
+                "sequence": number,
+                "time_s": float(number),
+                "current_A": {coil.name: 3.0 for coil in rig.coils},
+                "motion": {name: columns[row].tolist() for name, columns in o.motion.items()},
+                "field_T": {rig.sensors[0].name: o.field_sensor_T[row].tolist()},
+            }
+            sent_s.append(time.perf_counter())
+            session.append([reading])
+            with taken:
+                taken.wait_for(lambda n=number: len(held_s) > n, timeout=60)
+            time.sleep(PAUSE_S)
+        watcher.join(60)
+    times_s = [held - sent for sent, held in zip(sent_s, held_s, strict=True)]
+    for first in range(0, WATCHED, WATCHED // 5):
+        last = first + WATCHED // 5
+        tell(f"from an appended reading to its estimate, readings {first + 1} to {last}", times_s[first:last])
 
 
 def predictions(url: str, data: Path) -> None:

@@ -37,13 +37,7 @@ def covariates(fit: Fit) -> list[Covariate]:
 def sensor_in_coils(fit: Fit) -> dict[str, Float[Tensor, "reading 3"]]:
     """Fitted position of the sensor in the frame of each coil, for every reading, in metres."""
     model = fit.posterior.model
-    all_rows = torch.arange(len(model.sensor))
-    positions_m = {}
-    for coil in model.rig.coils:
-        with torch.no_grad():
-            points_m, _ = model.sensor_in_coil(coil, all_rows, fit.values)
-        positions_m[coil.name] = points_m.expand(len(all_rows), 3)[model.pose_row]
-    return positions_m
+    return {coil.name: model.readings_in_coil(coil, fit.values)[0] for coil in model.rig.coils}
 
 
 def sensor_in_room(

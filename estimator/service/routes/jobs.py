@@ -6,12 +6,13 @@ import json
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
+from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import rig_from_text
@@ -29,6 +30,7 @@ from estimator.service.requests import (
     Limit,
     Page,
     Reader,
+    StreamRoom,
     Writer,
     audited,
     page_of,
@@ -39,7 +41,7 @@ from estimator.service.routes.sessions import closed_row_of
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.tokens import Scope
 from estimator.service.webhooks import announce_end
-from estimator.service.work import DIAGNOSIS, report_file, result_file
+from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -360,19 +362,33 @@ def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Re
     if job.kind == "design":
         raise Problem(404, "report", "must be of another kind of job; a design has none", place=job_id)
     path = report_file(job.kind, core.jobs.folder(job_id))
-    headers = {"Content-Security-Policy": PAGE_POLICY}
-    return with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8"), headers=headers))
+    answer = with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8")))
+    # On 304 too, whose headers replace those of the copy.
+    answer.headers["Content-Security-Policy"] = PAGE_POLICY
+    return answer
+
+
+@router.get("/{job_id}/panels", responses={304: {"description": "They have not changed."}})
+def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Panels:  # noqa: ARG001
+    """What the page shows of a diagnosis, as numbers: maps, hypotheses, shifts of parameters and plans."""
+    job = _done(core, job_id)
+    path = core.jobs.folder(job_id) / DIAGNOSIS / PANELS
+    if job.kind != "diagnose" or not path.exists():
+        raise Problem(409, "job", "must be a diagnosis that has panels", job.kind, job_id)
+    content = path.read_bytes()
+    return with_etag(request, f"{job_id}-panels", lambda: Response(content, media_type="application/json"))  # type: ignore[return-value]
 
 
 @router.get("/{job_id}/events", response_class=EventSourceResponse)
 async def follow_job(
     core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    job_id: Id,
+    room: StreamRoom,  # noqa: ARG001
+    first: Annotated[JobInfo, Depends(get_job)],
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=20)] = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Progress of a job as server-sent events: `progress` as it works, and `end` with the job when it has ended."""
-    async for event in events_of(core, job_id, last_event_id, lambda: info_of(job_of(core, job_id))):
+    async for event in events_of(core, first.id, last_event_id, lambda: info_of(job_of(core, first.id))):
         yield event
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import AsyncIterator, Iterator
+from contextlib import aclosing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
+from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session as DatabaseSession
@@ -27,6 +31,7 @@ from estimator.service.requests import (
     Limit,
     Page,
     Reader,
+    StreamRoom,
     Writer,
     audited,
     documented_body,
@@ -36,6 +41,7 @@ from estimator.service.requests import (
 )
 from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
+from estimator.service.watching import Watched
 from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
 from estimator.store.journal import sync
 from estimator.store.session import Session, load_session
@@ -219,7 +225,28 @@ def append_readings(core: CoreOf, caller: Writer, session_id: Id, body: Ndjson) 
     readings = readings_of(body, core.sessions.rig(session_id))
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
+    core.watching.wake(session_id)
     return Appended(n_readings=n_readings, n_new=n_new)
+
+
+def _watched(core: CoreOf, session_id: Id) -> Iterator[Watched]:
+    if row_of(core, session_id).state != OPEN:
+        raise Problem(409, "session", "must be open; it is closed", place=session_id)
+    with core.watching.watched(session_id) as watched:
+        yield watched
+
+
+@router.get("/{session_id}/live", response_class=EventSourceResponse)
+async def watch_session(
+    core: CoreOf,
+    caller: Reader,  # noqa: ARG001
+    room: StreamRoom,  # noqa: ARG001
+    watched: Annotated[Watched, Depends(_watched)],
+) -> AsyncIterator[ServerSentEvent]:
+    """The estimate of an open session as server-sent events: `estimate` after readings were appended, and `end` when it is closed."""
+    async with aclosing(watched.news(lambda: core.watching.is_stopping)) as changes:
+        async for news in changes:
+            yield ServerSentEvent(data=asdict(news), event="end" if news.has_ended else "estimate")
 
 
 @router.post("/{session_id}/close")
@@ -229,6 +256,7 @@ def close_session(request: Request, core: CoreOf, caller: Writer, session_id: Id
     if row.state == CLOSED:
         return info_of(row)
     session = core.sessions.seal(session_id)
+    core.watching.wake(session_id)
     with core.database.writing() as db:
         row = db.get_one(SessionRow, session_id)
         if row.state == OPEN:

@@ -143,6 +143,15 @@ def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, sessi
         result["extended_rig"].startswith("schema_version") or "schema_version: 1" in result["extended_rig"]
     )
     assert "Diagnosis" in api.get(f"/v1/jobs/{job['id']}/report").text
+    report = api.get(f"/v1/jobs/{job['id']}/report")
+    tag = {"If-None-Match": report.headers["etag"]}
+    again = api.get(f"/v1/jobs/{job['id']}/report", headers=tag)
+    policy = "content-security-policy"
+    assert (again.status_code, again.headers[policy]) == (304, report.headers[policy])
+    panels = api.get(f"/v1/jobs/{job['id']}/panels")
+    assert panels.json()["verdict"] == result["result"]["verdict"]
+    tag = {"If-None-Match": panels.headers["etag"]}
+    assert api.get(f"/v1/jobs/{job['id']}/panels", headers=tag).status_code == 304
 
 
 # The queue

@@ -289,3 +289,22 @@ def test_a_session_of_another_rig_is_refused(
         "must be those of the session"
         in refusal(send_zip(client, other, zipped(tmp_path / "small.zarr")), 422)["detail"]
     )
+
+
+def test_a_closed_session_is_asked_what_causes_would_do(
+    api: TestClient, rig_text: str, readings_csv: bytes
+) -> None:
+    session_id = import_csv(api, upload_rig(api, rig_text), readings_csv)["id"]
+    causes = api.get(f"/v1/sessions/{session_id}/causes").json()
+    assert {
+        "label": "axis_gain[hall]",
+        "words": "the sensor's axes have wrong gains",
+        "kind": "sensor",
+    } in causes
+    told = api.get(f"/v1/sessions/{session_id}/what-if", params={"cause": "axis_gain[hall]"}).json()
+    assert [pattern["key"] for pattern in told["patterns"]] == ["x", "y", "z"]
+    assert len(told["patterns"][0]["left_T"]) == len(told["position_m"])
+    refused = api.get(f"/v1/sessions/{session_id}/what-if", params={"cause": "axis_gain[probe]"})
+    refusal(refused, 422)
+    rig_id = upload_rig(api, rig_text)
+    assert refusal(api.get(f"/v1/sessions/{begin_session(api, rig_id)}/causes"), 409)["thing"] == "session"

@@ -1,0 +1,52 @@
+"""The cookie of the page: it names a token and is signed, so that the token itself does not stay in the browser.
+
+It is sent by this page alone (`SameSite=Strict`) and no script can read it (`HttpOnly`). It ends with its token, and after a month.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from pathlib import Path
+
+from itsdangerous import BadSignature, TimestampSigner
+from starlette.responses import Response
+
+KEY_FILE = "page.key"
+MOST_AGE_S = 30 * 24 * 3600
+
+
+class Cookies:
+    """Makes and reads the cookies of one service.
+
+    Args:
+        data: Its folder, which keeps the key; without the key file all have to log in again.
+    """
+
+    def __init__(self, data: Path) -> None:
+        path = data / KEY_FILE
+        if not path.exists():
+            path.touch(mode=0o600)
+            path.write_text(secrets.token_hex(32), encoding="ascii")
+        key = path.read_text(encoding="ascii")
+        self._signer = TimestampSigner(key, salt="coilcal page", digest_method=hashlib.sha256)
+        # A browser sends cookies to every port of a host, so that two services there must not share a name.
+        self.name = f"coilcal_{hashlib.sha256(key.encode()).hexdigest()[:8]}"
+
+    def put(self, response: Response, token_id: str, is_secure: bool) -> None:
+        """Log in the browser that receives a response."""
+        value = self._signer.sign(token_id).decode()
+        response.set_cookie(
+            self.name, value, max_age=MOST_AGE_S, secure=is_secure, httponly=True, samesite="strict"
+        )
+
+    def remove(self, response: Response, is_secure: bool) -> None:
+        """Log out the browser that receives a response."""
+        response.delete_cookie(self.name, secure=is_secure, httponly=True, samesite="strict")
+
+    def token_id(self, value: str) -> str | None:
+        """The id of the token that a cookie stands for; None if it is not one of ours, or too old."""
+        try:
+            return self._signer.unsign(value, max_age=MOST_AGE_S).decode()
+        except BadSignature:
+            return None

@@ -1,0 +1,124 @@
+// Flat charts: bars, values with intervals, and lines. Each is one SVG, coloured by the style sheet.
+
+import { svg } from "./vendor/lit-html.js";
+import { minus } from "./words.js";
+
+// Round numbers across a range.
+export function ticks(low, high, n = 5) {
+  const raw = (high - low) / n || 1;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((k) => k * power).find((k) => k >= raw * 0.999);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
+  return found;
+}
+
+const number = (value) => minus(Number(value.toPrecision(6)).toString());
+
+function scale([low, high], [from, to]) {
+  return (value) => from + ((value - low) / (high - low || 1)) * (to - from);
+}
+
+function xAxis(x, domain, y, top, label, middle) {
+  return svg`<g>
+    ${ticks(...domain, Math.min(6, Math.max(2, Math.round((x(domain[1]) - x(domain[0])) / 60)))).map(
+      (t) => svg`<path class="grid" d="M${x(t)} ${top}V${y}" /><text class="middle" x=${x(t)} y=${y + 15}>${number(t)}</text>`,
+    )}
+    <text class="middle label" x=${middle} y=${y + 33}>${label}</text></g>`;
+}
+
+const ROW = 24;
+
+// Width to draw in, so that letters keep their size on narrow screens.
+export const fitting = (most) => Math.max(320, Math.min(most, innerWidth - 70));
+
+// Horizontal bars; rows are {label, value, role, note}.
+export function bars(name, rows, label, width = fitting(640)) {
+  const [left, right, top] = [width < 500 ? 140 : 170, 60, 6];
+  const bottom = top + ROW * rows.length;
+  const values = rows.map((row) => row.value);
+  const domain = [Math.min(0, ...values), Math.max(1, ...values)];
+  const x = scale(domain, [left, width - right]);
+  return svg`<svg class="chart" viewBox="0 0 ${width} ${bottom + 42}" role="img" aria-label=${name}>
+    ${xAxis(x, domain, bottom, top, label, (left + width - right) / 2)}
+    ${rows.map((row, i) => {
+      const y = top + ROW * i;
+      const [from, to] = [x(0), x(row.value)].sort((a, b) => a - b);
+      return svg`<g><title>${row.label}: ${row.note}</title>
+        <text class="end ${row.role}" x=${left - 8} y=${y + 16}>${row.label}</text>
+        <rect class="bar ${row.role}" x=${from} y=${y + 4} width=${Math.max(1, to - from)} height=${ROW - 8} />
+        <text x=${Math.max(to, x(0)) + 6} y=${y + 16}>${row.note}</text></g>`;
+    })}
+    <path class="zero" d="M${x(0)} ${top}V${bottom}" />
+  </svg>`;
+}
+
+// Pairs of values with intervals; rows are {label, before: [middle, low, high], after, note}, all in one scale.
+export function pairs(name, rows, label, width = fitting(900)) {
+  const isNarrow = width < 560;
+  const [left, right, top, row] = isNarrow ? [95, 14, 22, 48] : [150, 190, 22, 34];
+  const bottom = top + row * rows.length;
+  const ends = rows.flatMap((r) => [...r.before, ...r.after]);
+  const domain = [Math.min(...ends), Math.max(...ends)];
+  const x = scale(domain, [left, width - right]);
+  const mark = (one, y, kind) => svg`<path class="interval ${kind}" d="M${x(one[1])} ${y}H${x(one[2])}" />
+    <circle class="dot ${kind}" cx=${x(one[0])} cy=${y} r="4.5" />`;
+  return svg`<svg class="chart" viewBox="0 0 ${width} ${bottom + 42}" role="img" aria-label=${name}>
+    ${xAxis(x, domain, bottom, top, label, (left + width - right) / 2)}
+    <g><circle class="dot before" cx=${left + 6} cy="10" r="4.5" /><text x=${left + 15} y="14">as described</text>
+    <circle class="dot after" cx=${left + 116} cy="10" r="4.5" /><text x=${left + 125} y="14">extended</text></g>
+    ${rows.map((r, i) => {
+      const y = top + row * i;
+      return svg`<g><title>${r.label}: ${r.note}</title>
+        <text class="end" x=${left - 8} y=${y + 21}>${r.label}</text>
+        ${mark(r.before, y + 11, "before")} ${mark(r.after, y + 23, "after")}
+        <text class="small ${isNarrow ? "end" : ""}" x=${isNarrow ? width - right : width - right + 12} y=${y + (isNarrow ? 39 : 21)}>${r.note}</text></g>`;
+    })}
+    <path class="zero" d="M${x(0)} ${top}V${bottom}" />
+  </svg>`;
+}
+
+// Lines over a common axis; series are {label, kind, points: [[x, y], ...]}; `log` makes the y axis logarithmic.
+export function lines(name, series, { xLabel, yLabel, log = false, mark = null, dots = false, width = fitting(540), height = 320 }) {
+  const [left, right, top] = [58, dots ? 14 : 96, 10];
+  const bottom = height - 42;
+  const map = log ? (v) => Math.log10(Math.max(v, 1e-30)) : (v) => v;
+  const points = series.flatMap((s) => s.points);
+  const xs = points.map((p) => p[0]);
+  const ys = points.map((p) => map(p[1])).concat(mark === null ? [] : [0, 2 * mark]);
+  const range = (values) => (values.length ? [Math.min(...values), Math.max(...values)] : [0, 1]);
+  const [xDomain, yDomain] = [range(xs), range(ys)];
+  if (yDomain[1] === yDomain[0]) yDomain[1] += 1;
+  const x = scale(xDomain, [left, width - right]);
+  const y = scale(yDomain, [bottom, top]);
+  const yTicks = log ? ticks(...yDomain, 4).filter((t) => Number.isInteger(t) || yDomain[1] - yDomain[0] < 2) : ticks(...yDomain);
+  return svg`<svg class="chart" viewBox="0 0 ${width} ${height}" role="img" aria-label=${name}>
+    ${xAxis(x, xDomain, bottom, top, xLabel, (left + width - right) / 2)}
+    ${yTicks.map(
+      (t) => svg`<path class="grid" d="M${left} ${y(t)}H${width - right}" />
+        <text class="end" x=${left - 6} y=${y(t) + 4}>${number(log ? Number((10 ** t).toPrecision(2)) : t)}</text>`,
+    )}
+    <text class="middle label" transform="translate(13 ${(top + bottom) / 2}) rotate(-90)">${yLabel}</text>
+    ${series.map((s) => {
+      const path = s.points.map((p) => `${x(p[0]).toFixed(1)} ${y(map(p[1])).toFixed(1)}`);
+      return dots
+        ? svg`<path class="points ${s.kind}" d=${path.map((p) => `M${p}h.01`).join("")} />`
+        : svg`<path class="line ${s.kind}" d="M${path.join("L")}" />`;
+    })}
+    ${mark === null ? null : svg`<path class="zero" d="M${left} ${y(mark)}H${width - right}" />`}
+    ${labels(series, x, y, map, width - right, [top, bottom])}
+  </svg>`;
+}
+
+// Names of lines at their ends, moved apart where they would overlap.
+function labels(series, x, y, map, right, [top, bottom]) {
+  const placed = series
+    .filter((s) => s.points.length)
+    .map((s) => ({ s, at: y(map(s.points.at(-1)[1])) }))
+    .sort((a, b) => a.at - b.at);
+  placed.forEach((one, i) => {
+    one.at = Math.max(one.at, i ? placed[i - 1].at + 13 : top + 8);
+  });
+  for (let i = placed.length - 1, most = bottom; i >= 0; i--, most -= 13) placed[i].at = Math.min(placed[i].at, most);
+  return placed.map(({ s, at }) => svg`<text class="small ${s.kind}-text" x=${right + 6} y=${at + 4}>${s.label}</text>`);
+}

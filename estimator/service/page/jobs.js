@@ -1,0 +1,65 @@
+// Jobs: what waits, runs and has ended.
+
+import { html } from "./vendor/lit-html.js";
+import { all, post } from "./api.js";
+import { age, jobName, short } from "./words.js";
+
+const LOOK_EVERY_MS = 2000;
+
+// Name of the rig of each session.
+async function rigOfSessions() {
+  const [sessions, rigs] = await Promise.all([all("/v1/sessions"), all("/v1/rigs")]);
+  const names = new Map(rigs.map((rig) => [rig.id, rig.name]));
+  return new Map(sessions.map((session) => [session.id, names.get(session.rig_id)]));
+}
+
+export class JobsView {
+  title = "jobs";
+  jobs = null;
+
+  constructor(update) {
+    this.update = update;
+  }
+
+  async load() {
+    this.rigs ??= await rigOfSessions();
+    this.jobs = await all("/v1/jobs", 200);
+    this.update();
+    if (this.isClosed) return;
+    this.timer = setTimeout(() => this.load(), LOOK_EVERY_MS);
+  }
+
+  close() {
+    this.isClosed = true;
+    clearTimeout(this.timer);
+  }
+
+  template() {
+    if (this.jobs === null) return html`<h1>Jobs</h1><p class="waiting">Loading</p>`;
+    return html`<h1>Jobs</h1>
+      ${this.jobs.length === 0 ? html`<p>Nothing has been asked for yet.</p>` : null}
+      <ul class="list">
+        ${this.jobs.map(
+          (job) => html`<li class="card row">
+            <div class="grow">
+              <h2><a href="#/jobs/${job.id}">${jobName(job.kind)} of ${this.rigs.get(job.session_id) ?? "a session"}</a></h2>
+              <p>
+                <span class="state ${job.state}">${job.state}</span> ${age(job.ended ?? job.started ?? job.created)},
+                <span class="muted">job ${short(job.id)}, session ${short(job.session_id)}, ${job.user}</span> ${job.fault ? html`<br />${job.fault}` : null}
+              </p>
+            </div>
+            <div class="actions">${cancelButton(job, () => this.update())}</div>
+          </li>`,
+        )}
+      </ul>`;
+  }
+}
+
+export function cancelButton(job, after) {
+  if (!["queued", "running"].includes(job.state)) return null;
+  const cancel = async () => {
+    Object.assign(job, await post(`/v1/jobs/${job.id}/cancel`));
+    after();
+  };
+  return html`<button aria-label="Cancel ${job.kind} ${short(job.id)}" @click=${cancel}>Cancel</button>`;
+}

@@ -1,0 +1,141 @@
+// An open session while it is measured: places and residuals, intervals that shrink, and alarms.
+
+import { html } from "./vendor/lit-html.js";
+import { get } from "./api.js";
+import { lines } from "./chart.js";
+import { figure } from "./figure.js";
+import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
+import { breakable, rounded, short, shownIn } from "./words.js";
+
+const STRONG_SIGMA = 3;
+const MOST_LINES = 6;
+
+export class LiveView {
+  state = null;
+  places = [];
+  history = [];
+
+  constructor(update, id) {
+    Object.assign(this, { update, id, title: `session ${short(id)}`, view: new Viewpoint(update) });
+  }
+
+  async load() {
+    this.session = await get(`/v1/sessions/${this.id}`);
+    this.rig = await get(`/v1/rigs/${this.session.rig_id}`);
+    this.update();
+    if (this.session.state !== "open") return;
+    this.events = new EventSource(`/v1/sessions/${this.id}/live`);
+    this.events.addEventListener("estimate", (event) => this.take(event));
+    this.events.addEventListener("end", (event) => {
+      this.close();
+      this.take(event);
+    });
+    this.events.onerror = () => {
+      this.isLost = true;
+      this.update();
+    };
+  }
+
+  close() {
+    this.events?.close();
+  }
+
+  take(event) {
+    const news = JSON.parse(event.data);
+    this.isLost = false;
+    this.places = news.is_redrawn ? news.places : [...this.places, ...news.places];
+    this.history = news.is_redrawn ? news.history : [...this.history, ...news.history];
+    this.state = news;
+    this.update();
+  }
+
+  template() {
+    const { state, session } = this;
+    if (!session) return html`<p class="waiting">Loading</p>`;
+    const isOpen = session.state === "open" && !state?.has_ended;
+    return html`<h1>${this.rig?.name}: ${isOpen ? "being measured" : "closed"}</h1>
+      <p class="muted">session ${short(this.id)}, ${session.source.slice(0, 80)}</p>
+      ${state?.fault ? html`<p class="fault" role="alert">${state.fault}</p>` : null}
+      ${this.isLost ? html`<p class="fault" role="status">The connection is lost; the page tries again.</p>` : null}
+      ${isOpen ? null : html`<p>Nothing follows. <a href="#/sessions">Calibrate or diagnose it.</a></p>`}
+      ${state ? this.panels(state) : isOpen ? html`<p class="waiting">Waiting for readings</p>` : null}`;
+  }
+
+  panels(state) {
+    const last = this.places.at(-1);
+    return html`<dl class="tiles" aria-live="off">
+        ${tile("Readings", state.n_appended, `${state.n_readings} in the estimate`)}
+        ${tile("Last residual", last ? `${last.rms_sigma.toFixed(1)} σ` : "none yet", last ? `reading ${last.number}, ${last.sensor}` : "")}
+        ${tile("Alarms", state.alarms.length || "none", state.alarms.at(-1) ?? "")}
+      </dl>
+      <div role="status" class="alarms">${state.alarms.map((words) => html`<p class="warn card">${words}</p>`)}</div>
+      ${this.places.length ? html`<div class="figures two even">${this.map()} ${this.widths()}</div>` : null}
+      ${this.places.length ? html`<div class="figures two even">${this.residuals()} ${this.table(state)}</div>` : null}`;
+  }
+
+  map() {
+    const coils = [...new Set(this.places.map((one) => one.coil))];
+    const coil = coils.includes(this.coil) ? this.coil : coils[0];
+    const here = this.places.filter((one) => one.coil === coil);
+    const points = here.map((one) => one.position_m);
+    const vectors = here.map((one) => one.residual_T);
+    const field = arrowScale(vectors);
+    const last = this.places.at(-1);
+    const kinds = here.map((one) => (one === last ? "last" : one.rms_sigma > STRONG_SIGMA ? "strong" : "weak"));
+    const choice = coils.length < 2 ? null
+      : html`<label>around <select @change=${(e) => { this.coil = e.target.value; this.update(); }}>
+          ${coils.map((name) => html`<option ?selected=${name === coil}>${name}</option>`)}</select></label>`;
+    return figure(
+      "places", "Places taken, and what the estimate leaves",
+      html`Measured less predicted field in the frame of ${coil}. Over three standard deviations in colour, the newest reading thick. ${choice}`,
+      space({ name: "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, view: this.view }),
+      () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "rms_sigma"],
+        ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.residual_T, one.rms_sigma])],
+    );
+  }
+
+  widths() {
+    const names = Object.keys(this.history.at(-1)?.sd ?? {}).slice(0, MOST_LINES);
+    const first = Object.fromEntries(names.map((name) => [name, this.history[0].sd[name]]));
+    const series = names.map((name, i) => ({
+      label: shortName(name), kind: `c${i}`,
+      points: this.history.map((one) => [one.n_readings, (100 * one.sd[name]) / first[name]]),
+    }));
+    return figure(
+      "widths", "Intervals shrink", "Standard deviation of each parameter, relative to the first estimate.",
+      lines("Widths of the credible intervals", series, { xLabel: "readings in the estimate", yLabel: "% of the first", log: true }),
+      () => [["n_readings", ...Object.keys(this.history.at(-1).sd)], ...this.history.map((one) => [one.n_readings, ...Object.values(one.sd)])],
+    );
+  }
+
+  residuals() {
+    const points = this.places.map((one) => [one.number, one.rms_sigma]);
+    return figure(
+      "residuals", "Residual of each reading", "Root mean square of its components in units of the noise; about 1 while the model holds.",
+      lines("Residuals", [{ label: "", kind: "c0", points }], { xLabel: "reading", yLabel: "σ", mark: 1, dots: true }),
+      () => [["number", "rms_sigma"], ...points],
+    );
+  }
+
+  table(state) {
+    return html`<div class="card scroll" tabindex="0" role="region" aria-label="Estimate">
+      <h3>Estimate</h3>
+      <table>
+        <thead><tr><th>parameter</th><th class="num">value ± sd</th><th class="num">90 % interval</th><th>unit</th></tr></thead>
+        <tbody>
+          ${Object.entries(state.intervals).map(([name, one]) => {
+            const { factor, unit } = shownIn(one.unit);
+            const [value, sd, low, high] = [one.value, one.sd, one.low, one.high].map((v) => v * factor);
+            return html`<tr><th scope="row">${breakable(name)}</th><td class="num">${rounded(value, sd)} ± ${rounded(sd, sd)}</td>
+              <td class="num">${rounded(low, sd)} to ${rounded(high, sd)}</td><td>${unit}</td></tr>`;
+          })}
+        </tbody>
+      </table>
+    </div>`;
+  }
+}
+
+const shortName = (name) => name.split(".").at(-1).replace(/_(m|rad|T|A)$/, "").replaceAll("_", " ");
+
+const tile = (name, value, more) =>
+  html`<div class="tile"><dt>${name}</dt><dd>${value}</dd>${more ? html`<dd class="muted">${more}</dd>` : null}</div>`;

@@ -1,0 +1,86 @@
+// Sessions: what was measured, and what to do with it.
+
+import { html } from "./vendor/lit-html.js";
+import { all, ask, post } from "./api.js";
+import { age, short } from "./words.js";
+
+export class SessionsView {
+  title = "sessions";
+  sessions = null;
+  rigs = [];
+
+  constructor(update) {
+    this.update = update;
+  }
+
+  async load() {
+    [this.sessions, this.rigs] = await Promise.all([all("/v1/sessions"), all("/v1/rigs")]);
+    this.update();
+  }
+
+  async begin(kind, session) {
+    const seed = 1;
+    const job = await post(`/v1/jobs/${kind}`, { session_id: session.id, seed });
+    location.hash = `#/jobs/${job.id}`;
+  }
+
+  template() {
+    if (this.sessions === null) return html`<h1>Sessions</h1><p class="waiting">Loading</p>`;
+    const names = new Map(this.rigs.map((rig) => [rig.id, rig.name]));
+    return html`<h1>Sessions</h1>
+      ${this.sessions.length === 0 ? html`<p>No readings have arrived yet.</p>` : null}
+      <ul class="list">
+        ${this.sessions.map((session) => this.row(session, names.get(session.rig_id) ?? short(session.rig_id)))}
+      </ul>
+      ${this.upload()}`;
+  }
+
+  row(session, rig) {
+    const label = `session ${short(session.id)}`;
+    const isOpen = session.state === "open";
+    return html`<li class="card row">
+      <div class="grow">
+        <h2>${rig}</h2>
+        <p>
+          ${isOpen ? html`<strong>open</strong>` : `${session.n_readings} readings`}, ${age(session.created)},
+          ${session.user} <span class="muted">${session.source.slice(0, 80)} · ${short(session.id)}</span>
+        </p>
+      </div>
+      <div class="actions">
+        ${isOpen
+          ? html`<a class="button" href="#/live/${session.id}" aria-label="Watch ${label}">Watch live</a>
+              <button aria-label="Close ${label}" @click=${() => this.close_(session)}>Close</button>`
+          : html`<button class="main" aria-label="Diagnose ${label}" @click=${() => this.begin("diagnose", session)}>Diagnose</button>
+              <button aria-label="Calibrate ${label}" @click=${() => this.begin("calibrate", session)}>Calibrate</button>
+              <a class="button" href="#/what-if/${session.id}" aria-label="What if, for ${label}">What if</a>
+              <a class="button" href="/v1/sessions/${session.id}/readings.csv" download aria-label="Readings of ${label} as CSV">CSV</a>`}
+      </div>
+    </li>`;
+  }
+
+  async close_(session) {
+    await post(`/v1/sessions/${session.id}/close`);
+    await this.load();
+  }
+
+  upload() {
+    const send = async (event) => {
+      event.preventDefault();
+      const { rig, file } = event.target.elements;
+      const isZip = file.files[0].name.endsWith(".zip");
+      const path = `/v1/sessions/import-${isZip ? "zip" : "csv"}?rig_id=${rig.value}`;
+      await ask("POST", path, { body: file.files[0], type: isZip ? "application/zip" : "text/csv" });
+      event.target.reset();
+      await this.load();
+    };
+    return html`<form class="card row" @submit=${send}>
+      <label>Readings (CSV, or a zipped session)
+        <input name="file" type="file" accept=".csv,.zip" required /></label>
+      <label>of the rig
+        <select name="rig">
+          ${this.rigs.map((rig) => html`<option value=${rig.id}>${rig.name} (${short(rig.id)})</option>`)}
+        </select></label>
+      <button>Upload</button>
+    </form>`;
+  }
+}

@@ -1,0 +1,44 @@
+"""What takes long to make and is asked for again: those used last stay in memory."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class Recent(Generic[Key, Value]):
+    """Values by key, one made at a time.
+
+    Args:
+        make: Makes the value of a key.
+        most: Size of all values that are kept together; the last one stays, whatever its size.
+        size: Of a value; by default values are counted.
+
+    Examples:
+        >>> made = []
+        >>> squares = Recent(lambda n: made.append(n) or n * n, 2)
+        >>> [squares[n] for n in (1, 2, 1, 3, 1, 2)]
+        [1, 4, 1, 9, 1, 4]
+        >>> made
+        [1, 2, 3, 2]
+    """
+
+    def __init__(
+        self, make: Callable[[Key], Value], most: float, size: Callable[[Value], float] = lambda _: 1.0
+    ) -> None:
+        self._make, self._most, self._size = make, most, size
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __getitem__(self, key: Key) -> Value:
+        with self._lock:
+            value = self._values.pop(key) if key in self._values else self._make(key)
+            self._values[key] = value
+            while len(self._values) > 1 and sum(map(self._size, self._values.values())) > self._most:
+                self._values.popitem(last=False)
+            return value

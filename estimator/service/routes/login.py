@@ -1,0 +1,45 @@
+"""Logging in with a token, for the page: a browser cannot send headers with its event streams, but sends a cookie."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from estimator.service.problems import Problem
+from estimator.service.requests import CoreOf, Reader
+from estimator.service.tokens import Scope, caller_of
+
+router = APIRouter(prefix="/v1", tags=["page"])
+
+
+class Login(BaseModel):
+    """A token."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    token: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class LoggedIn(BaseModel):
+    """Who is logged in."""
+
+    user: str
+    scope: Scope
+
+
+@router.post("/login")
+def login(request: Request, response: Response, core: CoreOf, body: Login) -> LoggedIn:
+    """Exchange a token for a cookie that this page's requests carry."""
+    caller = caller_of(core.database, body.token.strip())
+    if caller is None or caller.token_id is None:
+        raise Problem(401, "token", "must be one that exists, has not expired and is not revoked")
+    core.cookies.put(response, caller.token_id, request.url.scheme == "https")
+    return LoggedIn(user=caller.user, scope=caller.scope)
+
+
+@router.post("/logout", status_code=204)
+def logout(request: Request, response: Response, core: CoreOf, caller: Reader) -> None:  # noqa: ARG001
+    """Forget the cookie."""
+    core.cookies.remove(response, request.url.scheme == "https")

@@ -1,0 +1,261 @@
+"""Estimates of open sessions while somebody watches them: a thread for each session, woken when readings have been appended.
+
+Watchers are told of the present state and never queue up: who is slow gets more readings in one event.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import Counter
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimator.errors import CoilcalError
+from estimator.live.places import Place, places
+from estimator.live.stream import Interval, Stream
+from estimator.service.problems import Problem
+from estimator.store.follow import Follower
+from estimator.store.growing import observations_of
+from estimator.store.journal import Entry
+
+LOOK_EVERY_S = 1.0  # for the end of the session, and whether anybody watches still
+FIRST, GROWTH = (
+    10,
+    1.6,
+)  # readings that were there before are taken in growing parts, so that the intervals have a past
+REDRAWN_AT = 1.25  # growth of a session after which the residuals of all its readings are computed anew
+MOST_PLACES = 2_000  # that are shown, the last ones
+HISTORY_STEP = 1.01  # growth of a session between two entries of its history
+RETRY_AFTER_S = 60
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Standard deviation of every free parameter after a number of fitted readings."""
+
+    n_readings: int
+    sd: dict[str, float]
+
+
+@dataclass(frozen=True)
+class News:
+    """What a watcher is told.
+
+    Attributes:
+        n_appended: Readings that were appended and taken.
+        n_readings: Those of them that the estimate holds; the others are for validation.
+        intervals: Of every free parameter; empty before the first reading.
+        alarms: All alarms so far, in words.
+        is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
+        places: Where readings were taken, and what the estimate left of them when it was last computed.
+        history: How the intervals shrank.
+        fault: Why no estimate can follow.
+        has_ended: Whether nothing follows.
+    """
+
+    n_appended: int
+    n_readings: int
+    intervals: dict[str, Interval]
+    alarms: list[str]
+    is_redrawn: bool
+    places: list[Place]
+    history: list[Widths]
+    fault: str | None
+    has_ended: bool
+
+
+class Watched:
+    """One open session with its estimate, until `leave`.
+
+    Args:
+        path: Folder of the session.
+    Raises:
+        InvalidInput: The rig has no free parameter.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._follower = Follower(path)
+        self._rig = self._follower.rig
+        self._stream = Stream(self._rig)
+        self._entries: list[Entry] = []
+        self._places: list[Place] = []
+        self._history: list[Widths] = []
+        self._intervals: dict[str, Interval] = {}
+        self._n_readings, self._n_drawn, self._drawing = 0, 0, 0
+        self._fault: str | None = None
+        self._has_ended, self._is_left = False, False
+        self._wake, self._lock = threading.Event(), threading.Lock()
+        self._watchers: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
+        threading.Thread(target=self._run, name="coilcal watching", daemon=True).start()
+
+    async def news(self, is_stopping: Callable[[], bool]) -> AsyncGenerator[News]:
+        """What becomes of the session, from its first reading on; the last news have `has_ended`."""
+        changed = asyncio.Event()
+        mine = asyncio.get_running_loop(), changed
+        drawing, n_places, n_history = -1, 0, 0
+        with self._lock:
+            self._watchers.add(mine)
+        try:
+            while not is_stopping():
+                changed.clear()
+                drawing, n_places, news = self._news(drawing, n_places, n_history)
+                n_history = news.history[-1].n_readings if news.history else n_history
+                yield news
+                if news.has_ended:
+                    return
+                while not (changed.is_set() or is_stopping()):
+                    with suppress(TimeoutError):
+                        async with asyncio.timeout(LOOK_EVERY_S):
+                            await changed.wait()
+        finally:
+            with self._lock:
+                self._watchers.discard(mine)
+
+    def wake(self) -> None:
+        """There are new readings, or the session was closed."""
+        self._wake.set()
+
+    def leave(self) -> None:
+        """End the thread at its next look."""
+        self._is_left = True
+        self._wake.set()
+
+    def _news(self, drawing: int, n_places: int, n_history: int) -> tuple[int, int, News]:
+        """What a watcher is to be told that knows one drawing, its places up to a number and its history up to one.
+
+        Returns: Number of the drawing, number of the last reading, and the news.
+        """
+        with self._lock:
+            is_redrawn = drawing != self._drawing
+            after = 0 if is_redrawn else n_places
+            news = News(
+                n_appended=len(self._entries),
+                n_readings=self._n_readings,
+                intervals=dict(self._intervals),
+                alarms=[alarm.words for alarm in self._stream.alarms],
+                is_redrawn=is_redrawn,
+                places=[one for one in self._places if one.number > after],
+                history=[one for one in self._history if is_redrawn or one.n_readings > n_history],
+                fault=self._fault,
+                has_ended=self._has_ended,
+            )
+            return self._drawing, len(self._entries), news
+
+    def _run(self) -> None:
+        try:
+            while not self._is_left:
+                self._wake.clear()
+                has_ended = self._follower.has_ended
+                entries = self._follower.entries()
+                if entries:
+                    self._take(entries)
+                elif has_ended:
+                    break
+                else:
+                    self._wake.wait(LOOK_EVERY_S)
+        except CoilcalError as error:
+            self._fault = str(error)
+        except Exception:
+            self._fault = "estimate must follow the readings; it failed"
+            raise
+        finally:
+            self._has_ended = True
+            self._tell()
+
+    def _take(self, entries: list[Entry]) -> None:
+        """Take readings into the estimate, tell of it, and compute old residuals anew where it has moved since."""
+        while entries and not self._is_left:
+            n = max(FIRST, round((GROWTH - 1.0) * len(self._entries)))
+            self._add(entries[:n])
+            entries = entries[n:]
+            self._tell()
+        if len(self._entries) >= REDRAWN_AT * self._n_drawn:
+            self._n_drawn = len(self._entries)
+            first = max(0, len(self._entries) - MOST_PLACES)
+            drawn = self._drawn(self._entries[first:], first)
+            with self._lock:
+                self._places, self._drawing = drawn, self._drawing + 1
+            self._tell()
+
+    def _add(self, entries: list[Entry]) -> None:
+        estimate = self._stream.update(observations_of(entries, self._rig))
+        new = self._drawn(entries, len(self._entries))
+        widths = Widths(estimate.n_readings, {name: one.sd for name, one in estimate.intervals.items()})
+        with self._lock:
+            self._entries += entries
+            self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
+            self._places = [*self._places, *new][-MOST_PLACES:]
+            last = self._history[-1].n_readings if self._history else 0
+            if estimate.n_readings > HISTORY_STEP * last:
+                self._history.append(widths)
+
+    def _drawn(self, entries: list[Entry], n_before: int) -> list[Place]:
+        """Places by the present estimate. A stop of several sensors has one number."""
+        stops = enumerate(entries, start=n_before + 1)
+        numbers = [number for number, entry in stops for _ in entry["field_T"]]
+        return places(self._rig, self._stream.values, observations_of(entries, self._rig), numbers)
+
+    def _tell(self) -> None:
+        with self._lock:
+            watchers = list(self._watchers)
+        for loop, event in watchers:
+            with suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(event.set)
+
+
+class Watching:
+    """The sessions that are watched now.
+
+    Args:
+        path: Folder of a session, by its id.
+        most: Sessions that may be watched at once.
+    """
+
+    def __init__(self, path: Callable[[str], Path], most: int) -> None:
+        self._path, self._most = path, most
+        self._watched: dict[str, Watched] = {}
+        self._n_watchers: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self.is_stopping = False
+
+    def wake(self, session_id: str) -> None:
+        """A session has new readings, or was closed."""
+        if (watched := self._watched.get(session_id)) is not None:
+            watched.wake()
+
+    @contextmanager
+    def watched(self, session_id: str) -> Iterator[Watched]:
+        """An open session while it is watched.
+
+        Raises:
+            Problem: Too many sessions are watched.
+            InvalidInput: The rig has no free parameter.
+        """
+        with self._lock:
+            if session_id not in self._watched:
+                if len(self._watched) >= self._most:
+                    rule = f"must be at most {self._most} at once"
+                    headers = {"Retry-After": str(RETRY_AFTER_S)}
+                    raise Problem(429, "watched sessions", rule, headers=headers)
+                self._watched[session_id] = Watched(self._path(session_id))
+            self._n_watchers[session_id] += 1
+            watched = self._watched[session_id]
+        try:
+            yield watched
+        finally:
+            with self._lock:
+                self._n_watchers[session_id] -= 1
+                if not self._n_watchers[session_id]:
+                    del self._n_watchers[session_id]
+                    self._watched.pop(session_id, None)
+                    watched.leave()
+
+    def stop(self) -> None:
+        """End all threads."""
+        self.is_stopping = True
+        with self._lock:
+            for watched in self._watched.values():
+                watched.leave()

@@ -1,0 +1,164 @@
+"""Who watches an open session is told of each estimate, of places and widths, and of its end."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import aclosing
+from itertools import pairwise
+
+import pytest
+import torch
+from starlette.testclient import TestClient
+
+from estimator.live.stream import Stream
+from estimator.rig.rig import Rig
+from estimator.service.core import Core
+from estimator.service.watching import REDRAWN_AT, News, Watched
+from estimator.store.session import Session
+from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
+
+PATIENCE_S = 30.0
+
+
+@pytest.fixture
+def client(idle: Callable[..., TestClient]) -> Iterator[TestClient]:
+    made = idle(most_watched=2)
+    yield made
+    watching = made.app.state.core.watching  # type: ignore[attr-defined]
+    assert not watching._watched  # nobody left a thread behind
+
+
+@pytest.fixture
+def session_id(client: TestClient, rig_text: str) -> str:
+    return begin_session(client, upload_rig(client, rig_text))
+
+
+def core_of(client: TestClient) -> Core:
+    core: Core = client.app.state.core  # type: ignore[attr-defined]
+    return core
+
+
+def watched(
+    client: TestClient, session_id: str, acts: dict[int, Callable[[], object]], until: int
+) -> list[News]:
+    """News of a session up to a number of readings; at some numbers something is done first."""
+
+    async def watch(session: Watched) -> list[News]:
+        told: list[News] = []
+        async with asyncio.timeout(PATIENCE_S), aclosing(session.news(lambda: False)) as news:
+            async for one in news:
+                told.append(one)
+                if (act := acts.pop(one.n_appended, None)) is not None:
+                    await asyncio.to_thread(act)
+                if one.n_appended >= until and not acts and one.is_redrawn:
+                    break
+        return told
+
+    with core_of(client).watching.watched(session_id) as session:
+        return asyncio.run(watch(session))
+
+
+def test_each_batch_gives_the_estimate_of_all_readings_so_far(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    n = len(small_session.observations)
+    ends = [0, 12, 13, 14, n]
+
+    def send(first: int, last: int) -> Callable[[], object]:
+        return lambda: append(client, session_id, lines_of(small_session, small_rig, first, last))
+
+    acts = {first: send(first, last) for first, last in pairwise(ends)}
+    told = watched(client, session_id, acts, n)
+    last = told[-1]
+    stream = Stream(small_rig)
+    stream.update(small_session.observations.rows(torch.arange(12)))
+    estimate = stream.update(small_session.observations.rows(torch.arange(12, n)))
+    assert (last.n_appended, last.n_readings) == (n, estimate.n_readings)
+    assert last.n_readings < n  # some are for validation
+    for name, interval in last.intervals.items():
+        assert interval.value == pytest.approx(estimate.intervals[name].value, abs=0.1 * interval.sd)
+        assert interval.sd == pytest.approx(estimate.intervals[name].sd, rel=0.05)
+    assert [place.number for place in last.places] == list(range(1, n + 1))
+    assert {place.rms_sigma < 3.0 for place in last.places} == {True}
+    added = next(one for one in told if one.n_appended == 14 and not one.is_redrawn)
+    assert [place.number for place in added.places] == [14]
+    widths = [one.sd["coil1.radius_m"] for one in last.history]
+    assert len(widths) >= 4
+    assert widths[-1] < 0.5 * widths[0]
+    assert sum(one.is_redrawn for one in told) < len(told) * REDRAWN_AT
+
+
+def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    n = len(small_session.observations)
+    append(client, session_id, lines_of(small_session, small_rig, 0, n - 2))
+    watching = core_of(client).watching
+
+    async def both(first: Watched) -> None:
+        async with asyncio.timeout(PATIENCE_S), aclosing(first.news(lambda: False)) as news:
+            async for one in news:
+                if one.n_appended == n - 2 and one.is_redrawn:
+                    last = lines_of(small_session, small_rig, n - 2)  # too few for another drawing
+                    await asyncio.to_thread(append, client, session_id, last)
+                if one.n_appended == n:
+                    break
+            with watching.watched(session_id) as second:
+                assert second is first
+                async with aclosing(second.news(lambda: False)) as other:
+                    late = await anext(other)
+        assert late.is_redrawn
+        assert [place.number for place in late.places] == list(range(1, n + 1))
+        sizes = [widths.n_readings for widths in late.history]
+        assert len(sizes) > 2  # the readings were there before, and were taken in parts
+        assert sizes == sorted(sizes)
+
+    with watching.watched(session_id) as first:
+        asyncio.run(both(first))
+    end_s = time.monotonic() + PATIENCE_S
+    while any(thread.name == "coilcal watching" for thread in threading.enumerate()):
+        assert time.monotonic() < end_s, threading.enumerate()
+        time.sleep(0.05)
+
+
+def test_the_stream_ends_with_the_session(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    append(client, session_id, lines_of(small_session, small_rig, 0, 12))
+
+    def close() -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not core_of(client).watching._watched and time.monotonic() < end_s:
+            time.sleep(0.05)
+        client.post(f"/v1/sessions/{session_id}/close")
+
+    closing = threading.Thread(target=close)
+    closing.start()
+    text = client.get(f"/v1/sessions/{session_id}/live").text
+    closing.join()
+    events = [part.split("\n") for part in text.split("\n\n") if "data:" in part]
+    kinds = [next(line for line in part if line.startswith("event:"))[7:] for part in events]
+    last = json.loads(next(line for line in events[-1] if line.startswith("data:"))[6:])
+    assert kinds[-1] == "end"
+    assert set(kinds[:-1]) == {"estimate"}
+    assert (last["n_appended"], last["fault"], last["has_ended"]) == (12, None, True)
+    assert refusal(client.get(f"/v1/sessions/{session_id}/live"), 409)["rule"] == "must be open; it is closed"
+
+
+def test_watched_sessions_are_counted_and_need_free_parameters(
+    client: TestClient, session_id: str, rig_text: str
+) -> None:
+    fixed = re.sub(r"\{prior: \{normal: \{mean: (-?\d+).*\}\}\}", r"\1", rig_text)
+    none_free = begin_session(client, upload_rig(client, fixed))
+    assert "free parameter" in refusal(client.get(f"/v1/sessions/{none_free}/live"), 422)["detail"]
+    watching = core_of(client).watching
+    others = [begin_session(client, upload_rig(client, rig_text)) for _ in range(2)]
+    with watching.watched(session_id), watching.watched(others[0]):
+        full = refusal(client.get(f"/v1/sessions/{others[1]}/live"), 429)
+        assert full["detail"] == "watched sessions must be at most 2 at once"
+    refusal(client.get(f"/v1/sessions/{'0' * 32}/live"), 404)
