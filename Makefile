@@ -5,13 +5,16 @@ RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm browser figures
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm browser figures
 
 demo: $(INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
 	$(BIN)/coilcal calibrate demo/session.zarr --out demo/calibration --seed 1 --overwrite
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --hide axis_gain.x=0.01 --out demo/flawed.zarr --overwrite
 	$(BIN)/coilcal diagnose demo/flawed.zarr --out demo/diagnosis --seed 1 --overwrite
+
+demo-service: $(INSTALLED)     # after `make demo`: its sessions in the service, and the page at http://127.0.0.1:8765
+	$(RUN) scripts.demo_service
 
 test: lint types imports unit
 

@@ -29,7 +29,7 @@ class Recent(Generic[Key, Value]):
     """
 
     def __init__(
-        self, make: Callable[[Key], Value], most: float, size: Callable[[Value], float] = lambda _: 1.0
+        self, make: Callable[[Key], Value], most: int, size: Callable[[Value], int] = lambda _: 1
     ) -> None:
         self._make, self._most, self._size = make, most, size
         self._values: OrderedDict[Key, Value] = OrderedDict()
