@@ -36,7 +36,7 @@ from estimator.store.session import load_session
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
-MOST_CALIBRATION_BYTES = 512e6  # of draws in memory
+MOST_CALIBRATION_BYTES = 512_000_000  # of draws in memory
 MOST_FITS = 4
 
 
@@ -137,7 +137,7 @@ class Core:
         os.close(self._lock)
 
 
-def _n_bytes(calibration: Calibration) -> float:
+def _n_bytes(calibration: Calibration) -> int:
     return sum(part.nbytes for part in calibration.draws.values())
 
 
