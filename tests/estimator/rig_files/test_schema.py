@@ -17,7 +17,7 @@ from estimator.yaml_section import Loader
 from tests.estimator.conftest import CORRECTION, RIG, TWO_COILS
 
 CONFIGS = Path(__file__).parents[3] / "configs"
-SHIPPED = sorted(path for path in CONFIGS.glob("*.yaml") if path.name != "service.yaml")
+SHIPPED = sorted(path for path in CONFIGS.glob("*.yaml"))
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,7 @@ from estimator.rig_files.read import load_rig
 pytestmark = pytest.mark.whole
 
 CONFIGS = Path(__file__).parents[3] / "configs"
-RIG_FILES = sorted(
-    path.name for path in CONFIGS.glob("*.yaml") if path.name != "service.yaml"
-)  # settings, no rig
+RIG_FILES = sorted(path.name for path in CONFIGS.glob("*.yaml"))  # settings, no rig
 MU0 = 4e-7 * math.pi
 FACING = [math.radians(q) for q in (0, -90, -90, 0, 90, 0)]
 

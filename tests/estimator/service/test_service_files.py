@@ -37,7 +37,7 @@ def pod() -> dict[str, Any]:
 
 
 def test_the_settings_of_the_example_load_and_need_tokens() -> None:
-    example = load_settings(CONFIGS / "service.yaml", {})
+    example = load_settings(CONFIGS / "service/service.yaml", {})
     assert example.needs_tokens
     assert example.is_loopback
     state = settings(SERVE)["StateDirectory"]
