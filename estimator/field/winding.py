@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.field.kernel import POINTS_AT_ONCE, is_plain, sum_of_loops
 from estimator.field.loop import steps_for_ratio
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
@@ -134,10 +135,12 @@ def field_of_loops(
     n_points, n_nodes = points_coil_m.shape[-2], loops.weight.shape[-2:].numel()
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
     rows = Nodes(*(v.expand(*batch, *v.shape[-2:]).reshape(-1, *v.shape[-2:]) for v in loops))
+    if mode is SumMode.PLAIN and is_plain(points, *rows):
+        return sum_of_loops(points, *rows.flat(), steps).reshape(*batch, n_points, 3)
     node_sum = sum_to_first_order if mode is SumMode.FIRST_ORDER else sum_over_nodes
     chunk = ELEMENTS_PER_CHUNK
     n_row_parts = math.ceil(len(points) / max(1, chunk // (n_points * n_nodes)))
-    n_point_parts = math.ceil(n_points / max(1, chunk // n_nodes))
+    n_point_parts = math.ceil(n_points / max(POINTS_AT_ONCE, chunk // n_nodes))
     field = []
     for row_points, *row_nodes in zip(
         *(value.tensor_split(n_row_parts) for value in (points, *rows)), strict=True
