@@ -107,8 +107,10 @@ class World:
 
     def snapshot(self) -> Snapshot:
         """The world now."""
-        now_s = time.monotonic()
         with self._cells:
+            now_s = (
+                time.monotonic()
+            )  # before the lock, it could lie before a start that another process writes
             currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
             poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
             rises_K = [self._rise_K(coil, now_s) for coil in range(len(self.circuits))]
@@ -118,8 +120,8 @@ class World:
 
     def drive(self, coil: int, current_A: float) -> None:
         """Let the current of a coil approach a target, with the time constant of its circuit."""
-        now_s = time.monotonic()
         with self._cells:
+            now_s = time.monotonic()
             present_A, rise_K = self._current_A(coil, now_s), self._rise_K(coil, now_s)
             self._cells[self._coil(coil)] = [present_A, current_A, now_s, rise_K]
 

@@ -69,8 +69,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[
     devices = (path / "devices.yaml").read_text()
     (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
     yield path
+    ended = simulator.poll()
     simulator.terminate()
-    simulator.communicate()
+    said = simulator.communicate()
+    assert ended is None, said[1]
 
 
 def call(folder: Path, out: Path, *more: object) -> list[str]:
