@@ -115,21 +115,20 @@ class CollapsedPosterior:
                 return total + 0.5 * (square / (1.0 + grown) - torch.log1p(grown)).sum(-1)
             return total + self._gain(*self._normal_equations(vector))
         terms = []
-        for row in vector:
-            design, residual, log_sigma = self._whitened(row)
-            precision = _unit_plus(design.mT @ design)
-            gain = self._gain(precision, design.mT @ residual - self._about)
-            squares = residual.square().sum() + self._about.square().sum()
-            terms.append(gain - 0.5 * squares - log_sigma.sum() - constant)
-        return torch.stack(terms) if terms else torch.zeros(0, dtype=vector.dtype)
+        for rows in vector.split(self._n_rows_at_once):
+            design, residual, log_sigma = self._whitened(rows)
+            gain = self._gain(*self._least_squares(design, residual))
+            squares = residual.square().sum(-1) + self._about.square().sum()
+            terms.append(gain - 0.5 * squares - log_sigma.sum(-1) - constant)
+        return torch.cat(terms)
 
-    def given(self, vector: Float[Tensor, " coordinate"]) -> Conditional:
-        """The amplitudes given all else, one set of values."""
+    def given(self, vector: Float[Tensor, "*row coordinate"]) -> Conditional:
+        """The amplitudes given all else, for each set of values."""
         if self._is_only_noise:
-            precision, score = (each[0] for each in self._normal_equations(vector[None]))
+            precision, score = self._normal_equations(vector)
         else:
             design, residual, _ = self._whitened(vector)
-            precision, score = _unit_plus(design.mT @ design), design.mT @ residual - self._about
+            precision, score = self._least_squares(design, residual)
         return Conditional(self._about + _solved(precision, score), precision)
 
     def values(self, vector: Float[Tensor, " coordinate"]) -> dict[str, Tensor]:
@@ -199,16 +198,17 @@ class CollapsedPosterior:
             mean = ((vectors.T @ self._sums.score[0]) / variance - vectors.T @ self._about) / grown
             standard = self._about + (mean + normal / grown.sqrt()) @ vectors.T
         else:
-            standard = torch.empty_like(normal)
-            row_of = torch.zeros(len(rows), dtype=torch.int64)
+            distinct, row_of = rows[:1], torch.zeros(len(rows), dtype=torch.int64)
             if rows.shape[1]:  # walkers stay where they are now and then
-                row_of = torch.unique(rows, dim=0, return_inverse=True)[1]
-            order = torch.argsort(row_of)
-            for own in torch.split(order, torch.bincount(row_of).tolist()):
-                given = self.given(rows[own[0]])
-                root = torch.linalg.cholesky(given.precision)
-                off = torch.linalg.solve_triangular(root.mT, normal[own].T, upper=True)
-                standard[own] = given.mean + off.T
+                distinct, row_of = torch.unique(rows, dim=0, return_inverse=True)
+            standard = torch.empty_like(normal)
+            for part in torch.arange(len(distinct)).split(self._n_rows_at_once):
+                given = self.given(distinct[part])
+                own = ((row_of >= part[0]) & (row_of <= part[-1])).nonzero().flatten()
+                which = row_of[own] - part[0]
+                root = torch.linalg.cholesky(given.precision)[which]
+                off = torch.linalg.solve_triangular(root.mT, normal[own][..., None], upper=True)[..., 0]
+                standard[own] = given.mean[which] + off
         drawn = (self._centre + self._sd * standard).reshape(steps, walkers, n).numpy()
         return {name: drawn[:, :, i] for i, name in enumerate(self.amplitudes)}
 
@@ -223,7 +223,9 @@ class CollapsedPosterior:
         steps = torch.randn(2, n, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         each = torch.cat((torch.zeros(1, n, dtype=torch.float64), steps, steps.sum(0, keepdim=True)))
         with torch.no_grad():
-            none_T, one_T, other_T, both_T = self._predicted(values, self._centre + self._sd * each)
+            none_T, one_T, other_T, both_T = self._predicted(
+                values, self._centre + self._sd * each, torch.Size()
+            )
         misfit_T = (both_T - one_T - other_T + none_T).abs().max()
         return bool(misfit_T <= LINEAR_TO * both_T.abs().max())
 
@@ -242,7 +244,7 @@ class CollapsedPosterior:
     @cached_property
     def _at_start(self) -> tuple[Tensor, Tensor]:
         with torch.no_grad():
-            return self._design(self.coordinates.values(self.coordinates.start()))
+            return self._design(self.coordinates.start())
 
     @cached_property
     def _sums(self) -> _Sums:
@@ -263,6 +265,11 @@ class CollapsedPosterior:
         gram = torch.einsum("...s,sij->...ij", per_variance, self._sums.gram)
         return _unit_plus(gram), per_variance @ self._sums.score - self._about
 
+    def _least_squares(self, design: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+        """The same from whitened design matrices and residuals."""
+        score = (design.mT @ residual[..., None])[..., 0]
+        return _unit_plus(design.mT @ design), score - self._about
+
     def _gain(self, precision: Tensor, score: Tensor) -> Tensor:
         """What the spread of the amplitudes adds to the log density at `_about`."""
         root = torch.linalg.cholesky(precision)
@@ -271,36 +278,45 @@ class CollapsedPosterior:
         gain: Tensor = 0.5 * (off.square().sum(-1) - log_determinant)
         return gain
 
-    def _sigma_T(self, vector: Tensor) -> Float[Tensor, "row sensor"]:
+    def _sigma_T(self, vector: Tensor) -> Float[Tensor, "*row sensor"]:
         values = self.coordinates.values(vector)
         noises = (values[f"{sensor.name}.noise_T"] for sensor in self.full.model.rig.sensors)
         return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
 
-    def _whitened(self, vector: Float[Tensor, " coordinate"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Design matrix and residuals about `_about` in units of the noise, and the logarithm of the noise, by component."""
+    @property
+    def _n_rows_at_once(self) -> int:
+        """Rows whose design matrices are held together."""
+        return max(1, MOST_NUMBERS // (4 * len(self.full.measured_T) * len(self.amplitudes)))
+
+    def _whitened(self, vector: Float[Tensor, "*row coordinate"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Design matrices and residuals about `_about` in units of the noise, and the logarithm of the noise, by component."""
         with torch.no_grad():
-            design_T, residual_T = self._design(self.coordinates.values(vector))
+            design_T, residual_T = self._design(vector)
             sigma_T = self.full.component_sigma_T(self._with_centre(vector))
         residual_T = residual_T - design_T @ self._about
-        return design_T / sigma_T[:, None], residual_T / sigma_T, torch.log(sigma_T)
+        return design_T / sigma_T[..., None], residual_T / sigma_T, torch.log(sigma_T)
 
-    def _design(self, values: Values) -> tuple[Float[Tensor, "component amplitude"], Tensor]:
+    def _design(
+        self, vector: Float[Tensor, "*row coordinate"]
+    ) -> tuple[Float[Tensor, "*row component amplitude"], Float[Tensor, "*row component"]]:
         """Change of the components per prior standard deviation of each amplitude, and the residuals at the centre, in T."""
-        centre_T = self._predicted(values, self._centre[None])[0]
+        values = self.coordinates.values(vector[..., None, :])
+        centre_T = self._predicted(values, self._centre[None], vector.shape[:-1])
         columns, n = [], len(self.amplitudes)
-        n_at_once = max(1, MOST_NUMBERS // (4 * len(centre_T)))
+        n_at_once = max(1, MOST_NUMBERS // (4 * centre_T.numel()))
         for some in torch.arange(n).split(n_at_once):
             each = torch.zeros(len(some), n, dtype=torch.float64)
             each[torch.arange(len(some)), some] = self._sd[some]
-            columns.append(self._predicted(values, self._centre + each) - centre_T)
-        return torch.cat(columns).T.contiguous(), self.full.measured_T - centre_T
+            columns.append(self._predicted(values, self._centre + each, vector.shape[:-1]) - centre_T)
+        return torch.cat(columns, dim=-2).mT.contiguous(), self.full.measured_T - centre_T[..., 0, :]
 
     def _predicted(
-        self, values: Values, amplitudes: Float[Tensor, "row amplitude"]
-    ) -> Float[Tensor, "row component"]:
-        """Measured components as predicted with rows of amplitudes and the same rest."""
+        self, values: Values, amplitudes: Float[Tensor, "set amplitude"], rows: torch.Size
+    ) -> Float[Tensor, "*row set component"]:
+        """Measured components as predicted with sets of amplitudes, for rows of all else; values have an axis for the sets."""
         field_T = self.full.model.predict(self._with(values, amplitudes))
-        return self.full.measured_components(field_T).expand(len(amplitudes), len(self.full.measured_T))
+        predicted_T = self.full.measured_components(field_T)
+        return predicted_T.expand(*rows, len(amplitudes), len(self.full.measured_T))
 
     def _with(self, values: Values, amplitudes: Float[Tensor, "*row amplitude"]) -> dict[str, Tensor]:
         """The same values with other amplitudes, and with what is tied to them."""

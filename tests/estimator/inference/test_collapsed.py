@@ -152,14 +152,14 @@ def test_everything_sampled_by_emcee_has_the_same_posterior() -> None:
     collapsed = CollapsedPosterior(full)
     assert not collapsed._is_only_noise
     estimate = collapsed_estimate(collapsed, observations, 0)
-    settings = SamplerSettings(target_ess=1000.0, max_steps=600)
+    settings = SamplerSettings(target_ess=400.0, max_steps=600)
     short = sample(collapsed, laplace_mixture(estimate.fit, 0), settings)
     rest = reported_parameters(collapsed.coordinates, short.chain)
     drawn = {name: rest[:, :, i] for i, name in enumerate(collapsed.coordinates.names)}
     drawn |= collapsed.drawn(short.chain, 1)
     best = full.coordinates.vector(collapsed.values(estimate.vector))
     fit = levenberg_marquardt(full, best[None])
-    long = sample(full, laplace_mixture(fit, 0), SamplerSettings(target_ess=1000.0, max_steps=3000))
+    long = sample(full, laplace_mixture(fit, 0), SamplerSettings(target_ess=400.0, max_steps=3000))
     assert short.is_converged
     assert long.is_converged
     everything = reported_parameters(full.coordinates, long.chain)
