@@ -298,7 +298,7 @@ def fit_rig(
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known)
-    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance)
+    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance, is_race=True)
     top = int(optimum.log_posterior.argmax())
     best = optimum.rows(slice(top, top + 1))
     if journal is not None:

@@ -16,6 +16,10 @@ SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 NEARLY_UNDAMPED = 1e-2
 APPROACH = 0.9  # of the way to a bound in one step
 MOST_CORRECTIONS = 5
+STALLED_AFTER = (
+    8  # iterations in which a start that still climbs is expected to rise by more than 50 times the tolerance
+)
+STALLED_BELOW = 50.0
 LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and undetermined directions would have no width
 
 
@@ -67,8 +71,11 @@ def levenberg_marquardt(
     start: Float[Tensor, "start coordinate"],
     max_iterations: int = 60,
     tolerance: float = 1e-10,
+    is_race: bool = False,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
+
+    A start that crawls along a curved valley ends before it converges: where a few iterations no longer lift it by what counts.
 
     The noise is a coordinate like the others. Its score and information follow from the whitened residuals; the off-diagonal terms with
     other coordinates are zero in expectation. Whole-numbered counts, the last columns of an integer lattice, stay fixed.
@@ -78,6 +85,7 @@ def levenberg_marquardt(
         start: Coordinates to start from, inside the prior.
         max_iterations: Largest number of iterations.
         tolerance: Stop where a Newton step would increase the log density by less than this.
+        is_race: Whether only the highest maximum counts: a start ends too where at its pace it cannot reach the highest one any more.
     Returns: The maxima with their curvature, start by start.
     References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
     """
@@ -88,10 +96,16 @@ def levenberg_marquardt(
     gradient, information, precision = _gradient_and_precision(posterior, vector)
     is_done = torch.zeros(len(vector), dtype=torch.bool)
     at_bound = torch.zeros_like(is_done)  # the density rises beyond a bound, but no step inside increases it
+    before = [value.clone()]
     iteration = 0
-    for iteration in range(1, max_iterations + 1):  # noqa: B007 - reported
+    for iteration in range(1, max_iterations + 1):
         newton = solve(precision, gradient)
         is_done = is_done | ((gradient * newton).sum(-1) < tolerance) | at_bound | (damping > LARGEST_DAMPING)
+        if len(before) > STALLED_AFTER:
+            rise = value - before.pop(0)
+            is_done |= rise < STALLED_BELOW * tolerance
+            if is_race:
+                is_done |= value + rise * (max_iterations - iteration + 1) / STALLED_AFTER < value.max()
         active = (~is_done).nonzero().flatten()
         if not len(active):
             break
@@ -115,6 +129,7 @@ def levenberg_marquardt(
             gradient[moved], information[moved], precision[moved] = _gradient_and_precision(
                 posterior.at(moved), vector[moved]
             )
+        before.append(value.clone())
         at_bound[active] = (
             is_bounded & is_better & (expected < tolerance) & (damping[active] < NEARLY_UNDAMPED)
         )

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 from torch import Tensor
 
@@ -99,24 +100,27 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     noise = fit.projector.rest(noise)
     noise = noise / noise.norm(dim=0)
     direction = fit.residual / fit.residual.norm()
-    smallest = torch.ones(policy.N_NOISE_DRAWS, dtype=torch.float64)
-    unadjusted: list[list[float]] = []
-    for basis in bases:
-        unadjusted.append([])
-        for columns in basis:
-            if not columns.shape[1]:
-                unadjusted[-1].append(1.0)
-                continue
-            drawn = _p_values((columns.T @ noise).square().sum(0), columns)
-            smallest = torch.minimum(smallest, drawn)
-            unadjusted[-1].append(float(_p_values((columns.T @ direction).square().sum()[None], columns)[0]))
+    n_directions = torch.tensor([[columns.shape[1] for columns in basis] for basis in bases])
+    share = torch.tensor(
+        [[float((columns.T @ direction).square().sum()) for columns in basis] for basis in bases],
+        dtype=torch.float64,
+    )
+    largest: dict[int, Tensor] = {}  # share of pure noise by number of directions
+    for columns in (columns for basis in bases for columns in basis if columns.shape[1]):
+        of_noise = (columns.T @ noise).square().sum(0)
+        largest[columns.shape[1]] = torch.maximum(of_noise, largest.get(columns.shape[1], of_noise))
+    n = len(fit.residual)
+    drawn = [_p_values(of_noise, torch.tensor(k), n) for k, of_noise in largest.items()]
+    smallest = torch.stack(drawn).amin(0)
+    unadjusted = torch.where(n_directions > 0, _p_values(share, n_directions.clamp(min=1), n), 1.0)
     structures = []
-    for covariate, basis, p_values in zip(tested, bases, unadjusted, strict=True):
+    for covariate, basis, shares, p_values in zip(tested, bases, share, unadjusted.tolist(), strict=True):
         adjusted = float(((smallest <= min(p_values)).sum() + 1) / (policy.N_NOISE_DRAWS + 1))
-        share = sum(float((columns.T @ direction).square().sum()) for columns in basis)
         expected = sum(columns.shape[1] for columns in basis) / len(direction)
         structures.append(
-            Structure(covariate, adjusted, share, expected, (p_values[0], p_values[1], p_values[2]))
+            Structure(
+                covariate, adjusted, float(shares.sum()), expected, (p_values[0], p_values[1], p_values[2])
+            )
         )
     return sorted(structures, key=lambda structure: (structure.p_value, min(structure.by_component)))
 
@@ -147,10 +151,12 @@ def _orthonormal(
     return basis
 
 
-def _p_values(share: Float[Tensor, " draw"], columns: Tensor) -> Float[Tensor, " draw"]:
-    """Probability that noise has a larger share of its square along as many directions."""
-    n, k = columns.shape
-    return torch.from_numpy(stats.beta.sf(share.clamp(max=1.0).numpy(), 0.5 * k, 0.5 * (n - k)))
+def _p_values(
+    share: Float[Tensor, "*test"], n_directions: Int[Tensor, "*#test"], n: int
+) -> Float[Tensor, "*test"]:
+    """Probability that noise in n components has a larger share of its square along so many directions."""
+    shape = 0.5 * n_directions.numpy()
+    return torch.from_numpy(np.asarray(stats.beta.sf(share.clamp(max=1.0).numpy(), shape, 0.5 * n - shape)))
 
 
 def _repeats(observations: Observations) -> tuple[float, int] | None:

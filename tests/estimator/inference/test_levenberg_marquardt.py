@@ -8,9 +8,13 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
+from estimator import draw_truth, load_plan, load_rig, simulate
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import MeasurementModel
+from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import Prior
+from scripts.benchmarks.diagnose import CONFIGS, PLAN
 from scripts.paper.solvers import Problem as SolverProblem
 from scripts.paper.tables import TRUTH
 
@@ -267,3 +271,20 @@ def test_rows_and_together_are_inverse(fits):
     for name in ("vector", "log_posterior", "precision", "information", "is_converged"):
         assert torch.equal(getattr(joined, name), getattr(fits, name))
     assert joined.n_iterations == fits.n_iterations
+
+
+def test_a_start_that_cannot_win_any_more_ends_and_the_highest_maximum_stays(tmp_path):
+    """One of four starts is caught 7000 below the others, and crawls on for as long as it may."""
+    rig = load_rig(CONFIGS / "paper_simulation.yaml")
+    (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
+    plan = load_plan(tmp_path / "plan.yaml", rig)
+    observations = simulate(rig, plan, draw_truth(rig, 0), seed=0)
+    coordinates = Coordinates(rig)
+    posterior = LogPosterior(coordinates, MeasurementModel.build(rig, observations), observations)
+    starts = torch.cat((coordinates.start()[None], coordinates.sample_prior(np.random.default_rng(3), 3)))
+    everything = levenberg_marquardt(posterior, starts, tolerance=1e-4)
+    race = levenberg_marquardt(posterior, starts, tolerance=1e-4, is_race=True)
+    assert everything.log_posterior.max() - everything.log_posterior.min() > 1000.0
+    assert race.log_posterior.max() == everything.log_posterior.max()
+    assert race.is_converged[race.log_posterior.argmax()]
+    assert race.n_iterations < 0.5 * everything.n_iterations
