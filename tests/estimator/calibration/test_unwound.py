@@ -91,8 +91,16 @@ def calibration(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Calibrati
     return Calibration.load(out)
 
 
-def test_places_held_out_are_predicted_to_a_part_in_a_thousand_and_intervals_hold(rig: Rig) -> None:
-    held, errors = [], []
+def test_places_held_out_are_predicted_to_a_part_in_a_thousand(calibration: Calibration) -> None:
+    places_m = 0.9 * in_ball(60, 99)
+    true_T = torch.from_numpy(hidden_T(places_m))
+    error_T = calibration.field(torch.from_numpy(places_m), {"c1": 1.0}) - true_T
+    assert float(error_T.norm() / true_T.norm()) < 1e-3
+
+
+@pytest.mark.slow
+def test_intervals_at_places_held_out_hold_their_share(rig: Rig) -> None:
+    held = []
     places_m = 0.9 * in_ball(60, 99)
     true_T = torch.from_numpy(hidden_T(places_m))
     points_m = torch.from_numpy(places_m)
@@ -102,9 +110,7 @@ def test_places_held_out_are_predicted_to_a_part_in_a_thousand_and_intervals_hol
         assert one.summary()["is_converged"]
         lower, upper = one.field_interval(points_m, {"c1": 1.0})
         held.append(((lower <= true_T) & (true_T <= upper)).double().mean())
-        errors.append(float((one.field(points_m, {"c1": 1.0}) - true_T).norm() / true_T.norm()))
         assert one.summary()["next_degree_log_evidence"] < CLEAR_LOG_EVIDENCE
-    assert max(errors) < 1e-3
     assert 0.85 < float(torch.stack(held).mean()) < 0.95
 
 
