@@ -244,7 +244,7 @@ def test_calls_that_are_awaited_go_on_together(
 def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each answer ends inside an event, which is told once, when it comes whole."""
     monkeypatch.setattr(following, "LOOK_EVERY_S", 0.0)
-    streams = [b"id: 1\ndata: 1\n\nid: 2\ndata: 2", b"id: 2\ndata: 2\n\nevent: end\n\n"]
+    streams = [b"id: 1\ndata: 1\n\nid: 2\nevent: end\n", b"id: 2\ndata: 2\n\nevent: end\n\n"]
     asked: list[str] = []
 
     def answer(request: httpx.Request) -> httpx.Response:
