@@ -102,18 +102,7 @@ def design_job(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
 
     tell("choosing the next readings", {})
     proposal = design(load_session(session_path), rig=rig_of(job), **job["options"])
-    content = {
-        "goal": proposal.goal,
-        "unit": proposal.unit,
-        "programmes": [
-            {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
-            for programme in proposal.actions
-        ],
-        "so_far": proposal.so_far,
-        "reached": list(proposal.reached),
-        "plan": proposal.plan,
-    }
-    write_text(folder / DESIGN, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(folder / DESIGN, json.dumps(proposal.to_json(), indent=2, allow_nan=False) + "\n")
     return {"goal": proposal.goal}
 
 

@@ -22,28 +22,23 @@ from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
+    LONG,
+    STEPS,
     Served,
     append,
     begin_session,
+    files_of,
     import_csv,
-    lines_of,
+    numbered,
+    steps_of,
     upload_rig,
     wait_for,
 )
-from tests.estimator.service.test_kill import LONG, STEPS, files_of, steps_of
 
 
 def serving(data: Path) -> Any:
     """A service on a folder, as it starts after a restore."""
     return TestClient(create_app(Settings(data=data), has_workers=False), base_url="http://127.0.0.1:8765")
-
-
-def numbered(session: Session, rig: Rig, n: int) -> list[bytes]:
-    known = lines_of(session, rig).splitlines()
-    return [
-        json.dumps({**json.loads(known[i % len(known)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
-        for i in range(n)
-    ]
 
 
 def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowledged(
