@@ -164,6 +164,7 @@ class Dispatcher:
             "options": options,
             "rig": None if job.rig_id is None else self._rig_text(job.rig_id),
             "sessions": [str(self._session_path(session_id).absolute()) for session_id in sessions],
+            "has_alerts": bool(self._settings.alert_command),
             "registry": None if registry is None else str(self._registry_path(registry).absolute()),
         }
 

@@ -120,6 +120,9 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     assert (linked / "zarr.json").is_file()
     assert not (tmp_path / "restored" / "jobs" / "j" / "outside").is_symlink()
     assert not (tmp_path / "restored" / "sessions" / "a.zarr.begun").exists()
+    assert (data / "page.key").is_file()
+    assert not (tmp_path / "restored" / "page.key").exists()
+    assert (data / "page.key").read_bytes() not in (tmp_path / "b.tar").read_bytes()
     for path in (tmp_path / "restored").rglob("*"):
         if path.is_file() and path.suffix != ".sqlite":
             assert path.read_bytes() == (data / path.relative_to(tmp_path / "restored")).read_bytes()

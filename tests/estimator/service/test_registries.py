@@ -186,6 +186,7 @@ def test_two_recalibrations_of_one_rig_take_turns(
 
     monkeypatch.setattr(tasks, "LOOK_EVERY_S", 0.01)
     job = {"options": {"seed": 0, "settings": QUICK}, "registry": str(registry.folder), "rig": None}
+    job |= {"has_alerts": False}
     with registry.writing(), pytest.raises(Enough):
         tasks.recalibrate_job(job, tmp_path, session, tell)
     assert told[1:] == ["waiting for another recalibration of this rig"] * 2
