@@ -8,6 +8,7 @@ import tarfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -130,6 +131,31 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     assert kept == {
         p.relative_to(tmp_path / "restored") for p in (tmp_path / "restored" / "sessions").rglob("*.json")
     }
+
+
+def test_a_job_of_a_restored_folder_works_in_that_folder(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    """It had begun before the backup, so its folder tells the paths of the old one."""
+    client = idle()
+    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    client.post("/v1/jobs/recalibrate", json={"session_id": session["id"]})
+    client.app.state.core.jobs._look(Idle())
+    backup(tmp_path / "data", tmp_path / "b.tar")
+    restore(tmp_path / "b.tar", tmp_path / "restored")
+    with serving(tmp_path / "restored") as other:
+        other.app.state.core.queue.take_back()
+        other.app.state.core.jobs._look(Idle())
+        (job,) = (tmp_path / "restored" / "jobs").glob("*/job.json")
+    assert str(tmp_path / "restored" / "registries") in job.read_text(encoding="utf-8")
+    assert f"{tmp_path / 'data'}/" not in job.read_text(encoding="utf-8")
+
+
+class Idle:
+    """Stands for workers that begin nothing."""
+
+    def start(self, call: Any, on_end: Callable[[], None]) -> Any:
+        return SimpleNamespace(status="pending")
 
 
 def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
