@@ -114,8 +114,9 @@ bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over worke
 fuzz-service: $(INSTALLED)   # five minutes of requests made from the schema, all checks of schemathesis, the same ones each time
 	$(RUN) scripts.studies.fuzz_service --seconds 300 --seed 7
 
-service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 clients stream; ten minutes
+service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 clients stream, its workers at 20 while jobs run; twenty minutes
 	$(RUN) scripts.studies.service_storm --kills 30 --clients 100 --seed 1
+	$(RUN) scripts.studies.service_job_storm --kills 20 --seed 1
 
 bench-service: $(INSTALLED)  # appended batches and predictions over HTTP, by clients and beside the same in process
 	$(RUN) scripts.benchmarks.service

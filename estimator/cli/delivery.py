@@ -182,7 +182,7 @@ class Delivery:
         if self._receipt.session_id is None:
             source = str(follower.header["source"])[:LONGEST_SOURCE]
             self._note(session_id=self._client.begin(rig, source, key=self._receipt.key).id)
-        connection = _Connection(RemoteSession(self._client, str(self._receipt.session_id)), follower, rig)
+        connection = _Connection(self._client.session(str(self._receipt.session_id)), follower, rig)
         known = connection.remote.info()
         readings = connection.new_readings(0)
         if known["n_readings"] > len(readings):

@@ -97,17 +97,7 @@ def design_command(
     )
     if out is not None:
         write_text(out, proposal.plan)
-    result = {
-        "goal": proposal.goal,
-        "unit": proposal.unit,
-        "programmes": [
-            {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
-            for programme in proposal.actions
-        ],
-        "so_far": proposal.so_far,
-        "reached": list(proposal.reached),
-        "plan": None if out is None else str(out),
-    }
+    result = {**proposal.to_json(), "plan": None if out is None else str(out)}
     show(result, _text(proposal, out), as_json)
 
 

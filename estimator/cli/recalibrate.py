@@ -93,7 +93,7 @@ def recalibrate_command(
     calibration did not converge.
     """
     from estimator.inference.ensemble import SamplerSettings
-    from estimator.recalibration.alerts import senders
+    from estimator.recalibration.alerts import calls_for_action, senders
     from estimator.recalibration.recalibrate import recalibrate, roll_back
     from estimator.rig_files.read import load_rig
 
@@ -114,7 +114,7 @@ def recalibrate_command(
         """Print an entry of the log, and alert of it if somebody has to act."""
         if not as_json:
             click.echo(f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}")
-        if _exit_code(entry):
+        if calls_for_action(entry):
             _alert({"registry": str(registry), **asdict(entry)}, alert_senders)
 
     reported: set[tuple[Path, str]] = set()

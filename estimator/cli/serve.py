@@ -70,12 +70,8 @@ def serve_group(
     """
     if ctx.invoked_subcommand is not None:
         return
-    with _with_extra():
+    with _settings(config, data=data, host=host, port=port, workers=workers, scheduler=scheduler) as settings:
         from estimator.service.serve import plan_of, serve
-        from estimator.service.settings import load_settings
-    settings = load_settings(config).with_options(
-        data=data, host=host, port=port, workers=workers, scheduler=scheduler
-    )
     if check:
         plan = plan_of(settings)
         show(plan, _plan_text(plan), as_json)
@@ -94,10 +90,10 @@ def backup_command(file: Path, config: Path | None, data: Path | None, as_json: 
 
     Readings that were acknowledged before the start are in it. Jobs that run go on from there when the copy is served.
     """
-    with _with_extra():
+    with _settings(config, data=data) as settings:
         from estimator.service.backup import backup
-        from estimator.service.settings import load_settings
-    result = backup(load_settings(config).with_options(data=data).data, file)
+
+        result = backup(settings.data, file)
     show(result, f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB, copied to {file}", as_json)
 
 
@@ -108,10 +104,10 @@ def backup_command(file: Path, config: Path | None, data: Path | None, as_json: 
 @json_option
 def restore_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
     """Make the data folder of a service from FILE; nothing may be there yet."""
-    with _with_extra():
+    with _settings(config, data=data) as settings:
         from estimator.service.backup import restore
-        from estimator.service.settings import load_settings
-    result = restore(file, load_settings(config).with_options(data=data).data)
+
+        result = restore(file, settings.data)
     show(result, f"{result['files']} files of {result['created']} restored to {result['data']}", as_json)
 
 
@@ -179,11 +175,9 @@ def revoke_command(token_id: str, config: Path | None, data: Path | None, as_jso
 
 @contextmanager
 def _database(config: Path | None, data: Path | None) -> Iterator[Database]:
-    with _with_extra():
+    with _settings(config, data=data) as settings:
         from estimator.service.core import DATABASE
         from estimator.service.database import Database
-        from estimator.service.settings import load_settings
-    settings: Settings = load_settings(config).with_options(data=data)
     settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
     database = Database(settings.data / DATABASE)
     try:
@@ -194,10 +188,12 @@ def _database(config: Path | None, data: Path | None) -> Iterator[Database]:
 
 
 @contextmanager
-def _with_extra() -> Iterator[None]:
-    """Say which extra is missing where an import fails."""
+def _settings(config: Path | None, **options: Any) -> Iterator[Settings]:
+    """Settings of the file and of the options that were given. An import inside that fails says which extra is missing."""
     try:
-        yield
+        from estimator.service.settings import load_settings
+
+        yield load_settings(config).with_options(**options)
     except ModuleNotFoundError as error:
         raise InvalidInput(
             f"coilcal serve needs {error.name}: install coilcal with its extra, pip install 'coilcal[service]'"

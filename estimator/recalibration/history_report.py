@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta
 from pathlib import Path
 
 from estimator.recalibration.conclusion import IS_CONVERGED
 from estimator.recalibration.registry import ROLLED_BACK, Entry, Registry
+from estimator.recalibration.timeline import judged, summary_of, versions_in_use
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.reporting.plots.history import SessionSummary, VersionInUse, history
+from estimator.reporting.plots.history import history
 
-MARGIN_SHARE = 0.05  # of the whole time, by which the last version extends beyond the last readings
 MOST_ROWS = 200
 COUNTED = ("unchanged", "updated", "drifted", "rejected")
 
@@ -70,49 +69,15 @@ def _still_holds(drift: Entry, current: int | None, entries: Sequence[Entry]) ->
 
 
 def _picture(registry: Registry, entries: Sequence[Entry], name: str) -> Picture:
-    sessions = [entry for entry in entries if entry.hash]
-    summaries = [_summary(entry) for entry in sessions]
+    sessions = judged(entries)
+    summaries = [summary_of(entry) for entry in sessions]
     title = f"{name}, {_date(sessions[0].taken)} to {_date(sessions[-1].taken)}"
     caption = (
         "Points are the estimates of each session by itself, coloured by its conclusion; the blue band is the version in use. A point off "
         "the band is a change; the band steps where a new version took over."
     )
-    figure = history(summaries, _in_use(registry, entries), title)
+    figure = history(summaries, versions_in_use(registry, entries), title)
     return Picture("Parameters over time", caption, figure)
-
-
-def _summary(entry: Entry) -> SessionSummary:
-    """A session in the plot of the history; a rejected one has no estimate."""
-    estimate = {} if entry.conclusion == "rejected" else entry.estimate
-    label = " and ".join(cause["name"].replace("_", " ") for cause in entry.causes)
-    return SessionSummary(_time(entry.taken), entry.conclusion, label, estimate)
-
-
-def _in_use(registry: Registry, entries: Sequence[Entry]) -> list[VersionInUse]:
-    """The periods of the versions in use, by the time of the readings after which they became current."""
-    table = registry.history()
-    table = table.sel(parameter=~table.is_derived)
-    begins: list[tuple[datetime, int]] = []
-    latest = _time(entries[0].taken)
-    for entry in entries:
-        latest = max(latest, _time(entry.taken)) if entry.taken else latest
-        if entry.version is not None and (not begins or begins[-1][1] != entry.version):
-            begins.append((latest, entry.version))
-    margin = max((latest - begins[0][0]) * MARGIN_SHARE, timedelta(hours=1))
-    ends = [begin for begin, _ in begins[1:]] + [latest + margin]
-    return [
-        VersionInUse(
-            begin,
-            end,
-            version,
-            {
-                str(cell.parameter.item()): (float(cell.lower90), float(cell["median"]), float(cell.upper90))
-                for cell in (table.sel(version=version, parameter=p) for p in table.parameter)
-                if bool(cell["median"].notnull())
-            },
-        )
-        for (begin, version), end in zip(begins, ends, strict=True)
-    ]
 
 
 def _table(entries: Sequence[Entry]) -> Table:
@@ -140,10 +105,6 @@ def _count(entries: Sequence[Entry]) -> str:
 
 def _sentence(entry: Entry) -> str:
     return entry.reason[:1].upper() + entry.reason[1:] + "."
-
-
-def _time(text: str) -> datetime:
-    return datetime.fromisoformat(text)
 
 
 def _date(text: str) -> str:

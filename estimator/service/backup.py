@@ -3,6 +3,7 @@
 The database is copied first, as it is at one instant; what its rows name was on disk before they were written. Then come the folders. A
 file that marks others as complete is copied before them: where it is there, they are whole, and where it is not, the folder is one that a
 kill would have left, with which a service goes on. Journals only grow, so readings that were acknowledged before the start are in the copy.
+The key that signs logins is not copied: whoever reads a backup could forge logins with it, and without it users log in once more.
 """
 
 from __future__ import annotations

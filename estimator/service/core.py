@@ -16,7 +16,8 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
-from estimator.service import schedules, webhooks
+from estimator.service import alerts, schedules, webhooks
+from estimator.service.alerts import ALERTS, Alerts
 from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.dispatcher import Dispatcher
@@ -67,8 +68,10 @@ class Core:
         self.courier = Courier(self.database, settings)
         self.watching = Watching(self.sessions.path, settings.most_watched)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
+        self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
         self._tickers = (
             Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
+            Ticker("alerts", alerts.LOOK_EVERY_S, self.alerts.tick),
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
         self.n_streams = 0

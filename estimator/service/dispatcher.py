@@ -142,10 +142,9 @@ class Dispatcher:
         folder = self.folder(job.id)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if not (folder / JOB).exists():
-                told = self._assignment(job)
-                write_text(folder / JOB, json.dumps(told, indent=2) + "\n")
-                sync(folder)
+            # Written at each start: its paths are others where a backup was restored elsewhere.
+            write_text(folder / JOB, json.dumps(self._assignment(job), indent=2) + "\n")
+            sync(folder)
         except (CoilcalError, OSError) as error:
             self._queue.end(job.id, {"state": FAILED, "fault": f"job must have a folder; it cannot: {error}"})
             return
@@ -164,6 +163,7 @@ class Dispatcher:
             "options": options,
             "rig": None if job.rig_id is None else self._rig_text(job.rig_id),
             "sessions": [str(self._session_path(session_id).absolute()) for session_id in sessions],
+            "has_alerts": bool(self._settings.alert_command),
             "registry": None if registry is None else str(self._registry_path(registry).absolute()),
         }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import math
 import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ class Settings:
         allowed_hosts: Names under which the service is reached, beside its address; a request for another one is refused.
         proxies: Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed; with one, tokens are needed.
         webhook_networks: Networks that are not public and that webhooks may reach all the same.
+        alert_command: Command that hears of each drift, rejection or calibration that did not converge; JSON on its standard input.
         tls_certificate: PEM file of a certificate; with `tls_key` the service speaks HTTPS.
         tls_key: PEM file of its key.
         most_queued: Jobs that may wait, of all users together.
@@ -60,6 +62,7 @@ class Settings:
     allowed_hosts: tuple[str, ...] = ()
     proxies: tuple[str, ...] = ()
     webhook_networks: tuple[str, ...] = ()
+    alert_command: str = ""
     tls_certificate: str = ""
     tls_key: str = ""
     most_queued: int = 200
@@ -158,6 +161,14 @@ def checked(settings: Settings) -> Settings:
                 raise InvalidInput(
                     f"{key} must be addresses or networks; received {network[:80]!r}"
                 ) from None
+    try:
+        words = shlex.split(settings.alert_command)
+    except ValueError as error:
+        raise InvalidInput(
+            f"alert_command must be a command: {error}; received {settings.alert_command!r}"
+        ) from None
+    if settings.alert_command and not words:
+        raise InvalidInput(f"alert_command must be a command; received {settings.alert_command!r}")
     if bool(settings.tls_certificate) != bool(settings.tls_key):
         raise InvalidInput("tls_certificate and tls_key must be given together; received one of them")
     return settings

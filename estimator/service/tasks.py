@@ -12,7 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from estimator.recalibration.registry import Entry
 from estimator.rig.rig import Rig
+from estimator.service.alerts import ALERTS, leave_alert
 from estimator.store.files import write_text
 
 CALIBRATION, REPORT = "calibration", "report.html"
@@ -26,6 +28,7 @@ Tell = Callable[[str, Mapping[str, Any]], None]
 def recalibrate_job(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
     """Judge a session against the current version of its rig's registry; a version that is made is the job's calibration too."""
     from estimator.inference.ensemble import SamplerSettings
+    from estimator.recalibration.alerts import calls_for_action
     from estimator.recalibration.recalibrate import HISTORY, recalibrate
     from estimator.recalibration.registry import Registry, RegistryBusy
     from estimator.store.session import load_session
@@ -37,6 +40,11 @@ def recalibrate_job(job: Mapping[str, Any], folder: Path, session_path: Path, te
     arrived = inbox / session_path.name
     if not arrived.is_symlink():
         arrived.symlink_to(session_path)
+
+    def alert(entry: Entry) -> None:
+        if job["has_alerts"] and calls_for_action(entry):
+            leave_alert(folder.parent.parent / ALERTS, rig.name, entry)
+
     tell("judging the session", {})
     while True:
         try:
@@ -46,6 +54,7 @@ def recalibrate_job(job: Mapping[str, Any], folder: Path, session_path: Path, te
                 registry.folder,
                 seed=options["seed"],
                 settings=SamplerSettings(**options["settings"]),
+                on_entry=alert,
             )
             break
         except RegistryBusy:
@@ -102,18 +111,7 @@ def design_job(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
 
     tell("choosing the next readings", {})
     proposal = design(load_session(session_path), rig=rig_of(job), **job["options"])
-    content = {
-        "goal": proposal.goal,
-        "unit": proposal.unit,
-        "programmes": [
-            {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
-            for programme in proposal.actions
-        ],
-        "so_far": proposal.so_far,
-        "reached": list(proposal.reached),
-        "plan": proposal.plan,
-    }
-    write_text(folder / DESIGN, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(folder / DESIGN, json.dumps(proposal.to_json(), indent=2, allow_nan=False) + "\n")
     return {"goal": proposal.goal}
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from estimator.errors import CoilcalError
 from estimator.live.places import Place, places
 from estimator.live.stream import Interval, Stream
+from estimator.service.devices import Device, updated
 from estimator.service.problems import Problem
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
@@ -52,6 +53,7 @@ class News:
         is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
         places: Where readings were taken, and what the estimate left of them when it was last computed.
         history: How the intervals shrank.
+        devices: What each instrument showed last.
         fault: Why no estimate can follow.
         has_ended: Whether nothing follows.
     """
@@ -63,6 +65,7 @@ class News:
     is_redrawn: bool
     places: list[Place]
     history: list[Widths]
+    devices: list[Device]
     fault: str | None
     has_ended: bool
 
@@ -83,6 +86,7 @@ class Watched:
         self._entries: list[Entry] = []
         self._places: list[Place] = []
         self._history: list[Widths] = []
+        self._devices: list[Device] = []
         self._intervals: dict[str, Interval] = {}
         self._n_readings, self._n_drawn, self._drawing = 0, 0, 0
         self._fault: str | None = None
@@ -139,6 +143,7 @@ class Watched:
                 is_redrawn=is_redrawn,
                 places=[one for one in self._places if one.number > after],
                 history=[one for one in self._history if is_redrawn or one.n_readings > n_history],
+                devices=list(self._devices),
                 fault=self._fault,
                 has_ended=self._has_ended,
             )
@@ -184,8 +189,10 @@ class Watched:
         estimate = self._stream.update(observations_of(entries, self._rig))
         new = self._drawn(entries, len(self._entries))
         widths = Widths(estimate.n_readings, {name: one.sd for name, one in estimate.intervals.items()})
+        devices = updated(self._devices, entries, self._rig)
         with self._lock:
             self._entries += entries
+            self._devices = devices
             self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
             self._places = [*self._places, *new][-MOST_PLACES:]
             last = self._history[-1].n_readings if self._history else 0

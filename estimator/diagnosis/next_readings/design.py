@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -49,6 +50,21 @@ class Design:
     so_far: float
     reached: tuple[float, ...]
     plan: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the readings, as JSON; `plan` is the text of the plan."""
+        programmes = [
+            {"action": programme.action.words, "expected_log_evidence": programme.expected_log_evidence}
+            for programme in self.actions
+        ]
+        return {
+            "goal": self.goal,
+            "unit": self.unit,
+            "programmes": programmes,
+            "so_far": self.so_far,
+            "reached": list(self.reached),
+            "plan": self.plan,
+        }
 
 
 def design(

@@ -2,9 +2,11 @@
 
 import { html, render } from "./vendor/lit-html.js";
 import { ask, get, login, Problem } from "./api.js";
+import { HistoryView } from "./history.js";
 import { JobView } from "./job.js";
 import { JobsView } from "./jobs.js";
 import { LiveView } from "./live.js";
+import { NewJobView } from "./newjob.js";
 import { RigsView } from "./rigs.js";
 import { SessionsView } from "./sessions.js";
 import { WhatIfView } from "./whatif.js";
@@ -14,7 +16,7 @@ const TABS = [
   ["sessions", "Sessions", SessionsView],
   ["jobs", "Jobs", JobsView],
 ];
-const OF_ONE = { jobs: JobView, live: LiveView, "what-if": WhatIfView };
+const OF_ONE = { history: HistoryView, jobs: JobView, live: LiveView, new: NewJobView, "what-if": WhatIfView };
 
 let state = null;
 let view = null;
@@ -89,14 +91,14 @@ const parts = () => location.hash.replace(/^#\//, "").split("/");
 
 async function go() {
   view?.close?.();
-  const [tab, id] = parts();
+  const [tab, id, more] = parts();
   const Kind = id ? OF_ONE[tab] : TABS.find(([key]) => key === tab)?.[2];
   if (!Kind) {
     location.hash = "#/rigs";
     return;
   }
   fault = null;
-  const mine = new Kind(update, id);
+  const mine = new Kind(update, id, more);
   view = mine;
   document.title = `coilcal: ${mine.title}`;
   update();

@@ -3,6 +3,7 @@
 import { html } from "./vendor/lit-html.js";
 import { get } from "./api.js";
 import { Diagnosis } from "./diagnosis.js";
+import { conclusion, fits, proposal } from "./found.js";
 import { cancelButton } from "./jobs.js";
 import { intervalTable } from "./rigs.js";
 import { jobName, short, when } from "./words.js";
@@ -49,6 +50,9 @@ export class JobView {
       const panels = await get(`/v1/jobs/${this.id}/panels`);
       this.diagnosis = new Diagnosis(this.update, this.job, this.result, panels);
     }
+    if (this.job.kind === "recalibrate") {
+      this.rigId = this.job.rig_id ?? (await get(`/v1/sessions/${this.job.session_id}`)).rig_id;
+    }
     this.update();
   }
 
@@ -77,13 +81,14 @@ export class JobView {
 
   found() {
     const { result } = this.result;
+    const report = html`<p><a class="button" href="/v1/jobs/${this.id}/report" target="_blank" rel="noopener">Report</a></p>`;
+    if (this.job.kind === "design") return proposal(result);
+    if (this.job.kind === "recalibrate") return html`${conclusion(result, this.rigId)} ${report}`;
+    if (this.job.kind === "batch") return html`${fits(result)} ${report}`;
     return html`<section class="card">
-      <h2>${result.quality?.verdict ?? "Result"}</h2>
+      <h2>${result.quality.verdict}</h2>
       ${result.is_converged === false ? html`<p class="warn">The chain has not converged.</p>` : null}
-      ${result.parameters ? intervalTable(result) : html`<pre class="scroll" tabindex="0">${JSON.stringify(result, null, 2)}</pre>`}
-      ${this.job.kind === "design"
-        ? null
-        : html`<p><a class="button" href="/v1/jobs/${this.id}/report" target="_blank" rel="noopener">Report</a></p>`}
+      ${intervalTable(result)} ${report}
     </section>`;
   }
 }

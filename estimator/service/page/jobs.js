@@ -37,6 +37,9 @@ export class JobsView {
   template() {
     if (this.jobs === null) return html`<h1>Jobs</h1><p class="waiting">Loading</p>`;
     return html`<h1>Jobs</h1>
+      <nav class="actions new" aria-label="New job">New
+        ${["recalibrate", "batch", "design"].map((kind) => html`<a class="button" href="#/new/${kind}">${jobName(kind)}</a>`)}
+      </nav>
       ${this.jobs.length === 0 ? html`<p>Nothing has been asked for yet.</p>` : null}
       <ul class="list">
         ${this.jobs.map(

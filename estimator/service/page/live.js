@@ -5,7 +5,7 @@ import { get } from "./api.js";
 import { lines } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
-import { breakable, rounded, short, shownIn } from "./words.js";
+import { breakable, minus, rounded, short, shownIn, size } from "./words.js";
 
 const STRONG_SIGMA = 3;
 const MOST_LINES = 6;
@@ -70,7 +70,22 @@ export class LiveView {
       </dl>
       <div role="status" class="alarms">${state.alarms.map((words) => html`<p class="warn card">${words}</p>`)}</div>
       ${this.places.length ? html`<div class="figures two even">${this.map()} ${this.widths()}</div>` : null}
-      ${this.places.length ? html`<div class="figures two even">${this.residuals()} ${this.table(state)}</div>` : null}`;
+      ${this.places.length ? html`<div class="figures two even">${this.residuals()} ${this.table(state)}</div>` : null}
+      ${state.devices.length ? this.devices(state.devices) : null}`;
+  }
+
+  devices(devices) {
+    return html`<div class="card scroll" tabindex="0" role="region" aria-label="Devices">
+      <h3>Devices</h3>
+      <p class="muted">As the readings tell of them.</p>
+      <table>
+        <thead><tr><th>device</th><th class="num">last shown</th><th class="num">readings</th><th>state</th></tr></thead>
+        <tbody>
+          ${devices.map((one) => html`<tr><th scope="row">${DEVICES[one.kind]} ${breakable(one.name)}</th><td class="num">${shown(one)}</td>
+            <td class="num">${one.n_readings}</td><td>${deviceState(one)}</td></tr>`)}
+        </tbody>
+      </table>
+    </div>`;
   }
 
   map() {
@@ -136,6 +151,18 @@ export class LiveView {
 }
 
 const shortName = (name) => name.split(".").at(-1).replace(/_(m|rad|T|A)$/, "").replaceAll("_", " ");
+
+const DEVICES = { sensor: "sensor", supply: "supply of", thermometer: "thermometer of" };
+
+// What a device showed last, with the current that was asked for.
+function shown({ values, unit, commanded_A: commanded }) {
+  const digits = { T: (v) => size(v, "T", 4), A: (v) => `${minus(v.toPrecision(5))} A`, "°C": (v) => `${minus(v.toFixed(1))} °C` }[unit];
+  const told = values.map((v) => (v === null ? "out of range" : digits(v))).join(", ");
+  return commanded === null ? told : `${told} of ${minus(String(commanded))} A`;
+}
+
+const deviceState = ({ n_silent: n }) =>
+  n === 0 ? "in the last reading" : html`<strong class="warn">silent for ${n} ${n === 1 ? "reading" : "readings"}</strong>`;
 
 const tile = (name, value, more) =>
   html`<div class="tile"><dt>${name}</dt><dd>${value}</dd>${more ? html`<dd class="muted">${more}</dd>` : null}</div>`;

@@ -66,6 +66,7 @@ function rigCard(rig) {
       ? html`<p>
           Calibrated <strong>${age(newest.created)}</strong> (${when(newest.created)}),
           <a href="#/jobs/${newest.job_id}">job ${short(newest.job_id)}</a>
+          · <a href="#/history/${rig.versions[0].id}">over time</a>
           ${rig.known && !rig.known.is_converged ? html`<strong class="warn">The chain has not converged.</strong>` : null}
         </p>`
       : html`<p class="muted">Not calibrated yet.</p>`}

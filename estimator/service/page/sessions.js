@@ -52,6 +52,8 @@ export class SessionsView {
               <button aria-label="Close ${label}" @click=${() => this.close_(session)}>Close</button>`
           : html`<button class="main" aria-label="Diagnose ${label}" @click=${() => this.begin("diagnose", session)}>Diagnose</button>
               <button aria-label="Calibrate ${label}" @click=${() => this.begin("calibrate", session)}>Calibrate</button>
+              <a class="button" href="#/new/recalibrate/${session.id}" aria-label="Recalibrate with ${label}">Recalibrate</a>
+              <a class="button" href="#/new/design/${session.id}" aria-label="Next readings after ${label}">Next readings</a>
               <a class="button" href="#/what-if/${session.id}" aria-label="What if, for ${label}">What if</a>
               <a class="button" href="/v1/sessions/${session.id}/readings.csv" download aria-label="Readings of ${label} as CSV">CSV</a>`}
       </div>

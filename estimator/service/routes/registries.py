@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
 
@@ -74,6 +74,35 @@ class NewRollback(BaseModel):
     version: Annotated[int, Field(ge=1, le=10**6)]
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What a list of a registry is asked for: of which rig, and which of its pages."""
+
+    core: CoreOf
+    rig_id: Id
+    limit: Limit = 50
+    cursor: Cursor = None
+
+    @property
+    def registry(self) -> Registry:
+        """The registry."""
+        return registry_of(self.core, self.rig_id)[1]
+
+    def page(self, rows: Sequence[tuple[int, Row]], shape: Callable[[tuple[int, Row]], Item]) -> Page[Item]:
+        """A page of numbered rows, the highest number first; the cursor is the last number of the page before."""
+        cursor = self.cursor
+        if cursor is not None and not (cursor.isascii() and cursor.isdecimal() and len(cursor) < 10):
+            raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query")
+        left = [
+            row for row in sorted(rows, key=lambda row: -row[0]) if cursor is None or row[0] < int(cursor)
+        ]
+        following = str(left[self.limit - 1][0]) if len(left) > self.limit else None
+        return Page(items=[shape(row) for row in left[: self.limit]], next=following)
+
+
+AskedOf = Annotated[Asked, Depends()]
+
+
 def registry_of(core: Core, rig_id: str) -> tuple[str, Registry]:
     """Name of a rig that must be there, and its registry, which may be empty."""
     name = rig_row_of(core, rig_id).name
@@ -96,28 +125,15 @@ def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # n
 
 
 @router.get("/entries")
-def list_entries(
-    core: CoreOf,
-    caller: Reader,  # noqa: ARG001
-    rig_id: Id,
-    limit: Limit = 50,
-    cursor: Cursor = None,
-) -> Page[EntryInfo]:
+def list_entries(caller: Reader, asked: AskedOf) -> Page[EntryInfo]:  # noqa: ARG001
     """Conclusions and rollbacks, newest first."""
-    entries = registry_of(core, rig_id)[1].entries()
-    return _page(list(enumerate(entries, start=1)), limit, cursor, lambda row: _entry_info(*row))
+    return asked.page(list(enumerate(asked.registry.entries(), start=1)), lambda row: _entry_info(*row))
 
 
 @router.get("/versions")
-def list_versions(
-    core: CoreOf,
-    caller: Reader,  # noqa: ARG001
-    rig_id: Id,
-    limit: Limit = 50,
-    cursor: Cursor = None,
-) -> Page[VersionInfo]:
+def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa: ARG001
     """Versions with their parameters, newest first."""
-    registry = registry_of(core, rig_id)[1]
+    registry = asked.registry
     made = [(entry.made, entry) for entry in registry.entries() if entry.made is not None]
     current = registry.current
 
@@ -127,7 +143,7 @@ def list_versions(
         return VersionInfo(
             version=version,
             is_current=version == current,
-            calibration_id=_calibration_id(core, entry),
+            calibration_id=_calibration_id(asked.core, entry),
             session_id=_session_id(entry),
             conclusion=entry.conclusion,
             taken=entry.taken,
@@ -135,7 +151,7 @@ def list_versions(
             parameters={name: Interval.model_validate(numbers) for name, numbers in parameters.items()},
         )
 
-    return _page(made, limit, cursor, info)
+    return asked.page(made, info)
 
 
 @router.post("/roll-back")
@@ -173,14 +189,3 @@ def _calibration_id(core: Core, entry: Entry) -> str | None:
     )
     with core.database.reading() as db:
         return db.scalars(rows.order_by(Job.number)).first()
-
-
-def _page(
-    rows: Sequence[tuple[int, Row]], limit: int, cursor: str | None, shape: Callable[[tuple[int, Row]], Item]
-) -> Page[Item]:
-    """A page of numbered rows, the highest number first; the cursor is the last number of the page before."""
-    if cursor is not None and not (cursor.isascii() and cursor.isdecimal() and len(cursor) < 10):
-        raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query")
-    left = [row for row in sorted(rows, key=lambda row: -row[0]) if cursor is None or row[0] < int(cursor)]
-    following = str(left[limit - 1][0]) if len(left) > limit else None
-    return Page(items=[shape(row) for row in left[:limit]], next=following)

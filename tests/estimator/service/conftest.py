@@ -19,6 +19,7 @@ from starlette.testclient import TestClient
 from estimator.rig.rig import Rig
 from estimator.service.app import create_app
 from estimator.service.settings import Settings
+from estimator.service.tokens import Scope, create_token
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session
 
@@ -26,6 +27,8 @@ ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 QUICK = {"n_walkers": 16, "target_ess": 200.0, "largest_rhat": 1.05}
 PATIENCE_S = 240
+STEPS = 400
+LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}  # a chain that a kill meets at work
 
 
 class Served:
@@ -146,6 +149,15 @@ def lines_of(session: Session, rig: Rig, first: int = 0, last: int | None = None
     return b"".join(json.dumps(line).encode() + b"\n" for line in lines)
 
 
+def numbered(session: Session, rig: Rig, n: int) -> list[bytes]:
+    """As many readings as a test wants, a second apart, so many that a kill or a backup falls between them."""
+    known = [json.loads(line) for line in lines_of(session, rig).splitlines()]
+    return [
+        json.dumps({**known[i % len(known)], "sequence": i, "time_s": float(i)}).encode() + b"\n"
+        for i in range(n)
+    ]
+
+
 def append(client: httpx.Client, session_id: str, body: bytes) -> httpx.Response:
     headers = {"Content-Type": "application/x-ndjson"}
     return client.post(f"/v1/sessions/{session_id}/readings", content=body, headers=headers)
@@ -160,6 +172,28 @@ def wait_for(client: httpx.Client, job_id: str) -> dict[str, Any]:
             return job
         time.sleep(0.1)
     raise AssertionError(f"job {job_id} takes longer than {PATIENCE_S} s: {job}")
+
+
+def bearer(client: TestClient, user: str, scope: Scope = Scope.WRITE) -> dict[str, str]:
+    """Headers of a new token of a service in this process."""
+    secret, _ = create_token(client.app.state.core.database, user, scope, 1.0)
+    return {"Authorization": f"Bearer {secret}"}
+
+
+def steps_of(folder: Path) -> int:
+    """Steps that the chain of a job has on disk."""
+    try:
+        group = json.loads((folder / "calibration" / "chain.zarr" / "zarr.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return 0
+    return int(group["attributes"]["n_steps"])
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Calibration of a job: all but what tells of the way there."""
+    result = folder / "calibration"
+    files = {str(path.relative_to(result)): path.read_bytes() for path in result.rglob("*") if path.is_file()}
+    return {name: content for name, content in files.items() if name != "report.html"}
 
 
 def refusal(answer: httpx.Response, status: int) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import tarfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,28 +23,23 @@ from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
+    LONG,
+    STEPS,
     Served,
     append,
     begin_session,
+    files_of,
     import_csv,
-    lines_of,
+    numbered,
+    steps_of,
     upload_rig,
     wait_for,
 )
-from tests.estimator.service.test_kill import LONG, STEPS, files_of, steps_of
 
 
 def serving(data: Path) -> Any:
     """A service on a folder, as it starts after a restore."""
     return TestClient(create_app(Settings(data=data), has_workers=False), base_url="http://127.0.0.1:8765")
-
-
-def numbered(session: Session, rig: Rig, n: int) -> list[bytes]:
-    known = lines_of(session, rig).splitlines()
-    return [
-        json.dumps({**json.loads(known[i % len(known)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
-        for i in range(n)
-    ]
 
 
 def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowledged(
@@ -125,6 +121,9 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     assert (linked / "zarr.json").is_file()
     assert not (tmp_path / "restored" / "jobs" / "j" / "outside").is_symlink()
     assert not (tmp_path / "restored" / "sessions" / "a.zarr.begun").exists()
+    assert (data / "page.key").is_file()
+    assert not (tmp_path / "restored" / "page.key").exists()
+    assert (data / "page.key").read_bytes() not in (tmp_path / "b.tar").read_bytes()
     for path in (tmp_path / "restored").rglob("*"):
         if path.is_file() and path.suffix != ".sqlite":
             assert path.read_bytes() == (data / path.relative_to(tmp_path / "restored")).read_bytes()
@@ -132,6 +131,31 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     assert kept == {
         p.relative_to(tmp_path / "restored") for p in (tmp_path / "restored" / "sessions").rglob("*.json")
     }
+
+
+def test_a_job_of_a_restored_folder_works_in_that_folder(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    """It had begun before the backup, so its folder tells the paths of the old one."""
+    client = idle()
+    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    client.post("/v1/jobs/recalibrate", json={"session_id": session["id"]})
+    client.app.state.core.jobs._look(Idle())
+    backup(tmp_path / "data", tmp_path / "b.tar")
+    restore(tmp_path / "b.tar", tmp_path / "restored")
+    with serving(tmp_path / "restored") as other:
+        other.app.state.core.queue.take_back()
+        other.app.state.core.jobs._look(Idle())
+        (job,) = (tmp_path / "restored" / "jobs").glob("*/job.json")
+    assert str(tmp_path / "restored" / "registries") in job.read_text(encoding="utf-8")
+    assert f"{tmp_path / 'data'}/" not in job.read_text(encoding="utf-8")
+
+
+class Idle:
+    """Stands for workers that begin nothing."""
+
+    def start(self, call: Any, on_end: Callable[[], None]) -> Any:
+        return SimpleNamespace(status="pending")
 
 
 def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 import torch
 
-from estimator import client as client_module
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
-from estimator.client import Client, JobFailed, RemoteCalibration, ServiceFault
+from estimator.client import (
+    AsyncClient,
+    AsyncRemoteCalibration,
+    AsyncRemoteRegistry,
+    AsyncRemoteSession,
+    Client,
+    JobFailed,
+    RemoteCalibration,
+    RemoteRegistry,
+    RemoteSession,
+    ServiceFault,
+    following,
+    steps,
+)
+from estimator.client.connection import AsyncConnection, Connection
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.rig import Rig
@@ -109,19 +124,185 @@ def test_readings_are_streamed_and_a_job_that_fails_says_why(
         with pytest.raises(JobFailed, match="must have a free parameter besides loop counts"):
             client.calibrate(small_session, fixed)
 
+    async def awaited() -> None:
+        async with AsyncClient(service.url) as client:
+            session = await client.begin(small_rig, "a stream", key="second")
+            assert (await client.begin(small_rig, "a stream", key="second")).id == session.id
+            assert await session.append(readings) == len(readings)
+            assert (await session.close())["state"] == (await session.info())["state"] == "closed"
+            with pytest.raises(JobFailed, match="must have a free parameter besides loop counts"):
+                await client.calibrate(small_session, fixed)
+            assert len([job async for job in client.pages("/v1/jobs", limit=1)]) == 2
+
+    asyncio.run(awaited())
+
 
 def test_a_service_that_is_not_there_is_said_in_words(
     monkeypatch: pytest.MonkeyPatch, small_session: Session
 ) -> None:
-    monkeypatch.setattr(client_module, "FIRST_PAUSE_S", 0.001)
-    with (
-        Client("http://127.0.0.1:9") as client,
-        pytest.raises(ServiceFault, match="service must answer; http://127.0.0.1:9"),
-    ):
+    monkeypatch.setattr(steps, "FIRST_PAUSE_S", 0.001)
+    sentence = "service must answer; http://127.0.0.1:9"
+    with Client("http://127.0.0.1:9") as client, pytest.raises(ServiceFault, match=sentence):
         client.calibrate(small_session)
+
+    async def there() -> None:
+        async with AsyncClient("http://127.0.0.1:9") as client:
+            await client.calibrate(small_session)
+
+    with pytest.raises(ServiceFault, match=sentence):
+        asyncio.run(there())
 
 
 @pytest.mark.parametrize("name", ["field", "gradient", "field_interval", "gradient_interval", "summary"])
 def test_reading_methods_have_the_parameters_of_the_python_api(name: str) -> None:
     here, there = (inspect.signature(getattr(kind, name)) for kind in (Calibration, RemoteCalibration))
     assert list(here.parameters) == list(there.parameters)
+
+
+MIRRORED = [
+    (Client, AsyncClient),
+    (RemoteCalibration, AsyncRemoteCalibration),
+    (RemoteRegistry, AsyncRemoteRegistry),
+    (RemoteSession, AsyncRemoteSession),
+]
+
+
+@pytest.mark.parametrize(("waits", "awaits"), MIRRORED)
+def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: type) -> None:
+    """What is a property where it waits is a method where it is awaited, for attributes cannot be awaited well."""
+    names, mirrored = ({name for name in dir(kind) if not name.startswith("_")} for kind in (waits, awaits))
+    assert names == mirrored
+    for name in names:
+        here, there = (inspect.getattr_static(kind, name) for kind in (waits, awaits))
+        if not isinstance(here, property):
+            parameters = [list(inspect.signature(method).parameters.values()) for method in (here, there)]
+            assert [(p.name, p.kind, p.default) for p in parameters[0]] == [
+                (p.name, p.kind, p.default) for p in parameters[1]
+            ], name
+
+
+@pytest.mark.slow
+def test_calls_that_are_awaited_go_on_together(
+    served: Callable[..., Served], small_session: Session, small_rig: Rig
+) -> None:
+    """Two calibrations are waited for at once while readings are appended; a service that is killed meanwhile is waited for."""
+    service = served()
+    port = int(service.url.rpartition(":")[2])
+    readings = [json.loads(line) for line in lines_of(small_session, small_rig).splitlines()]
+    points_m = torch.tensor([[0.004, 0.003, 0.01]], dtype=torch.float64)
+    told: list[Any] = []
+
+    async def there() -> None:
+        async with AsyncClient(service.url) as client:
+            work = [
+                asyncio.create_task(
+                    client.calibrate(small_session, seed=seed, settings=SETTINGS, on_progress=told.append)
+                )
+                for seed in (2, 3)
+            ]
+            session = await client.begin(small_rig, "a stream")
+            assert await session.append(readings[:20]) == 20
+            while not told:
+                await asyncio.sleep(0.01)
+            service.kill()
+            restarted = await asyncio.to_thread(served, "--port", port)
+            assert await session.append(readings[10:]) == len(readings)
+            assert (await session.close())["n_readings"] == len(readings)
+            first, second = await asyncio.gather(*work)
+            assert first.best != second.best
+            assert (await first.rig()) == small_rig
+            field_T = await first.field(points_m, {"coil1": 2.0})
+            gradient_T_per_m = await first.gradient(points_m, {"coil1": 2.0})
+            lower_T, upper_T = await first.field_interval(points_m, {"coil1": 2.0})
+            assert bool((lower_T < field_T).all() and (field_T < upper_T).all())
+            lower, upper = await first.gradient_interval(points_m, {"coil1": 2.0}, 0.99)
+            assert bool((lower < gradient_T_per_m).all() and (gradient_T_per_m < upper).all())
+            table = await first.grid(
+                {"coil1": 2.0}, x=(0.004, 0.004, 1), y=(0.003, 0.003, 1), z=(0.01, 0.01, 1)
+            )
+            assert table.column("Bz_T").to_pylist() == field_T[:, 2].tolist()
+            again = await client.calibration(first.id)
+            assert again.summary() == first.summary()
+            registry = await client.registry(small_rig)
+            assert (await registry.current(), await registry.versions(), await registry.entries()) == (
+                None,
+                [],
+                [],
+            )
+            with pytest.raises(InvalidInput, match="registry must have a version"):
+                await registry.calibration()
+            with pytest.raises(InvalidInput, match="version"):
+                await registry.roll_back(1)
+            assert len([job async for job in client.pages("/v1/jobs", limit=1)]) == 2
+            with pytest.raises(InvalidInput, match="coil9"):
+                await first.field(points_m, {"coil9": 1.0})
+            restarted.end()
+
+    asyncio.run(there())
+
+
+def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each answer ends inside an event, which is told once, when it comes whole."""
+    monkeypatch.setattr(following, "LOOK_EVERY_S", 0.0)
+    streams = [b"id: 1\ndata: 1\n\nid: 2\nevent: end\n", b"id: 2\ndata: 2\n\nevent: end\n\n"]
+    asked: list[str] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        if request.url.path.endswith("/events"):
+            asked.append(request.headers["Last-Event-ID"])
+            return httpx.Response(200, stream=Broken(streams[len(asked) - 1]))
+        return httpx.Response(200, json={"id": "j", "state": "done"})
+
+    connection = Connection("http://service", None, httpx.MockTransport(answer), 1)
+    told: list[Any] = []
+    connection.run(following.result_of("calibrate", {}, told.append))
+    assert (asked, told) == (["0", "1"], [1, 2])
+    asked.clear()
+
+    async def there() -> None:
+        connection = AsyncConnection("http://service", None, httpx.MockTransport(answer), 1)
+        await connection.run(following.result_of("calibrate", {}, told.append))
+        await connection.close()
+
+    asyncio.run(there())
+    assert (asked, told) == (["0", "1"], [1, 2, 1, 2])
+
+
+class Broken(httpx.SyncByteStream, httpx.AsyncByteStream):
+    """A body after which the connection breaks."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+
+    def __iter__(self) -> Iterator[bytes]:
+        yield self.content
+        raise httpx.ReadError("broken")
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        yield self.content
+        raise httpx.ReadError("broken")
+
+
+def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses_s: list[float] = []
+    monkeypatch.setattr("time.sleep", pauses_s.append)
+    busy = {"status_code": 429, "json": {"detail": "queue must have room"}}
+    answers = [
+        httpx.Response(**busy, headers={"Retry-After": "3"}),
+        httpx.Response(**busy, headers={"Retry-After": "9999"}),
+        httpx.Response(503),
+        httpx.Response(200, json={"id": "x"}),
+    ]
+    with Client("http://service", transport=httpx.MockTransport(lambda _: answers.pop(0))) as client:
+        assert client.request("GET", "/v1/state").json() == {"id": "x"}
+        assert pauses_s == [3.0, steps.LONGEST_PAUSE_S, 4 * steps.FIRST_PAUSE_S]
+        answers += [httpx.Response(**busy)] * 6
+        with pytest.raises(ServiceFault, match="queue must have room"):
+            client.request("GET", "/v1/state")
+        assert answers == []
+        answers.append(httpx.Response(422, json={"detail": "seed must be >= 0"}))
+        with pytest.raises(InvalidInput, match="seed must be >= 0"):
+            client.request("GET", "/v1/state")
+        answers.append(httpx.Response(500, content=b"<html>"))
+        with pytest.raises(ServiceFault, match="service must answer as coilcal does; it says 500"):
+            client.request("GET", "/v1/state")

@@ -16,28 +16,25 @@ import pytest
 from estimator.rig.rig import Rig
 from estimator.store.session import Session, load_session
 from tests.estimator.service.conftest import (
+    LONG,
     QUICK,
+    STEPS,
     Served,
     append,
     begin_session,
+    files_of,
     import_csv,
-    lines_of,
+    numbered,
+    steps_of,
     upload_rig,
     wait_for,
 )
-
-STEPS = 400
-LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}
 
 
 def test_acknowledged_readings_are_there_once_after_a_kill(
     served: Callable[..., Served], rig_text: str, small_session: Session, small_rig: Rig, tmp_path: Path
 ) -> None:
-    body = lines_of(small_session, small_rig).splitlines(keepends=True)
-    lines = [  # many, so that the kill falls between them
-        json.dumps({**json.loads(body[i % len(body)]), "sequence": i, "time_s": float(i)}).encode() + b"\n"
-        for i in range(5000)
-    ]
+    lines = numbered(small_session, small_rig, 5000)
     service = served()
     client = service.client
     session_id = begin_session(client, upload_rig(client, rig_text))
@@ -76,13 +73,6 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
     assert stored.field_sensor_T.tolist() == expected
     assert closed["n_readings"] == first + 60
     service.end()
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    """Result of a job: all but what tells of the way there."""
-    result = folder / "calibration"
-    files = {str(path.relative_to(result)): path.read_bytes() for path in result.rglob("*") if path.is_file()}
-    return {name: content for name, content in files.items() if name != "report.html"}
 
 
 @pytest.mark.slow
@@ -164,12 +154,3 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
     service = served()
     job = wait_for(service.client, job_id)
     assert (job["state"], job["starts"]) == ("done", 2)
-
-
-def steps_of(folder: Path) -> int:
-    """Steps of a chain that are on disk."""
-    try:
-        group = json.loads((folder / "calibration" / "chain.zarr" / "zarr.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return 0
-    return int(group["attributes"]["n_steps"])

@@ -14,14 +14,8 @@ from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
 from estimator.service import metrics, rate_limits
-from estimator.service.tokens import Scope, create_token
 from estimator.store.session import Session
-from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
-
-
-def bearer(client: TestClient, user: str) -> dict[str, str]:
-    secret, _ = create_token(client.app.state.core.database, user, Scope.WRITE, 1.0)
-    return {"Authorization": f"Bearer {secret}"}
+from tests.estimator.service.conftest import append, bearer, begin_session, lines_of, refusal, upload_rig
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,19 @@ def test_an_earlier_version_comes_back_and_the_log_has_pages(
     rest = api.get(f"{path}/entries", params={"limit": 2, "cursor": page["next"]}).json()
     assert (rest["items"], rest["next"]) == (whole[2:], None)
     refusal(api.get(f"{path}/entries", params={"cursor": "-1"}), 422)
+    over_time = api.get(f"{path}/history").json()
+    assert (over_time["rig_name"], over_time["current"]) == ("yearly", 1)
+    assert [period["version"] for period in over_time["periods"]] == [1, 2, 1]
+    assert [period["end"] for period in over_time["periods"]][:2] == [
+        period["begin"] for period in over_time["periods"]
+    ][1:]
+    assert [session["conclusion"] for session in over_time["sessions"]] == ["updated", "updated"]
+    known = api.get(f"/v1/calibrations/{first['calibration_id']}/summary").json()["parameters"]
+    lower, median, upper = over_time["periods"][0]["intervals"]["coil1.radius_m"]
+    assert ([lower, upper], median) == (known["coil1.radius_m"]["ci90"], known["coil1.radius_m"]["median"])
+    assert over_time["units"]["coil1.radius_m"] == "m"
+    assert not any(known[name]["is_derived"] for name in over_time["periods"][0]["intervals"])
+    assert str(core.data) not in json.dumps(over_time)
     audit = api.get("/v1/audit").json()
     assert (audit[0]["action"], audit[0]["target"]) == ("registry.roll_back", f"{rig_id} 1")
 
@@ -105,6 +119,8 @@ def test_a_rig_without_sessions_has_an_empty_registry(idle: Callable[..., TestCl
     path = f"/v1/rigs/{upload_rig(client, rig_text)}/registry"
     assert client.get(path).json()["current"] is None
     assert client.get(f"{path}/versions").json() == {"items": [], "next": None}
+    over_time = client.get(f"{path}/history").json()
+    assert (over_time["sessions"], over_time["periods"], over_time["current"]) == ([], [], None)
     assert (
         refusal(client.post(f"{path}/roll-back", json={"version": 1}), 409)["rule"]
         == "must have a version; it has none"
@@ -170,6 +186,7 @@ def test_two_recalibrations_of_one_rig_take_turns(
 
     monkeypatch.setattr(tasks, "LOOK_EVERY_S", 0.01)
     job = {"options": {"seed": 0, "settings": QUICK}, "registry": str(registry.folder), "rig": None}
+    job |= {"has_alerts": False}
     with registry.writing(), pytest.raises(Enough):
         tasks.recalibrate_job(job, tmp_path, session, tell)
     assert told[1:] == ["waiting for another recalibration of this rig"] * 2

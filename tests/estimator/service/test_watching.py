@@ -18,6 +18,7 @@ from starlette.testclient import TestClient
 from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
 from estimator.service.core import Core
+from estimator.service.devices import Device
 from estimator.service.watching import REDRAWN_AT, News, Watched
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
@@ -91,6 +92,25 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
     assert len(widths) >= 4
     assert widths[-1] < 0.5 * widths[0]
     assert sum(one.is_redrawn for one in told) < len(told) * REDRAWN_AT
+
+
+def test_devices_are_those_of_the_readings_with_what_they_showed_last(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    lines = [json.loads(line) for line in lines_of(small_session, small_rig, 0, 12).splitlines()]
+    for line in lines[:9]:
+        line |= {"measured_A": {"coil1": 2.5}, "temperature_C": {"coil1": 20.0 + line["sequence"]}}
+    lines[8]["temperature_C"] = {"coil1": None}
+    lines[-1]["field_T"] = {"hall": [1e-3, None, 2e-3]}
+    body = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+    told = watched(client, session_id, {0: lambda: append(client, session_id, body)}, 12)
+    commanded_A = lines[8]["current_A"]["coil1"]
+    assert told[0].devices == []
+    assert told[-1].devices == [
+        Device("sensor", "hall", [1e-3, None, 2e-3], "T", n_readings=12),
+        Device("supply", "coil1", [2.5], "A", commanded_A, n_readings=9, n_silent=3),
+        Device("thermometer", "coil1", [None], "°C", n_readings=9, n_silent=3),
+    ]
 
 
 def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,11 @@ TWINS = ("background_field", "sensor_offset")
 def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_else_does() -> None:
     proposed = design(session_with(OFFSET, (3.0,), 1), split=TWINS, n_readings=5)
     assert proposed.so_far == pytest.approx(0.0, abs=0.1)
+    told = json.loads(json.dumps(proposed.to_json(), allow_nan=False))
+    assert [p["expected_log_evidence"] for p in told["programmes"]] == [
+        p.expected_log_evidence for p in proposed.actions
+    ]
+    assert (told["reached"], told["plan"]) == (list(proposed.reached), proposed.plan)
     for proposal in proposed.actions:
         brings = proposal.expected_log_evidence
         assert (brings > 5.0) if "turned" in proposal.action.words else (brings < 0.1)

@@ -1,0 +1,58 @@
+"""Alerts: a command of the settings hears of every conclusion on which somebody has to act, as that of `coilcal recalibrate` does.
+
+The worker leaves a file for each before the registry counts it as told. The service runs the command and removes the file, so a kill at any
+instant runs the command again and forgets nothing. No request names a command.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import asdict
+from pathlib import Path
+
+from estimator.recalibration.alerts import run_command
+from estimator.recalibration.registry import Entry
+from estimator.store.files import write_text
+
+ALERTS = "alerts"  # folder beside that of the jobs
+LOOK_EVERY_S = 1.0
+log = logging.getLogger("coilcal.service")
+
+
+def leave_alert(folder: Path, rig_name: str, entry: Entry) -> None:
+    """Leave a conclusion for the command.
+
+    Args:
+        folder: Where they wait.
+        rig_name: Name of the rig that the registry is of.
+        entry: The conclusion.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    message = {"rig": rig_name, **asdict(entry), "session": Path(entry.session).stem}
+    name = f"{entry.concluded}-{entry.hash[:16]}.json"  # in the order in which they were drawn
+    write_text(folder / name, json.dumps(message, allow_nan=False) + "\n")
+
+
+class Alerts:
+    """Runs the command.
+
+    Args:
+        command: The command; none where it is empty.
+        folder: Where conclusions wait for it.
+    """
+
+    def __init__(self, command: str, folder: Path) -> None:
+        self._command, self._folder = command, folder
+
+    def tick(self) -> None:
+        """Tell the command of what waits; one that fails is logged and not tried again."""
+        if not self._command:
+            return
+        for path in sorted(self._folder.glob("*.json")):
+            fault = run_command(self._command, json.loads(path.read_text(encoding="utf-8")))
+            path.unlink()
+            if fault is None:
+                log.info("alert", extra={"alert": path.stem})
+            else:
+                log.error("alert failed", extra={"alert": path.stem, "fault": fault})
