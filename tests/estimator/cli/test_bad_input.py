@@ -26,7 +26,7 @@ REFUSALS = {
     f"{SIMULATE} --out rig.yaml/new.zarr": "output must be writable; {here}/rig.yaml/new.zarr is not: File exists",
     f"{SIMULATE} --out new.zarr --csv rig.yaml/new.csv": "output must be writable; rig.yaml/new.csv is not: Not a directory",
     f"{SIMULATE} --out {'x' * 300}": f"{'x' * 300} must be readable and writable: File name too long",
-    f"{SIMULATE} --out new.zarr --set coil1.radius=0.05": "rig 'small' has no parameter 'coil1.radius'; the closest name is coil1.radius_m",
+    f"{SIMULATE} --out new.zarr --set coil1.radius=0.05": "rig 'small' has no parameter 'coil1.radius'; the closest is coil1.radius_m",
     f"{SIMULATE} --out new.zarr --set coil1.radius_m=-1": "truth: coil1.radius_m must be > 0; received -1 m (rig 'small')",
     f"{SIMULATE} --out new.zarr --set coil1.radius_m=51mm": "--set must look like NAME=1.0; received 'coil1.radius_m=51mm'",
     f"{SIMULATE} --out new.zarr --set coil1.radius_m": "--set must look like NAME=1.0; received 'coil1.radius_m'",
