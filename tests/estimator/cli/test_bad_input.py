@@ -40,7 +40,7 @@ REFUSALS = {
     "simulate --rig calibration --plan plan.yaml --out new.zarr": "calibration must be readable as text: Is a directory",
     "simulate --rig readings.csv --plan plan.yaml --out new.zarr": "readings.csv must hold keys and values; it holds a list or text",
     "simulate --rig plan.yaml --plan plan.yaml --out new.zarr": "coils must name at least one; received none (plan.yaml, line 1)",
-    "simulate --rig rig.yaml --plan rig.yaml --out new.zarr": "poses.calibration is missing (rig.yaml, line 1)",
+    "simulate --rig rig.yaml --plan rig.yaml --out new.zarr": "poses is missing (rig.yaml, line 1)",
     f"{IMPORT} --out session.zarr": f"{EXISTS} session.zarr",
     f"{IMPORT} --out new.zarr --current coil1=3": "currents must not be given for a readings CSV, which holds its own; received coil1",
     f"{IMPORT} --out new.zarr --current coil1": "--current must look like NAME=1.0; received 'coil1'",
