@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -75,15 +75,23 @@ class Faults:
             raise fault
         self.noted.append(fault)
 
-    @contextmanager
-    def noting(self) -> Iterator[None]:
+    def noting(self) -> AbstractContextManager[None, bool]:
         """Note a fault that is raised inside, and go on behind it."""
-        try:
-            yield
-        except InvalidInput as fault:
-            if not self.is_collected:
-                raise
-            self.noted.append(fault)
+        return _Noting(self)
+
+
+class _Noting(AbstractContextManager[None, bool]):
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, fault: BaseException | None, traceback: object) -> bool:
+        if not self._faults.is_collected or not isinstance(fault, InvalidInput):
+            return False
+        self._faults.noted.append(fault)
+        return True
 
 
 def in_order(faults: Iterable[InvalidInput]) -> list[InvalidInput]:

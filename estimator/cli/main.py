@@ -11,6 +11,7 @@ import click
 from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
+from estimator.cli.check import check_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
@@ -47,6 +48,7 @@ def main(threads: int) -> None:
 
 
 for command in (
+    check_command,
     simulate_command,
     import_command,
     calibrate_command,

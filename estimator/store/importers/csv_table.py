@@ -195,7 +195,11 @@ def _missing(
 ) -> list[str]:
     """Columns that the header lacks; one that is written, though wrongly, is no second mistake."""
     groups = {known[quantity].group for quantity in header}
-    meant = {nearest_name(name, known) for name in written if name not in known}
+    quantities = {column.si_header: quantity for quantity, column in known.items()}
+    unknown = [name for name in written if name not in known]
+    meant = {
+        nearest_name(name, known) or quantities.get(nearest_name(name, quantities) or "") for name in unknown
+    }
     return [
         column.si_header
         for column in known.values()

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -45,20 +46,27 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
     return _session(read_table(path, _columns(rig)), rig)
 
 
-def readings_and_faults(path: Path, rig: Rig) -> tuple[Session | None, list[InvalidInput]]:
-    """A readings CSV with all that is wrong in it, in the order of its lines.
+class CheckedReadings(NamedTuple):
+    """A readings CSV with all that is wrong in it, in the order of its lines; table and session only where nothing is."""
 
-    Returns: The session, None if there are faults; and these.
-    """
+    table: Table | None
+    session: Session | None
+    faults: list[InvalidInput]
+
+
+def readings_and_faults(path: Path, rig: Rig) -> CheckedReadings:
+    """Read a readings CSV and go on behind each fault."""
     faults, known = Faults(is_collected=True), _columns(rig)
-    session = None
+    table = session = None
     with faults.noting():
         table = read_table(path, known, faults)
         if any(fault.place is None or fault.place.line == 1 for fault in faults.noted):
             _read_cells(table, known)
         else:
             session = _session(table, rig)
-    return (None, in_order(faults.noted)) if faults.noted else (session, [])
+    if faults.noted:
+        return CheckedReadings(None, None, in_order(faults.noted))
+    return CheckedReadings(table, session, [])
 
 
 def _read_cells(table: Table, known: Mapping[str, Column]) -> None:
