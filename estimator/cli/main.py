@@ -17,6 +17,7 @@ from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.explain import explain_command
 from estimator.cli.import_readings import import_command
+from estimator.cli.init import init_command
 from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
@@ -48,6 +49,7 @@ def main(threads: int) -> None:
 
 
 for command in (
+    init_command,
     check_command,
     simulate_command,
     import_command,

@@ -60,6 +60,11 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
     return _plan(Section.from_file(Path(path)), rig)
 
 
+def plan_from_text(text: str, rig: Rig, file: str = "plan") -> Plan:
+    """Read a plan from YAML text; `file` names its origin in messages."""
+    return _plan(Section.from_text(text, file), rig)
+
+
 def plan_and_faults(path: Path | str, rig: Rig) -> tuple[Plan | None, list[InvalidInput]]:
     """A plan with all that is wrong in it, in the order of its lines; None instead of the plan if there is anything."""
     faults = Faults(is_collected=True)
