@@ -25,6 +25,7 @@ from estimator.cli.report import report_command
 from estimator.cli.rig_simulator import rig_simulator_command
 from estimator.cli.schema import schema_group
 from estimator.cli.serve import serve_group
+from estimator.cli.show import show_command
 from estimator.cli.simulate import simulate_command
 
 
@@ -58,6 +59,7 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    show_command,
     explain_command,
     schema_group,
     recalibrate_command,
