@@ -2,18 +2,21 @@
 PYTHON ?= python3
 BIN := .venv/bin
 RUN := $(BIN)/python -m
+# What commands need, what the service needs besides, and what tests need, each installed when it is first asked for.
+COMMANDS_INSTALLED := .venv/.commands_installed
+SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
 .PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm browser figures
 
-demo: $(INSTALLED)
+demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
 	$(BIN)/coilcal calibrate demo/session.zarr --out demo/calibration --seed 1 --overwrite
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --hide axis_gain.x=0.01 --out demo/flawed.zarr --overwrite
 	$(BIN)/coilcal diagnose demo/flawed.zarr --out demo/diagnosis --seed 1 --overwrite
 
-demo-service: $(INSTALLED)     # after `make demo`: its sessions in the service, and the page at http://127.0.0.1:8765
+demo-service: $(SERVICE_INSTALLED)     # after `make demo`: its sessions in the service, and the page at http://127.0.0.1:8765
 	$(RUN) scripts.demo_service
 
 test: lint types imports unit
@@ -135,13 +138,23 @@ figures: $(INSTALLED)     # pictures in docs/figures, from demo/, out/real, out/
 
 # Installs once, and again when the dependencies change. A python with a CUDA build of torch shares its packages with the
 # environment; where the environment then sees a torch, that build is kept and no other is asked for.
-$(INSTALLED): pyproject.toml constraints.txt
+INSTALL = if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
+	then $(RUN) pip install -e $(1); \
+	else $(RUN) pip install -c constraints.txt -e $(1); fi
+
+$(COMMANDS_INSTALLED): pyproject.toml constraints.txt
 	if $(PYTHON) -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
 	then $(PYTHON) -m venv --system-site-packages .venv; \
 	else $(PYTHON) -m venv .venv; fi
-	if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
-	then $(RUN) pip install -e '.[dev]'; \
-	else $(RUN) pip install -c constraints.txt -e '.[dev]'; fi
+	$(call INSTALL,.)
+	touch $@
+
+$(SERVICE_INSTALLED): $(COMMANDS_INSTALLED)
+	$(call INSTALL,'.[service]')
+	touch $@
+
+$(INSTALLED): $(COMMANDS_INSTALLED)
+	$(call INSTALL,'.[dev]')
 	touch $@
 
 $(DOCS_INSTALLED): $(INSTALLED)

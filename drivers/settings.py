@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from drivers.errors import Refused
@@ -40,8 +41,10 @@ class Settings:
         self.location = location
         self._mapping: Mapping[Any, Any] = mapping
         self._unread = list(mapping)
+        self._known: set[str] = set()  # keys that were asked for, whether they are there or not
 
     def __contains__(self, key: str) -> bool:
+        self._known.add(key)
         return key in self._mapping
 
     def refuse(self, key: str, rule: str) -> NoReturn:
@@ -51,7 +54,7 @@ class Settings:
 
     def value(self, key: str) -> Any:
         """The value of a required key."""
-        if key not in self._mapping:
+        if key not in self:
             self.refuse(key, "must be given")
         self._unread = [unread for unread in self._unread if unread != key]
         return self._mapping[key]
@@ -72,7 +75,7 @@ class Settings:
 
     def whole_number(self, key: str, default: int | None = None) -> int:
         """A whole number; required unless there is a default."""
-        if default is not None and key not in self._mapping:
+        if default is not None and key not in self:
             return default
         value = self.value(key)
         if isinstance(value, bool) or not isinstance(value, int):
@@ -81,7 +84,7 @@ class Settings:
 
     def flag(self, key: str) -> bool:
         """True or false; false if not given."""
-        if key not in self._mapping:
+        if key not in self:
             return False
         value = self.value(key)
         if not isinstance(value, bool):
@@ -97,7 +100,7 @@ class Settings:
 
     def has_quantity(self, quantity: str, dimension: str) -> bool:
         """Whether the quantity is given, in any unit."""
-        return any(f"{quantity}_{unit}" in self._mapping for unit in _UNITS[dimension])
+        return any(f"{quantity}_{unit}" in self for unit in _UNITS[dimension])
 
     def quantity(self, quantity: str, dimension: str, default: float | None = None) -> float:
         """A quantity in SI; required unless there is a default."""
@@ -117,12 +120,15 @@ class Settings:
     def finish(self) -> None:
         """Refuse keys that were not read."""
         if self._unread:
-            raise Refused(f"{self.location}.{self._unread[0]} is not a known key")
+            key = str(self._unread[0])
+            close = get_close_matches(key, sorted(self._known.difference(map(str, self._mapping))), n=1)
+            hint = f"; the closest is {close[0]}" if close else ""
+            raise Refused(f"{self.location}.{key} is not a known key{hint}")
 
     def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
         """Key of a quantity and the factor of its unit."""
         factors = {f"{quantity}_{unit}": factor for unit, factor in _UNITS[dimension].items()}
-        present = [key for key in factors if key in self._mapping]
+        present = [key for key in factors if key in self]
         if len(present) != 1:
             self.refuse(
                 present[1] if present else next(iter(factors)),

@@ -1,6 +1,28 @@
-"""The exceptions a caller of coilcal may see; any other is a bug."""
+"""The exceptions a caller of coilcal may see; any other is a bug. And how faults are collected, and put into words."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+LEAST_LIKENESS = 0.6  # of a name to the one that may have been meant, from 0 to 1; difflib's own default
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in a text file a fault stands.
+
+    Attributes:
+        file: Its path.
+        line: From 1.
+        column: From 1: a character of a YAML file, a cell of a CSV file. None where the whole line is meant.
+    """
+
+    file: str
+    line: int
+    column: int | None = None
 
 
 class CoilcalError(Exception):
@@ -10,6 +32,8 @@ class CoilcalError(Exception):
 class InvalidInput(CoilcalError, ValueError):
     """The caller's data or settings break a rule; the message names thing, rule, value and file.
 
+    Attributes:
+        place: Where it stands; None where that is no place in a text file.
     Examples:
         >>> raise InvalidInput("coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)")
         Traceback (most recent call last):
@@ -17,9 +41,80 @@ class InvalidInput(CoilcalError, ValueError):
         estimator.errors.InvalidInput: coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)
     """
 
+    def __init__(self, message: str, place: Place | None = None) -> None:
+        super().__init__(message)
+        self.place = place
+
 
 class CorruptStore(CoilcalError):
     """A file on disk is truncated, altered or of another schema version."""
+
+
+class Faults:
+    """What is wrong with a file: the first fault is raised, or all of them are noted.
+
+    Whoever reads on behind a fault puts something in place of what could not be read.
+
+    Examples:
+        >>> faults = Faults(is_collected=True)
+        >>> for text in ("1", "one", "l"):
+        ...     with faults.noting():
+        ...         if not text.isdecimal():
+        ...             raise InvalidInput(f"a cell must be a number; received {text}")
+        >>> [str(fault) for fault in faults.noted]
+        ['a cell must be a number; received one', 'a cell must be a number; received l']
+    """
+
+    def __init__(self, is_collected: bool = False) -> None:
+        self.is_collected = is_collected
+        self.noted: list[InvalidInput] = []
+
+    def note(self, fault: InvalidInput) -> None:
+        """Note a fault, or raise it."""
+        if not self.is_collected:
+            raise fault
+        self.noted.append(fault)
+
+    def noting(self) -> AbstractContextManager[None, bool]:
+        """Note a fault that is raised inside, and go on behind it."""
+        return _Noting(self)
+
+
+class _Noting(AbstractContextManager[None, bool]):
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, fault: BaseException | None, traceback: object) -> bool:
+        if not self._faults.is_collected or not isinstance(fault, InvalidInput):
+            return False
+        self._faults.noted.append(fault)
+        return True
+
+
+def in_order(faults: Iterable[InvalidInput]) -> list[InvalidInput]:
+    """Faults of a file in the order of their lines; first those that have none."""
+    return sorted(
+        faults, key=lambda fault: (fault.place.line, fault.place.column or 0) if fault.place else (0, 0)
+    )
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """The known name that may have been meant, as the end of a sentence; nothing where none is like it.
+
+    Examples:
+        >>> closest("raduis_mm", ["radius_mm", "wire_radius_mm"]), closest("colour", ["radius_mm"])
+        ('; the closest is radius_mm', '')
+    """
+    nearest = nearest_name(name, known)
+    return "" if nearest is None else f"; the closest is {nearest}"
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str | None:
+    """The known name that is most like this one; None where none is like it."""
+    return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=LEAST_LIKENESS)), None)
 
 
 def reason(error: Exception) -> str:

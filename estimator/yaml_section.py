@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
-from difflib import get_close_matches
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
 
-from estimator.errors import InvalidInput, reason
+from estimator.errors import Faults, InvalidInput, Place, closest, nearest_name, reason
 from estimator.units import UNITS, Unit, split_unit
 
 # Far beyond any rig or plan. The text of a file may come from anywhere, and YAML's short forms can stand for endless data.
@@ -56,7 +55,8 @@ class Loader(yaml.SafeLoader):
         return node
 
     def _refuse(self, rule: str) -> NoReturn:
-        raise InvalidInput(f"{self.name} {rule} (line {self.line + 1})")
+        place = Place(self.name, self.line + 1, self.column + 1)
+        raise InvalidInput(f"{self.name} {rule} (line {place.line})", place)
 
 
 _INT, _FLOAT, _TIMESTAMP = (f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
@@ -86,47 +86,55 @@ class Section:
         >>> section.finish()
     """
 
-    def __init__(self, node: yaml.MappingNode, path: str, file: str) -> None:
+    def __init__(self, node: yaml.MappingNode, path: str, file: str, faults: Faults | None = None) -> None:
         self.path, self.file, self.line = path, file, node.start_mark.line + 1
+        self.faults = faults or Faults()
+        self._column = node.start_mark.column + 1
         self._entries: dict[str, yaml.Node] = {}
         self._lines: dict[str, int] = {}
+        self._columns: dict[str, int] = {}
         self._spans: dict[str, tuple[int, int]] = {}
         for key_node, value_node in node.value:
-            line = key_node.start_mark.line + 1
+            line, column = key_node.start_mark.line + 1, key_node.start_mark.column + 1
+            place = Place(file, line, column)
             if not isinstance(key_node, yaml.ScalarNode):
-                raise InvalidInput(f"{path or 'the file'} must have words as keys ({file}, line {line})")
+                words = f"{path or 'the file'} must have words as keys ({file}, line {line})"
+                self.faults.note(InvalidInput(words, place))
+                continue
             key = str(key_node.value)
             if key in self._entries:
-                raise InvalidInput(
-                    f"{self.path_of(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
-                )
-            self._entries[key], self._lines[key] = value_node, line
+                words = f"{self.path_of(key)} must be given once; received it in lines {self._lines[key]} and {line} ({file})"
+                self.faults.note(InvalidInput(words, place))
+                continue
+            self._entries[key], self._lines[key], self._columns[key] = value_node, line, column
             self._spans[key] = (key_node.start_mark.index, value_node.end_mark.index)
         self._unread = set(self._entries)
         self._known: dict[str, None] = {}  # keys that were asked for, whether they are there or not
 
     @classmethod
-    def from_text(cls, text: str, file: str) -> Section:
-        """The top mapping of a YAML text."""
+    def from_text(cls, text: str, file: str, faults: Faults | None = None) -> Section:
+        """The top mapping of a YAML text; `faults` says what becomes of the faults in it."""
         if len(text) > MOST_BYTES:
             raise InvalidInput(f"{file} must hold at most {MOST_BYTES} bytes; it holds more")
         try:
             loader = Loader(text, file)
             node = loader.get_single_node()
         except yaml.YAMLError as error:
-            raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}") from error
+            mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
+            place = None if mark is None else Place(file, mark.line + 1, mark.column + 1)
+            raise InvalidInput(f"{file} must be YAML; {' '.join(str(error).split())}", place) from error
         if not isinstance(node, yaml.MappingNode):
             raise InvalidInput(
                 f"{file} must hold keys and values; it holds {'nothing' if node is None else 'a list or text'}"
             )
-        return cls(node, "", file)
+        return cls(node, "", file, faults)
 
     @classmethod
-    def from_file(cls, path: Path) -> Section:
-        """The top mapping of a YAML file."""
+    def from_file(cls, path: Path, faults: Faults | None = None) -> Section:
+        """The top mapping of a YAML file; `faults` says what becomes of the faults in it."""
         try:
             with path.open("rb") as file:
-                return cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path))
+                return cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path), faults)
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
@@ -143,10 +151,18 @@ class Section:
         return f"{self.path}.{key}" if self.path else key
 
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
-        """Raise InvalidInput that names key, rule, value, file and line."""
+        """Raise InvalidInput that names key, rule, value, file and line; the key counts as read then."""
+        self._unread.discard(key)
         shown = str(received)
         shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
-        raise InvalidInput(f"{self.path_of(key)} {rule}; received {shown} ({self.where(key)})")
+        raise InvalidInput(
+            f"{self.path_of(key)} {rule}; received {shown} ({self.where(key)})", self.place(key)
+        )
+
+    def place(self, key: str) -> Place:
+        """File, line and column of a key; those of the mapping where it does not have the key."""
+        line, column = self._lines.get(key, self.line), self._columns.get(key, self._column)
+        return Place(self.file, line, column)
 
     def where(self, key: str) -> str:
         """File and line of a key."""
@@ -165,16 +181,21 @@ class Section:
             return _plain(self._entries[key])
         except Exception as error:  # a tag such as !!timestamp raises errors of nearly any type on other text
             raise InvalidInput(
-                f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})"
+                f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})",
+                self.place(key),
             ) from error
 
     def required(self, key: str) -> Any:
         """Plain value of a key that must be present."""
         if key not in self:
-            raise InvalidInput(
-                f"{self.path_of(key)} is missing{_closest(key, self._unread)} ({self.where(key)})"
-            )
+            self._refuse_missing(key)
         return self.value(key)
+
+    def _refuse_missing(self, key: str) -> NoReturn:
+        """Refuse that a key is absent; the one that was probably meant counts as read, for it is no second mistake."""
+        words = f"{self.path_of(key)} is missing{closest(key, self._unread)} ({self.where(key)})"
+        self._unread.discard(nearest_name(key, self._unread) or key)
+        raise InvalidInput(words, self.place(key))
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number; required unless there is a default."""
@@ -201,23 +222,30 @@ class Section:
 
     def key_of(self, choices: tuple[str, ...], section: str) -> str:
         """The only key of the mapping below `section`, which must be one of a list."""
+        if section in self and not self.is_section(section):
+            self.refuse(section, "must hold keys and values", repr(self.value(section)))
         keys = list(self.section(section))
         if len(keys) != 1 or keys[0] not in choices:
             self.refuse(section, f"must be one of {', '.join(choices)}", " and ".join(keys) or "nothing")
         return keys[0]
 
     def section(self, key: str) -> Section:
-        """A mapping below this one; empty if the key is absent."""
+        """A mapping below this one; empty if the key is absent.
+
+        Where faults are collected and the key holds something else, an empty mapping stands in, whose own faults are consequences.
+        """
         self._unread.discard(key)
         self._known[key] = None
         node = self._entries.get(key)
-        if node is None:
-            node = yaml.MappingNode(
-                "tag:yaml.org,2002:map", [], yaml.Mark(self.file, 0, self.line - 1, 0, None, 0)
-            )
-        if not isinstance(node, yaml.MappingNode):
-            self.refuse(key, "must hold keys and values", repr(self.value(key)))
-        return self._below(node, key, self.path_of(key))
+        if isinstance(node, yaml.MappingNode):
+            return self._below(node, key, self.path_of(key))
+        mark = yaml.Mark(self.file, 0, self.line - 1, self._column - 1, None, 0)
+        below = self._below(yaml.MappingNode("tag:yaml.org,2002:map", [], mark), key, self.path_of(key))
+        if node is not None:
+            with self.faults.noting():
+                self.refuse(key, "must hold keys and values", repr(self.value(key)))
+            below.faults = Faults(is_collected=True)
+        return below
 
     def sections(self, key: str) -> list[Section]:
         """Mappings in a list below this one; none if the key is absent."""
@@ -232,11 +260,23 @@ class Section:
 
     def _below(self, node: yaml.MappingNode, key: str, path: str) -> Section:
         """A mapping below a key; a reader that watches what is asked makes another kind of section here."""
-        return Section(node, path, self.file)
+        return Section(node, path, self.file, self.faults)
+
+    def skip(self, *keys: str) -> None:
+        """Count keys as read, of which nobody can say what they should hold."""
+        self._unread.difference_update(keys)
 
     def is_section(self, key: str) -> bool:
         """Whether the key holds a mapping."""
         return isinstance(self._entries.get(key), yaml.MappingNode)
+
+    def has_quantity(self, quantity: str, dimension: str) -> bool:
+        """Whether some key states this quantity, in whatever unit or without one."""
+        self._known |= dict.fromkeys(f"{quantity}_{symbol}" for symbol in self.symbols(dimension))
+        return bool(self._keys_of(quantity))
+
+    def _keys_of(self, quantity: str) -> list[str]:
+        return [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
 
     def key_with_unit(self, quantity: str, dimension: str) -> tuple[str, Unit] | None:
         """The key that states this quantity, with its unit; None if it is absent.
@@ -246,7 +286,7 @@ class Section:
         """
         symbols = self.symbols(dimension)
         self._known |= dict.fromkeys(f"{quantity}_{symbol}" for symbol in symbols)
-        keys = [key for key in self._entries if key == quantity or key.rpartition("_")[0] == quantity]
+        keys = self._keys_of(quantity)
         for key in keys:
             unit = split_unit(key)[1]
             if unit is None:
@@ -256,6 +296,7 @@ class Section:
                 rule = f"must be in a unit of {dimension} ({', '.join(symbols)})"
                 self.refuse(key, rule, f"{self.value(key)!r} in {unit.symbol}")
         if len(keys) > 1:
+            self.skip(*keys)
             self.refuse(keys[1], "must be given in one unit", " and ".join(keys))
         if not keys:
             return None
@@ -278,18 +319,11 @@ class Section:
 
     def finish(self) -> None:
         """Refuse keys that nobody read."""
+        known = self._known.keys() - self._entries.keys()
         for key in self._entries:
             if key in self._unread:
-                known = self._known.keys() - self._entries.keys()
-                raise InvalidInput(
-                    f"{self.path_of(key)} is not a known key{_closest(key, known)} ({self.where(key)})"
-                )
-
-
-def _closest(key: str, others: Iterable[str]) -> str:
-    """The key that may have been meant, in words; nothing where none is like it."""
-    close = get_close_matches(key, sorted(others), n=1)
-    return f"; the closest is {close[0]}" if close else ""
+                words = f"{self.path_of(key)} is not a known key{closest(key, known)} ({self.where(key)})"
+                self.faults.note(InvalidInput(words, self.place(key)))
 
 
 def _plain(node: yaml.Node) -> Any:

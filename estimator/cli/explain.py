@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 import textwrap
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
     from estimator.effects.base import Effect, Quantity
-    from estimator.rig.parameters import Prior
 
 WIDTH = 100
 
@@ -44,6 +42,8 @@ def _kind(effect: Effect) -> str:
 
 
 def _record(effect: Effect) -> dict[str, Any]:
+    from estimator.cli.words import prior_words
+
     return {
         "name": effect.name,
         "kind": _kind(effect),
@@ -51,13 +51,15 @@ def _record(effect: Effect) -> dict[str, Any]:
         "explanation": _explanation(effect),
         "source": effect.source,
         "quantities": {
-            quantity.key: {"unit": quantity.unit, "null": quantity.null, "prior": _words(quantity.prior)}
+            quantity.key: {"unit": quantity.unit, "null": quantity.null, "prior": prior_words(quantity.prior)}
             for quantity in _quantities(effect)
         },
     }
 
 
 def _page(effect: Effect) -> str:
+    from estimator.cli.words import prior_words
+
     lines = [f"{effect.name} ({_kind(effect)}): {effect.words}", ""]
     for paragraph in _explanation(effect).split("\n\n"):
         lines += [*textwrap.wrap(" ".join(paragraph.split()), WIDTH), ""]
@@ -69,7 +71,7 @@ def _page(effect: Effect) -> str:
     for quantity in _quantities(effect):
         note = ", says where or how, and does nothing by itself" if quantity.is_shape else ""
         unit = "a pure number" if quantity.unit == "1" else f"in {quantity.unit}"
-        lines.append(f"  {quantity.key:{max(map(len, keys))}}  {unit}; {_words(quantity.prior)}{note}")
+        lines.append(f"  {quantity.key:{max(map(len, keys))}}  {unit}; {prior_words(quantity.prior)}{note}")
     lines += [*([""] if keys else []), *textwrap.wrap(f"Sizes: {effect.source}.", WIDTH)]
     return "\n".join(lines)
 
@@ -82,15 +84,3 @@ def _quantities(effect: Effect) -> tuple[Quantity, ...]:
     from estimator.effects.circumstances import Extent
 
     return effect.quantities(Extent())
-
-
-def _words(prior: Prior) -> str:
-    from estimator.rig.parameters import LogNormal, Normal
-
-    if isinstance(prior, LogNormal):
-        return f"median {prior.median:g}, relative sd {prior.relative_sd:.3g}"
-    if isinstance(prior, Normal):
-        at_least = f", at least {prior.lower:g}" if math.isfinite(prior.lower) else ""
-        at_most = f", at most {prior.upper:g}" if math.isfinite(prior.upper) else ""
-        return f"{prior.mean:g} ± {prior.standard_deviation:.3g}{at_least}{at_most}"
-    return f"{prior.lower:.3g} to {prior.upper:.3g}"

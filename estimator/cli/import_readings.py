@@ -15,6 +15,8 @@ from estimator.store.importers import IMPORTERS
 if TYPE_CHECKING:
     from estimator.store.session import Session
 
+VALIDATION_SHARE = 0.2
+
 
 @click.command("import", cls=CoilcalCommand)
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     "--validation",
     "share",
     type=float,
-    default=0.2,
+    default=VALIDATION_SHARE,
     show_default=True,
     help="Share of the readings kept out of the fit for validation, as whole blocks of neighbouring poses. A column "
     "'set' in the file takes precedence.",
@@ -82,7 +84,7 @@ def import_command(
     source = ", ".join(str(path) for path in paths)
     check_readings(rig, session.observations, source)
     check_units(rig, session.observations, source)
-    session = _with_validation(session, share, seed)
+    session = with_validation(session, share, seed)
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
     observations = session.observations
@@ -97,7 +99,7 @@ def import_command(
     show(result, text, as_json)
 
 
-def _with_validation(session: Session, share: float, seed: int) -> Session:
+def with_validation(session: Session, share: float = VALIDATION_SHARE, seed: int = 0) -> Session:
     """The session with a share of its readings marked for validation, unless the files marked some."""
     from estimator.readings.split import block_split
 

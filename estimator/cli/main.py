@@ -11,11 +11,13 @@ import click
 from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
+from estimator.cli.check import check_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.explain import explain_command
 from estimator.cli.import_readings import import_command
+from estimator.cli.init import init_command
 from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
@@ -23,6 +25,7 @@ from estimator.cli.report import report_command
 from estimator.cli.rig_simulator import rig_simulator_command
 from estimator.cli.schema import schema_group
 from estimator.cli.serve import serve_group
+from estimator.cli.show import show_command
 from estimator.cli.simulate import simulate_command
 
 
@@ -47,6 +50,8 @@ def main(threads: int) -> None:
 
 
 for command in (
+    init_command,
+    check_command,
     simulate_command,
     import_command,
     calibrate_command,
@@ -54,6 +59,7 @@ for command in (
     design_command,
     predict_command,
     report_command,
+    show_command,
     explain_command,
     schema_group,
     recalibrate_command,

@@ -60,11 +60,16 @@ def explained_errors(as_json: bool = False) -> Iterator[None]:
 
 
 def _end(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
-    """End with a fault. What a file holds may be in it, so no control character of it reaches the terminal."""
-    click.echo(f"coilcal: {CONTROL.sub(lambda found: repr(found[0])[1:-1], sentence)}", err=True)
+    """End with a fault."""
+    click.echo(f"coilcal: {printable(sentence)}", err=True)
     if as_json:
         click.echo(json.dumps({"error": sentence, "exit_code": exit_code}, indent=2))
     sys.exit(exit_code)
+
+
+def printable(text: str) -> str:
+    """A line that may hold what stands in a file, without the characters that would steer the terminal."""
+    return CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:

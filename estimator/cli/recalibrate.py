@@ -60,7 +60,8 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 @click.option(
     "--alert-command",
     metavar="COMMAND",
-    help="Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input.",
+    help="Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input. "
+    "There is no shell: write \"sh -c 'cat >> alerts.jsonl'\" for pipes and redirections.",
 )
 @click.option("--alert-webhook", metavar="URL", help="Address to which the same JSON is posted.")
 @ess_option

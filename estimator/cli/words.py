@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from estimator.rig.parameters import LogNormal, Normal, Prior
 from estimator.rig.rig import MotionKind, Mover
 
 
@@ -21,6 +22,23 @@ def duration_words(time_s: float) -> str:
     if whole_s < 3600:
         return f"{whole_s // 60} min {whole_s % 60} s"
     return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"
+
+
+def prior_words(prior: Prior, factor: float = 1.0) -> str:
+    """Format a prior, its values times a factor.
+
+    Examples:
+        >>> prior_words(Normal(0.05, 0.003, lower=0.04), 1e3), prior_words(LogNormal(2e-5, 0.5), 1e6)
+        ('50 ± 3, at least 40', 'median 20, relative sd 0.5')
+    """
+    if isinstance(prior, LogNormal):
+        return f"median {factor * prior.median:g}, relative sd {prior.relative_sd:.3g}"
+    low, high = factor * prior.lower, factor * prior.upper
+    if isinstance(prior, Normal):
+        at_least = f", at least {low:g}" if math.isfinite(low) else ""
+        at_most = f", at most {high:g}" if math.isfinite(high) else ""
+        return f"{factor * prior.mean:g} ± {factor * prior.standard_deviation:.3g}{at_least}{at_most}"
+    return f"{low:.3g} to {high:.3g}"
 
 
 def motion_words(mover: Mover, motion: Sequence[float]) -> str:

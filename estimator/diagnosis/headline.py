@@ -196,6 +196,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
     if diagnosis.verdict is Verdict.NAMED:
         return f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
+    if diagnosis.verdict is Verdict.NOTHING_FOUND:
+        return "There is nothing to mend: use the rig file as it is."
     return ""
 
 

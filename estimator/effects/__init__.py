@@ -7,7 +7,6 @@ Names are stable. Packages outside this repository add causes of their own by th
 from __future__ import annotations
 
 import re
-from difflib import get_close_matches
 from importlib.metadata import entry_points
 
 from estimator.effects.base import Effect
@@ -96,7 +95,7 @@ from estimator.effects.winding import (
     TurnsGradient,
     WindingSheared,
 )
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 
 # In the order in which a reading comes about; those of one stage are applied in this order.
 EFFECTS: dict[str, Effect] = {
@@ -252,6 +251,11 @@ COUPLING = next(
 """The cause by which one coil drives another, which a test of superposition asks for first."""
 
 
+def closest_cause(name: str) -> str:
+    """The cause that may have been meant, or where all stand, as the end of a sentence."""
+    return closest(name, EFFECTS) or "; 'coilcal explain' lists them"
+
+
 def effect_of(name: str) -> Effect:
     """The effect of that name.
 
@@ -259,8 +263,5 @@ def effect_of(name: str) -> Effect:
         InvalidInput: There is none; the message names the closest.
     """
     if name not in EFFECTS:
-        closest = get_close_matches(name, EFFECTS, n=1, cutoff=0.0)
-        raise InvalidInput(
-            f"cause must be one that coilcal knows; received {name!r}, the closest is {' '.join(closest)}"
-        )
+        raise InvalidInput(f"cause must be one that coilcal knows; received {name!r}{closest_cause(name)}")
     return EFFECTS[name]

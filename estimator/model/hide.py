@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 
@@ -63,7 +63,10 @@ def cause_of(text: str, rig: Rig) -> Cause:
     places = effect.places(rig)
     place = match["place"] or (places[0] if len(places) == 1 else None)
     if place not in places:
-        raise InvalidInput(f"{effect.name} must say where, one of {', '.join(places)}; received {text!r}")
+        hint = closest(place or "", places)
+        raise InvalidInput(
+            f"{effect.name} must say where, one of {', '.join(places)}; received {text!r}{hint}"
+        )
     return Cause(effect.name, place)
 
 
@@ -77,5 +80,7 @@ def _read(text: str, rig: Rig) -> tuple[Cause, str]:
     keys = [quantity.key for quantity in effect_of(cause.name).quantities(extent)]
     key = given or keys[0]
     if key not in keys:
-        raise InvalidInput(f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}")
+        raise InvalidInput(
+            f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}{closest(key, keys)}"
+        )
     return cause, key

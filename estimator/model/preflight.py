@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 import torch
 
-from estimator.errors import InvalidInput
+from estimator.errors import Faults, InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Coil, MotionKind, Rig
@@ -18,7 +19,13 @@ MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the g
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
 
-def check_readings(rig: Rig, observations: Observations, where: str, needs_current: bool = True) -> None:
+def check_readings(
+    rig: Rig,
+    observations: Observations,
+    where: str,
+    needs_current: bool = True,
+    faults: Faults | None = None,
+) -> None:
     """Refuse readings that cannot support a fit.
 
     Args:
@@ -26,34 +33,40 @@ def check_readings(rig: Rig, observations: Observations, where: str, needs_curre
         observations: All readings; those that a fit would use have to suffice.
         where: File or session that messages name.
         needs_current: A coil without current tells nothing of itself, but much of sensors and room.
+        faults: What becomes of faults; without it the first is raised.
     Raises:
         InvalidInput: A value that is not finite; no reading to fit, or fewer components than free parameters; no current; no field; no
             motion.
     """
-    _check_values(observations, where)
+    faults = faults or Faults()
+    with faults.noting():
+        _check_values(observations, where)
     observations = observations.calibration
-    if not len(observations):
-        raise InvalidInput(f"session must hold calibration readings; it holds none ({where})")
-    if len(observations) == 1:
-        raise InvalidInput(
-            f"a calibration needs readings at several poses; received a single reading ({where})"
-        )
+    if len(observations) < 2:
+        with faults.noting():
+            _refuse_too_few(len(observations), where)
+        return
     n_components, n_free = int(observations.is_measured.sum()), len(rig.free)
     if n_components < n_free:
-        raise InvalidInput(
-            f"readings must hold at least as many components as there are free parameters ({n_free}); "
-            f"received {n_components} ({where})"
-        )
+        rule = f"readings must hold at least as many components as there are free parameters ({n_free})"
+        faults.note(InvalidInput(f"{rule}; received {n_components} ({where})"))
     if needs_current and (observations.current_A == 0.0).all():
-        raise InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})")
+        faults.note(InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})"))
     if (observations.field_sensor_T[observations.is_measured] == 0.0).all():
-        raise InvalidInput(f"sensors must show a field; every component is 0 T ({where})")
+        faults.note(InvalidInput(f"sensors must show a field; every component is 0 T ({where})"))
     motions = [observations.motion[mover.name] for mover in rig.movers]
     poses = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
     if len(torch.unique(poses, dim=0)) == 1:
+        words = f"readings must be taken at several poses; all {len(observations)} share one ({where})"
+        faults.note(InvalidInput(words))
+
+
+def _refuse_too_few(n_readings: int, where: str) -> NoReturn:
+    if n_readings:
         raise InvalidInput(
-            f"readings must be taken at several poses; all {len(observations)} share one ({where})"
+            f"a calibration needs readings at several poses; received a single reading ({where})"
         )
+    raise InvalidInput(f"session must hold calibration readings; it holds none ({where})")
 
 
 def _check_values(observations: Observations, where: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import yaml
 
-from estimator.errors import InvalidInput
+from estimator.errors import Faults, InvalidInput, in_order
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
 from estimator.rig.rig import POSE_QUANTITIES, MotionKind, Mover, Rig
@@ -57,34 +57,62 @@ def load_plan(path: Path | str, rig: Rig) -> Plan:
     Raises:
         InvalidInput: Unknown key, mover or coil, or missing unit; the message gives file, line, key, rule and value.
     """
-    top = Section.from_file(Path(path))
-    if top.required("schema_version") != 1:
-        top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
-    stops = tuple(_stop(entry, rig) for entry in top.sections("stops"))
+    return _plan(Section.from_file(Path(path)), rig)
+
+
+def plan_from_text(text: str, rig: Rig, file: str = "plan") -> Plan:
+    """Read a plan from YAML text; `file` names its origin in messages."""
+    return _plan(Section.from_text(text, file), rig)
+
+
+def plan_and_faults(path: Path | str, rig: Rig) -> tuple[Plan | None, list[InvalidInput]]:
+    """A plan with all that is wrong in it, in the order of its lines; None instead of the plan if there is anything."""
+    faults = Faults(is_collected=True)
+    plan = None
+    with faults.noting():
+        plan = _plan(Section.from_file(Path(path), faults), rig)
+    return (None, in_order(faults.noted)) if faults.noted else (plan, [])
+
+
+def _plan(top: Section, rig: Rig) -> Plan:
+    noting = top.faults.noting
+    name, settle_s, order, repeats, n_revisited = "", 1.0, "raster", 1, 0
+    with noting():
+        if top.required("schema_version") != 1:
+            top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
+    with noting():
+        name = str(top.required("name"))
+    stops: list[tuple[Mapping[str, np.ndarray], Mapping[str, float]]] = []
+    with noting():
+        for entry in top.sections("stops"):
+            with noting():
+                stops.append(_stop(entry, rig))
     calibration: tuple[Mapping[str, np.ndarray], ...] = ()
     validation: tuple[Mapping[str, np.ndarray], ...] = ()
-    if not stops or "poses" in top:
-        poses = top.section("poses")
-        poses.required("calibration")
-        calibration = _poses(poses.section("calibration"), rig)
-        validation = _poses(poses.section("validation"), rig) if "validation" in poses else ()
-        poses.finish()
-    is_recommended = bool(calibration) and "currents_A" not in top
-    settle_s = top.number("settle_s", 1.0)
-    if settle_s <= 0.0:
-        top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
-    plan = Plan(
-        str(top.required("name")),
-        calibration,
-        validation,
-        _currents(top, rig, is_recommended) if calibration else (),
-        top.choice("order", ORDERS, "mixed" if is_recommended else "raster"),
-        _count(top, "repeats", 1.0),
-        settle_s,
-        stops,
-        _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0),
-    )
+    has_poses = "poses" in top or "stops" not in top
+    if has_poses:
+        with noting():
+            if "poses" not in top:
+                top.required("poses")
+            calibration, validation = _both_poses(top.section("poses"), rig)
+    is_recommended = has_poses and "currents_A" not in top
+    currents_A: tuple[Mapping[str, float], ...] = ()
+    with noting():
+        settle_s = top.number("settle_s", 1.0)
+        if settle_s <= 0.0:
+            top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
+    with noting():
+        currents_A = _currents(top, rig, is_recommended) if has_poses else ()
+    with noting():
+        order = top.choice("order", ORDERS, "mixed" if is_recommended else "raster")
+    with noting():
+        repeats = _count(top, "repeats", 1.0)
+    with noting():
+        n_revisited = _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0)
     top.finish()
+    plan = Plan(
+        name, calibration, validation, currents_A, order, repeats, settle_s, tuple(stops), n_revisited
+    )
     n_poses = len(calibration) + 2 * plan.n_revisited + len(validation)
     _check_stops(top, (n_poses * len(plan.currents_A) + len(stops)) * plan.repeats)
     return plan
@@ -122,14 +150,29 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
     )
 
 
+def _both_poses(
+    section: Section, rig: Rig
+) -> tuple[tuple[Mapping[str, np.ndarray], ...], tuple[Mapping[str, np.ndarray], ...]]:
+    """Poses for calibration and for validation."""
+    calibration: tuple[Mapping[str, np.ndarray], ...] = ()
+    validation: tuple[Mapping[str, np.ndarray], ...] = ()
+    with section.faults.noting():
+        section.required("calibration")
+        calibration = _poses(section.section("calibration"), rig)
+    with section.faults.noting():
+        validation = _poses(section.section("validation"), rig) if "validation" in section else ()
+    section.finish()
+    return calibration, validation
+
+
 def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     """Poses of all movers: a grid over every span, or `scattered` poses that fill the spans evenly (Halton sequence)."""
     names = [mover.name for mover in rig.movers]
     for key in section:
         if key not in (*names, "scattered"):
-            section.refuse(
-                key, f"must name a mover of rig {rig.name!r}", f"{key!r} instead of {' or '.join(names)}"
-            )
+            received = f"{key!r} instead of {' or '.join(names)}"
+            with section.faults.noting():
+                section.refuse(key, f"must name a mover of rig {rig.name!r}", received)
     n_scattered = _count(section, "scattered") if "scattered" in section else None
     axes: list[tuple[str, int, np.ndarray]] = []
     for mover in rig.movers:
@@ -180,6 +223,13 @@ def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
 
 def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
     """Values of an axis: 0 if it is absent, a number, the steps of a grid, or the two ends of a span."""
+    axis = np.zeros(1)
+    with section.faults.noting():
+        axis = _axis(section, quantity, dimension, is_grid)
+    return axis
+
+
+def _axis(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
     entry = section.key_with_unit(quantity, dimension)
     if entry is None:
         return np.zeros(1)

@@ -49,6 +49,15 @@ def _shell_hint(command: str) -> str:
     return f"; it runs without a shell, so write {'sh -c ' + shlex.quote(command)}"
 
 
+def _needs_shell(command: str) -> bool:
+    """Whether a word is a pipe or a redirection, which a program would take for a name."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return False
+    return any(re.fullmatch(r"\d?(>>?|<|\||\|\||&&|;|&)(&\d)?", word) for word in words)
+
+
 def post(url: str, message: Mapping[str, Any]) -> str | None:
     """Post a message to a webhook.
 
@@ -68,8 +77,10 @@ def senders(command: str | None, webhook: str | None) -> list[Callable[[Mapping[
     """Functions that send a message to the command and the webhook, if they are given.
 
     Raises:
-        InvalidInput: The webhook is not an http address.
+        InvalidInput: The webhook is not an http address, or the command needs a shell.
     """
+    if command is not None and _needs_shell(command):
+        raise InvalidInput(f"alert command must need no shell; received {command!r}{_shell_hint(command)}")
     if webhook is not None and not webhook.startswith(("http://", "https://")):
         raise InvalidInput(f"webhook must be an http or https address; received {webhook!r}")
     send: list[Callable[[Mapping[str, Any]], str | None]] = []

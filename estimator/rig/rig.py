@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from enum import StrEnum
 from typing import Any
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
@@ -212,10 +211,7 @@ class Rig:
         parameters = dict(self.parameters)
         for name, value in values.items():
             if name not in parameters:
-                closest = get_close_matches(name, parameters, n=1, cutoff=0.0)
-                raise InvalidInput(
-                    f"rig {self.name!r} has no parameter {name!r}; the closest name is {' '.join(closest)}"
-                )
+                raise InvalidInput(f"rig {self.name!r} has no parameter {name!r}{closest(name, parameters)}")
             tie = parameters[name].tie
             if tie is not None:
                 raise InvalidInput(f"{name} is tied to {tie.to} in rig {self.name!r}; set that one")
@@ -260,18 +256,22 @@ class Rig:
 
     def broken_rule(self) -> tuple[str, str, str] | None:
         """First impossible nominal value: parameter, broken rule and value; None where all are possible."""
+        return next(self.broken_rules(), None)
+
+    def broken_rules(self) -> Iterator[tuple[str, str, str]]:
+        """Every impossible nominal value: parameter, broken rule and value."""
         values = self.nominal_values()
         for name, value in values.items():
             parameter = self.parameters[name]
             if not math.isfinite(value):
-                return name, "must be finite", f"{value}"
-            if parameter.is_count and value < 1.0:
-                return name, "must be at least 1", f"{value:g}"
-            if parameter.is_count and value > MOST_LOOPS:
-                return name, f"must be at most {MOST_LOOPS}", f"{value:g}"
+                yield name, "must be finite", f"{value}"
+            elif parameter.is_count and value < 1.0:
+                yield name, "must be at least 1", f"{value:g}"
+            elif parameter.is_count and value > MOST_LOOPS:
+                yield name, f"must be at most {MOST_LOOPS}", f"{value:g}"
             # A noise of 0 is fine in a simulation, a length of 0 is not.
-            if parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
-                return name, "must be > 0", f"{value:g} {parameter.unit}"
+            elif parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
+                yield name, "must be > 0", f"{value:g} {parameter.unit}"
         for coil in self.wound:
             radius_m = values[f"{coil.name}.radius_m"]
             thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
@@ -279,12 +279,11 @@ class Rig:
                 rule = (
                     f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
                 )
-                return f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+                yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
             turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
             if turns > MOST_TURNS:
                 rule = f"x radial_loops must be at most {MOST_TURNS}"
-                return f"{coil.name}.axial_loops", rule, f"{turns:g}"
-        return None
+                yield f"{coil.name}.axial_loops", rule, f"{turns:g}"
 
     def nominal_values(self) -> dict[str, float]:
         """Nominal value of every parameter, ties resolved."""

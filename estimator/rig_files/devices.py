@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.yaml_section import Section
 
@@ -32,7 +32,11 @@ def read_devices(section: Section, rig: Rig) -> DeviceSettings:
     Raises:
         InvalidInput: A device serves nothing of the rig, or is of no kind or of two.
     """
-    return {name: _device(section, name, rig) for name in section}
+    devices = {}
+    for name in section:
+        with section.faults.noting():
+            devices[name] = _device(section, name, rig)
+    return devices
 
 
 def load_devices(path: Path, rig: Rig) -> DeviceSettings:
@@ -89,7 +93,7 @@ def _device(section: Section, name: str, rig: Rig) -> Mapping[str, Any]:
     names = [body.name for body in served]
     if name not in names:
         rule = f"must bear the name of one of the rig's {KINDS[kind]} ({', '.join(names) or 'it has none'})"
-        section.refuse(name, rule, repr(name))
+        section.refuse(name, rule, f"{name!r}{closest(name, names)}")
     if kind == "arm":
         _check_arm(settings, rig.mover(name))
     return {key: settings.value(key) for key in settings}
@@ -100,7 +104,8 @@ def _check_felt(settings: Section, rig: Rig) -> None:
     inputs = settings.section("inputs")
     for body in inputs:
         if body not in names:
-            inputs.refuse(body, f"must be the name of a coil or sensor ({', '.join(names)})", repr(body))
+            rule = f"must be the name of a coil or sensor ({', '.join(names)})"
+            inputs.refuse(body, rule, f"{body!r}{closest(body, names)}")
 
 
 def _check_arm(settings: Section, mover: Mover) -> None:

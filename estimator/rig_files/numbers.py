@@ -1,10 +1,14 @@
-"""Numbers of a rig file: a value with its prior or tie, in the unit of its key, kept in SI."""
+"""Numbers of a rig file: a value with its prior or tie, in the unit of its key, kept in SI.
+
+A fault ends the reading of one number; where faults are collected, NaN stands in for it.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import MOST_LOOPS, POSE_QUANTITIES
 from estimator.yaml_section import Section
@@ -14,16 +18,27 @@ SI_SYMBOL = {"length": "m", "angle": "rad", "field": "T", "current": "A"}
 
 @dataclass
 class Numbers:
-    """The numbers of a rig as they are read, with the section and key that each was read from."""
+    """The numbers of a rig as they are read, with the section and key that each was read from.
+
+    Attributes:
+        parameters: By name.
+        origin: Section and key by name, of those that stand in the file and could be read.
+        unclear: Movers, coils and sensors that could not be read, so that nobody can say what belongs to them.
+    """
 
     parameters: dict[str, Parameter] = field(default_factory=dict)
     origin: dict[str, tuple[Section, str]] = field(default_factory=dict)
+    unclear: set[str] = field(default_factory=set)
+
+    def stand_in(self, name: str, unit: str) -> None:
+        """Put NaN where a number is about to be read, in case that it cannot be."""
+        self.parameters[name] = Parameter(name, unit, math.nan)
 
 
 def read_pose(section: Section, prefix: str, numbers: Numbers) -> None:
     """Read the six numbers of a pose; those that are not given are 0."""
     for quantity, dimension in POSE_QUANTITIES:
-        if section.key_with_unit(quantity, dimension) is None:
+        if not section.has_quantity(quantity, dimension):
             key = f"{prefix}.{quantity}_{SI_SYMBOL[dimension]}"
             numbers.parameters[key] = Parameter(key, SI_SYMBOL[dimension], 0.0)
         else:
@@ -40,13 +55,16 @@ def read_scalar(
     positive: bool = False,
 ) -> None:
     """Read a quantity that has a dimension, whose key ends in a unit such as `radius_mm`; it must be given."""
-    entry = section.key_with_unit(quantity, dimension)
     symbol = SI_SYMBOL[dimension]
-    if entry is None:
-        section.required(f"{quantity}_{symbol}")
-        return
-    key, unit = entry
-    read_number(section, key, f"{prefix}.{quantity}_{symbol}", symbol, unit.to_si, numbers, positive)
+    name = f"{prefix}.{quantity}_{symbol}"
+    numbers.stand_in(name, symbol)
+    with section.faults.noting():
+        entry = section.key_with_unit(quantity, dimension)
+        if entry is None:
+            section.required(f"{quantity}_{symbol}")
+            return
+        key, unit = entry
+        read_number(section, key, name, symbol, unit.to_si, numbers, positive)
 
 
 def read_pure(
@@ -63,9 +81,11 @@ def read_pure(
     if key not in section and default is not None:
         numbers.parameters[name] = Parameter(name, "1", default)
         return
-    if key not in section:
-        section.required(key)
-    read_number(section, key, name, "1", 1.0, numbers, positive, is_count)
+    numbers.stand_in(name, "1")
+    with section.faults.noting():
+        if key not in section:
+            section.required(key)
+        read_number(section, key, name, "1", 1.0, numbers, positive, is_count)
 
 
 def read_number(
@@ -79,6 +99,15 @@ def read_number(
     is_count: bool = False,
 ) -> None:
     """Read one number with its prior or tie, in the key's unit, and keep it in SI."""
+    numbers.stand_in(name, unit)
+    with section.faults.noting():
+        numbers.parameters[name] = _number(section, key, name, unit, to_si, positive, is_count)
+        numbers.origin[name] = (section, key)
+
+
+def _number(
+    section: Section, key: str, name: str, unit: str, to_si: float, positive: bool, is_count: bool
+) -> Parameter:
     prior: Prior | None = None
     tie: Tie | None = None
     if section.is_section(key):
@@ -104,8 +133,7 @@ def read_number(
             f"must lie within its prior ({prior.lower / to_si:g} to {prior.upper / to_si:g})",
             f"{value / to_si:g}",
         )
-    numbers.parameters[name] = Parameter(name, unit, value, prior, tie, positive, is_count)
-    numbers.origin[name] = (section, key)
+    return Parameter(name, unit, value, prior, tie, positive, is_count)
 
 
 def _prior(spec: Section, to_si: float, positive: bool) -> Prior:
@@ -127,7 +155,8 @@ def _prior(spec: Section, to_si: float, positive: bool) -> Prior:
     try:
         _make_prior(kind, given)  # in the units of the file, so that a message shows its numbers
     except InvalidInput as error:
-        raise InvalidInput(f"{spec.path_of('prior')}.{error} ({spec.where('prior')})") from None
+        words = f"{spec.path_of('prior')}.{error} ({spec.where('prior')})"
+        raise InvalidInput(words, spec.place("prior")) from None
     return _make_prior(kind, {k: v if k == "relative_sd" else v * to_si for k, v in given.items()})
 
 
@@ -142,16 +171,29 @@ def _make_prior(kind: str, given: dict[str, float]) -> Prior:
 
 def check_ties(numbers: Numbers) -> None:
     """Refuse a tie to a number that the rig does not have, to one of another unit, or in a circle."""
-    parameters = numbers.parameters
-    for name, (section, key) in numbers.origin.items():
-        seen, tie = [name], parameters[name].tie
-        while tie is not None:
-            if tie.to not in parameters:
-                section.refuse(key, "must be tied to a parameter of the rig, by its name in SI", repr(tie.to))
-            if parameters[tie.to].unit != parameters[name].unit:
-                rule = f"must be tied to a parameter in {parameters[name].unit}"
-                section.refuse(key, rule, f"{tie.to} in {parameters[tie.to].unit}")
-            if tie.to in seen:
-                section.refuse(key, "must not be tied in a circle", " -> ".join([*seen, tie.to]))
-            seen.append(tie.to)
-            tie = parameters[tie.to].tie
+    for name, (section, _) in numbers.origin.items():
+        parameter = numbers.parameters[name]
+        if parameter.tie is not None:
+            with section.faults.noting():
+                _check_tie(numbers, name, parameter.tie)
+                continue
+            numbers.stand_in(name, parameter.unit)
+
+
+def _check_tie(numbers: Numbers, name: str, tie: Tie) -> None:
+    parameters, (section, key) = numbers.parameters, numbers.origin[name]
+    if tie.to.partition(".")[0] in numbers.unclear:
+        numbers.stand_in(name, parameters[name].unit)
+        return
+    if tie.to not in parameters:
+        rule = "must be tied to a parameter of the rig, by its name in SI"
+        section.refuse(key, rule, f"{tie.to!r}{closest(tie.to, parameters)}")
+    if parameters[tie.to].unit != parameters[name].unit:
+        rule = f"must be tied to a parameter in {parameters[name].unit}"
+        section.refuse(key, rule, f"{tie.to} in {parameters[tie.to].unit}")
+    passed, further = [name], tie
+    while further.to in parameters and further.to not in passed:
+        passed.append(further.to)
+        further = parameters[further.to].tie or Tie("")
+    if further.to == name:
+        section.refuse(key, "must not be tied in a circle", " -> ".join([*passed, name]))

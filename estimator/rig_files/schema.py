@@ -137,11 +137,19 @@ class _Asked(Section):
         self._note(key, {"$ref": "#/$defs/number"})
         return super().is_section(key)
 
+    def has_quantity(self, quantity: str, dimension: str) -> bool:
+        """One key for each unit."""
+        self._note_units(quantity, dimension)
+        return super().has_quantity(quantity, dimension)
+
     def key_with_unit(self, quantity: str, dimension: str) -> Any:
         """One key for each unit."""
+        self._note_units(quantity, dimension)
+        return super().key_with_unit(quantity, dimension)
+
+    def _note_units(self, quantity: str, dimension: str) -> None:
         for symbol in self.symbols(dimension):
             self._note(f"{quantity}_{symbol}", {"$ref": "#/$defs/number"})
-        return super().key_with_unit(quantity, dimension)
 
     def number(self, key: str, default: float | None = None) -> float:
         """A plain number."""

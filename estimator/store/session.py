@@ -111,7 +111,7 @@ class Session:
             raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
         partial = path.with_name(path.name + ".partial")
         try:
-            if path.exists() and not _is_session(path):
+            if path.exists() and not is_session(path):
                 raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
             path.parent.mkdir(parents=True, exist_ok=True)
             with unwritten(path):
@@ -226,7 +226,7 @@ def remove_session(path: Path) -> None:
     Raises:
         InvalidInput: The path holds no session, a process writes it, or it cannot be deleted.
     """
-    if not _is_session(path):
+    if not is_session(path):
         raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
     try:
         with unwritten(path):
@@ -257,7 +257,8 @@ def _from_journal(path: Path) -> Session:
     return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
-def _is_session(path: Path) -> bool:
+def is_session(path: Path) -> bool:
+    """Whether a session is at this path, sealed or growing."""
     group = path / GROUP
     return is_growing(path) or (group.is_file() and KIND.encode() in group.read_bytes())
 

@@ -236,6 +236,12 @@ def test_a_key_that_nobody_knows_is_refused_and_the_device_closed(section):
         open_devices(section)
 
 
+def test_a_misspelt_key_is_told_with_the_nearest(section):
+    section["hall"]["own_temprature"] = True
+    with pytest.raises(Refused, match=r"own_temprature is not a known key; the closest is own_temperature$"):
+        open_devices(section)
+
+
 def test_the_section_in_the_docstring_is_understood():
     """All of it except the ports, which do not exist."""
     text = textwrap.dedent(drivers.open.__doc__.partition("reads\n\n")[2])

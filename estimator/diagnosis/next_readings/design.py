@@ -18,7 +18,7 @@ from estimator.diagnosis.next_readings.map_places import map_stops, with_correct
 from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, closest
 from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
@@ -110,7 +110,10 @@ def design(
         goal, unit = f"map {correction} to degree {degree}", corrected.rig.parameters[amplitudes[0]].unit
     elif shrink is not None:
         if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
-            raise InvalidInput(f"shrink must name a parameter that the fit may change; received {shrink!r}")
+            hint = closest(shrink, [parameter.name for parameter in rig.free])
+            raise InvalidInput(
+                f"shrink must name a parameter that the fit may change; received {shrink!r}{hint}"
+            )
         stops = candidate_stops(observations)
         rows, values = best_to_shrink(base, [shrink], stops, n_readings)
         goal, unit = f"shrink {shrink}", rig.parameters[shrink].unit

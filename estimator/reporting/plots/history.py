@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -33,6 +34,9 @@ CONCLUSIONS = {
     "rejected": (ORANGE, "X"),
 }
 HALF_WIDTH_90 = 1.644854
+LABEL_WIDTH_PT = 4.6  # of a character of a label
+STRIP_WIDTH_PT = 500.0  # of the axis of time
+LABELS_Y, VERSIONS_Y = (0.25, 0.55, 0.85), (-1.0, -0.7)  # lines in which labels stand, in units of the strip
 
 
 @dataclass(frozen=True)
@@ -89,30 +93,31 @@ def history(sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse]
 
 
 def _conclusions(ax: Axes, sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse]) -> None:
-    for session in sessions:
+    times = [_number(s.taken) for s in sessions] + [
+        _number(end) for v in versions for end in (v.begin, v.end)
+    ]
+    days_per_pt = max(max(times, default=0.0) - min(times, default=0.0), 1e-9) / STRIP_WIDTH_PT
+    lines = _lines([(_number(s.taken), plain(s.label)) for s in sessions], days_per_pt, len(LABELS_Y))
+    for session, line in zip(sessions, lines, strict=True):
         colour, marker = CONCLUSIONS[session.conclusion]
-        ax.plot([_number(session.taken)], [0.0], marker, color=colour, ms=7, clip_on=False)
-        if session.label:
-            ax.annotate(
-                plain(session.label),
-                (_number(session.taken), 0.0),
-                (0, 8),
-                textcoords="offset points",
-                ha="center",
-                fontsize=8,
-                color=colour,
-            )
-    for i, version in enumerate(versions):
+        taken = _number(session.taken)
+        ax.plot([taken], [0.0], marker, color=colour, ms=7, clip_on=False)
+        if line is not None:
+            words = plain(session.label)
+            ax.text(taken, LABELS_Y[line], words, ha="center", fontsize=8, color=colour)
+    names = [f" version {version.version}" for version in versions]
+    begins = [_number(version.begin) for version in versions]
+    # `_lines` takes the middle of a label; these begin where the version does.
+    middles = [
+        begin + 0.5 * LABEL_WIDTH_PT * len(name) * days_per_pt
+        for begin, name in zip(begins, names, strict=True)
+    ]
+    lines = _lines(list(zip(middles, names, strict=True)), days_per_pt, len(VERSIONS_Y))
+    for i, (begin, name, line) in enumerate(zip(begins, names, lines, strict=True)):
         if i:
-            ax.axvline(_number(version.begin), color=POSTERIOR, lw=0.8, ls=":")
-        ax.annotate(
-            f"version {version.version}",
-            (_number(version.begin), -1.0),
-            (3, 0),
-            textcoords="offset points",
-            fontsize=8,
-            color=POSTERIOR,
-        )
+            ax.axvline(begin, color=POSTERIOR, lw=0.8, ls=":")
+        if line is not None:
+            ax.text(begin, VERSIONS_Y[line], name, fontsize=8, color=POSTERIOR)
     ax.set_ylim(-1.2, 1.2)
     ax.set_yticks([0.0], ["sessions"])
     ax.tick_params(axis="y", length=0, labelsize=8)
@@ -128,6 +133,29 @@ def _conclusions(ax: Axes, sessions: Sequence[SessionSummary], versions: Sequenc
         Patch(facecolor=INSIDE_95, edgecolor=POSTERIOR, label="version in use, 90 %"),  # type: ignore[list-item]
     ]
     ax.legend(handles=handles, ncols=len(handles), loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
+
+
+def _lines(labels: Sequence[tuple[float, str]], days_per_pt: float, n_lines: int) -> list[int | None]:
+    """Line for each label, so that none lies on another; None where all lines are taken, or there is no label.
+
+    Args:
+        labels: Time of the middle, and text.
+        days_per_pt: Scale of the axis.
+        n_lines: Lines that there are.
+
+    Examples:
+        >>> _lines([(0.0, "axis gain"), (1.0, "axis gain"), (2.0, ""), (3.0, "drift"), (90.0, "drift")], 1.0, 2)
+        [0, 1, None, None, 0]
+    """
+    ends = [-math.inf] * n_lines
+    lines: list[int | None] = []
+    for middle, text in labels:
+        half_width = 0.5 * LABEL_WIDTH_PT * (len(text) + 1) * days_per_pt
+        free = [i for i, end in enumerate(ends) if end < middle - half_width]
+        lines.append(free[0] if free and text else None)
+        if free and text:
+            ends[free[0]] = middle + half_width
+    return lines
 
 
 def _parameter(

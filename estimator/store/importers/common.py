@@ -10,18 +10,19 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput, reason
+from estimator.errors import InvalidInput, Place, reason
 from estimator.readings.observations import Observations
 from estimator.rig.rig import MotionKind, Mover, Rig
 
 
-def finite_number(cell: str, name: str, location: str) -> float:
+def finite_number(cell: str, name: str, location: str, place: Place | None = None) -> float:
     """Convert a cell to a finite number.
 
     Args:
         cell: Text of the cell.
         name: Name of the quantity, for messages.
         location: File and line, for messages.
+        place: The same for programs.
     Raises:
         InvalidInput: The cell is empty, not a number, NaN or infinite.
     Examples:
@@ -33,7 +34,7 @@ def finite_number(cell: str, name: str, location: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in cell:  # Python reads 1_000 as a thousand; no instrument writes that
-        raise InvalidInput(f"{name} must be a finite number; received {cell.strip()!r} ({location})")
+        raise InvalidInput(f"{name} must be a finite number; received {cell.strip()!r} ({location})", place)
     return value
 
 

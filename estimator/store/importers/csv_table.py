@@ -1,5 +1,6 @@
 """Reads a CSV table whose header names carry their units, and checks the header against the columns that a rig knows.
 
+Where faults are collected, a row of another length is left out, and NaN or 0 stands for a cell that cannot be read.
 `estimator.store.importers.readings_csv` turns the table into a session.
 """
 
@@ -8,16 +9,16 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 
-from estimator.errors import InvalidInput, reason
+from estimator.errors import Faults, InvalidInput, Place, closest, nearest_name, reason
 from estimator.store.importers.common import finite_number
-from estimator.units import UNITS, split_unit
+from estimator.units import UNITS, Unit, split_unit
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,14 @@ class Table:
         header: Header cells by quantity.
         columns: Cells of each column.
         lines: Line number of each row.
+        faults: What becomes of cells that cannot be read.
     """
 
     path: Path
     header: Mapping[str, HeaderCell]
     columns: Sequence[tuple[str, ...]]
     lines: Sequence[int]
+    faults: Faults = field(default_factory=Faults)
 
     def __contains__(self, quantity: str) -> bool:
         return quantity in self.header
@@ -73,13 +76,20 @@ class Table:
     def numbers(self, quantity: str, may_be_empty: bool = False) -> Float[torch.Tensor, " reading"]:
         """A column of numbers in SI; empty cells, if allowed, become NaN."""
         column, text, to_si = self.header[quantity]
-        values = [
-            math.nan
-            if may_be_empty and not cell.strip()
-            else finite_number(cell, text, f"{self.path}, line {line}") * to_si
-            for cell, line in zip(self.columns[column], self.lines, strict=True)
-        ]
+        values = []
+        for cell, line in zip(self.columns[column], self.lines, strict=True):
+            value = math.nan
+            if cell.strip() or not may_be_empty:
+                try:
+                    value = finite_number(cell, text, f"{self.path}, line {line}") * to_si
+                except InvalidInput as fault:
+                    self.faults.note(InvalidInput(str(fault), self.place(quantity, line)))
+            values.append(value)
         return torch.tensor(values, dtype=torch.float64)
+
+    def place(self, quantity: str, line: int) -> Place:
+        """Where a cell stands."""
+        return Place(str(self.path), line, self.header[quantity].column + 1)
 
     def cells(self, quantity: str) -> list[tuple[str, int]]:
         """A column as it stands, each cell with its line; surrounding blanks are taken off."""
@@ -92,84 +102,110 @@ class Table:
         index_of = {word: index for index, word in enumerate(choices)}
         indices = []
         for cell, line in zip(self.columns[column], self.lines, strict=True):
-            if cell.strip() not in index_of:
-                rule = f"{text} must be one of {', '.join(choices)}"
-                raise InvalidInput(f"{rule}; received {cell.strip()!r} ({self.path}, line {line})")
-            indices.append(index_of[cell.strip()])
+            word = cell.strip()
+            if word not in index_of:
+                received = f"{word!r}{closest(word, choices)}"
+                words = f"{text} must be one of {', '.join(choices)}; received {received} ({self.path}, line {line})"
+                self.faults.note(InvalidInput(words, self.place(quantity, line)))
+            indices.append(index_of.get(word, 0))
         return torch.tensor(indices, dtype=torch.int64)
 
 
-def read_table(path: Path, known: Mapping[str, Column]) -> Table:
+def read_table(path: Path, known: Mapping[str, Column], faults: Faults | None = None) -> Table:
     """Read a table and check its header.
 
     Args:
         path: Comma-separated UTF-8 text.
         known: Columns by quantity.
+        faults: What becomes of faults; without it the first is raised. Columns at fault are left out.
     Raises:
         InvalidInput: The file cannot be read, a column is missing, unknown, doubled or without unit, a row has another length than the
             header, or there is no row.
     """
     rows: list[list[str]] = []
     lines: list[int] = []
+    faults = faults or Faults()
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             first_row = next(reader, [])
             _refuse_other_separators(first_row, path)
-            header = _header(first_row, known, path)
+            header = _header(first_row, known, path, faults)
             for row in reader:
                 if row and len(row) != len(first_row):
                     rule = f"a row must have {len(first_row)} cells like the header"
-                    raise InvalidInput(f"{rule}; received {len(row)} ({path}, line {reader.line_num})")
-                if row:
+                    words = f"{rule}; received {len(row)} ({path}, line {reader.line_num})"
+                    faults.note(InvalidInput(words, Place(str(path), reader.line_num)))
+                elif row:
                     rows.append(row)
                     lines.append(reader.line_num)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
-    if not rows:
+    if not rows and not faults.noted:
         raise InvalidInput(f"{path} must hold at least one reading; it holds none")
-    return Table(path, header, list(zip(*rows, strict=True)), lines)
+    return Table(path, header, list(zip(*rows, strict=True)) or [()] * len(first_row), lines, faults)
 
 
 def _refuse_other_separators(first_row: list[str], path: Path) -> None:
     line = ",".join(first_row)
     for separator, word in ((";", "semicolons"), ("\t", "tabs")):
         if separator in line:
-            raise InvalidInput(f"columns must be separated by commas; received {word} ({path}, line 1)")
+            words = f"columns must be separated by commas; received {word} ({path}, line 1)"
+            raise InvalidInput(words, Place(str(path), 1))
 
 
-def _header(first_row: list[str], known: Mapping[str, Column], path: Path) -> dict[str, HeaderCell]:
+def _header(
+    first_row: list[str], known: Mapping[str, Column], path: Path, faults: Faults
+) -> dict[str, HeaderCell]:
     header: dict[str, HeaderCell] = {}
     for index, cell in enumerate(first_row):
         name = cell.strip()
         quantity, unit = (name, None) if name in known else split_unit(name)
-        column = known.get(quantity)
-        if column is None or (unit is not None and column.dimension is None):
-            names = ", ".join(column.si_header for column in known.values())
-            raise InvalidInput(f"column {name!r} is not known to the rig; known are {names} ({path}, line 1)")
-        if column.dimension is not None and unit is None:
-            raise InvalidInput(f"column {name!r} lacks its unit: write {column.si_header} ({path}, line 1)")
-        if unit is not None and unit.dimension != column.dimension:
-            rule = f"column {quantity!r} must be a {column.dimension}"
-            raise InvalidInput(f"{rule}; received the unit {unit.symbol} ({path}, line 1)")
-        if quantity in header:
-            rule = f"column {quantity!r} must be given once"
-            raise InvalidInput(f"{rule}; received {header[quantity].text} and {name} ({path}, line 1)")
-        header[quantity] = HeaderCell(index, name, unit.to_si if unit else 1.0)
-    _refuse_missing(header, known, path)
+        fault = _header_fault(name, quantity, unit, known, header)
+        if fault is None:
+            header[quantity] = HeaderCell(index, name, unit.to_si if unit else 1.0)
+        else:
+            faults.note(InvalidInput(f"{fault} ({path}, line 1)", Place(str(path), 1, index + 1)))
+    if missing := _missing(header, known, [split_unit(cell.strip())[0] for cell in first_row]):
+        words = f"columns must include {', '.join(missing)}; the header lacks them ({path}, line 1)"
+        faults.note(InvalidInput(words, Place(str(path), 1)))
     return header
 
 
-def _refuse_missing(header: Mapping[str, HeaderCell], known: Mapping[str, Column], path: Path) -> None:
+def _header_fault(
+    name: str, quantity: str, unit: Unit | None, known: Mapping[str, Column], header: Mapping[str, HeaderCell]
+) -> str | None:
+    """What is wrong with a cell of the header, given those before it."""
+    column = known.get(quantity)
+    if column is None or (unit is not None and column.dimension is None):
+        names = [column.si_header for column in known.values()]
+        hint = closest(quantity, known) or closest(name, names)
+        return f"column {name!r} is not known to the rig{hint}; known are {', '.join(names)}"
+    if column.dimension is not None and unit is None:
+        return f"column {name!r} lacks its unit: write {column.si_header}"
+    if unit is not None and unit.dimension != column.dimension:
+        return f"column {quantity!r} must be a {column.dimension}; received the unit {unit.symbol}"
+    if quantity in header:
+        return f"column {quantity!r} must be given once; received {header[quantity].text} and {name}"
+    return None
+
+
+def _missing(
+    header: Mapping[str, HeaderCell], known: Mapping[str, Column], written: Sequence[str]
+) -> list[str]:
+    """Columns that the header lacks; one that is written, though wrongly, is no second mistake."""
     groups = {known[quantity].group for quantity in header}
-    missing = [
+    quantities = {column.si_header: quantity for quantity, column in known.items()}
+    unknown = [name for name in written if name not in known]
+    meant = {
+        nearest_name(name, known) or quantities.get(nearest_name(name, quantities) or "") for name in unknown
+    }
+    return [
         column.si_header
         for column in known.values()
         if column.is_required
         and column.quantity not in header
+        and column.quantity not in written
+        and column.quantity not in meant
         and (column.group is None or column.group in groups)
     ]
-    if missing:
-        raise InvalidInput(
-            f"columns must include {', '.join(missing)}; the header lacks them ({path}, line 1)"
-        )

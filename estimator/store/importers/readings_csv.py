@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput, reason
+from estimator.errors import Faults, InvalidInput, Place, in_order, reason
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
@@ -42,7 +43,40 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
         InvalidInput: A column is missing, unknown, doubled or without unit; a cell has another type than its column; or a sensor has two
             readings at one time. The message names file, line and column.
     """
-    table = read_table(path, _columns(rig))
+    return _session(read_table(path, _columns(rig)), rig)
+
+
+class CheckedReadings(NamedTuple):
+    """A readings CSV with all that is wrong in it, in the order of its lines; table and session only where nothing is."""
+
+    table: Table | None
+    session: Session | None
+    faults: list[InvalidInput]
+
+
+def readings_and_faults(path: Path, rig: Rig) -> CheckedReadings:
+    """Read a readings CSV and go on behind each fault."""
+    faults, known = Faults(is_collected=True), _columns(rig)
+    table = session = None
+    with faults.noting():
+        table = read_table(path, known, faults)
+        if any(fault.place is None or fault.place.line == 1 for fault in faults.noted):
+            _read_cells(table, known)
+        else:
+            session = _session(table, rig)
+    if faults.noted:
+        return CheckedReadings(None, None, in_order(faults.noted))
+    return CheckedReadings(table, session, [])
+
+
+def _read_cells(table: Table, known: Mapping[str, Column]) -> None:
+    """Read the numbers of a table that lacks columns, for their faults alone."""
+    for quantity in table.header:
+        if known[quantity].dimension is not None:
+            table.numbers(quantity, may_be_empty=quantity in FIELD)
+
+
+def _session(table: Table, rig: Rig) -> Session:
     time_s = table.numbers("t")
     n = len(time_s)
     zeros = torch.zeros(n, dtype=torch.int64)
@@ -62,7 +96,7 @@ def read_readings_csv(path: Path, rig: Rig) -> Session:
         recorded_segment=segment,
     )
     named = "".join(f"; segment {number} is {label}" for label, number in labels.items())
-    session = Session(rig, observations, f"readings CSV {path.name}{named}")
+    session = Session(rig, observations, f"readings CSV {table.path.name}{named}")
     return replace(session, created=_recorded_at(table)) if "recorded_at" in table else session
 
 
@@ -125,14 +159,16 @@ def _mover_columns(mover: Mover) -> Iterator[tuple[str, str]]:
 
 def _recorded_at(table: Table) -> str:
     """The earliest date and time in the column; cells may be empty, but not all."""
-    moments = [
-        moment(cell, "recorded_at", f"{table.path}, line {line}")
-        for cell, line in table.cells("recorded_at")
-        if cell
-    ]
-    if not moments:
+    cells = [(cell, line) for cell, line in table.cells("recorded_at") if cell]
+    if not cells:
         raise InvalidInput(f"recorded_at must hold a date in some line; it holds none ({table.path})")
-    return min(moments)
+    moments = []
+    for cell, line in cells:
+        try:
+            moments.append(moment(cell, "recorded_at", f"{table.path}, line {line}"))
+        except InvalidInput as fault:
+            table.faults.note(InvalidInput(str(fault), table.place("recorded_at", line)))
+    return min(moments, default="")
 
 
 def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
@@ -140,10 +176,9 @@ def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
     for key, line in zip(zip(time_s.tolist(), sensor.tolist(), strict=True), table.lines, strict=True):
         if key in first_line:
             rule = "a sensor must have one reading at a time"
-            raise InvalidInput(
-                f"{rule}; t_s = {key[0]:.15g} is in lines {first_line[key]} and {line} ({table.path})"
-            )
-        first_line[key] = line
+            words = f"{rule}; t_s = {key[0]:.15g} is in lines {first_line[key]} and {line} ({table.path})"
+            table.faults.note(InvalidInput(words, table.place("t", line)))
+        first_line.setdefault(key, line)
 
 
 def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
@@ -154,12 +189,13 @@ def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
 
 def _field(table: Table) -> Float[Tensor, "reading 3"]:
     field_T = torch.stack([table.numbers(name, may_be_empty=True) for name in FIELD], dim=1)
-    empty = torch.isnan(field_T).all(dim=1).nonzero().flatten()
-    if len(empty):
-        line = table.lines[int(empty[0])]
-        raise InvalidInput(
-            f"a row must have at least one field component; all three are empty ({table.path}, line {line})"
-        )
+    known_lines = {fault.place.line for fault in table.faults.noted if fault.place}
+    for row in torch.isnan(field_T).all(dim=1).nonzero().flatten().tolist():
+        line = table.lines[row]
+        if line not in known_lines:
+            rule = "a row must have at least one field component"
+            words = f"{rule}; all three are empty ({table.path}, line {line})"
+            table.faults.note(InvalidInput(words, Place(str(table.path), line)))
     return field_T
 
 
@@ -177,8 +213,9 @@ def _whole(table: Table, name: str, may_be_empty: bool = False) -> Int[Tensor, "
     """A column of whole numbers; -1 for a cell that may be empty."""
     values = table.numbers(name, may_be_empty)
     bad_rows = ((values != values.floor()) | (values < 0) | (values > LARGEST_NUMBER)) & ~values.isnan()
-    if bad_rows.any():
-        row = int(bad_rows.nonzero()[0])
+    for row in bad_rows.nonzero().flatten().tolist():
+        line = table.lines[row]
         rule = f"{name} must be a whole number from 0 to {LARGEST_NUMBER}"
-        raise InvalidInput(f"{rule}; received {values[row]:.15g} ({table.path}, line {table.lines[row]})")
+        words = f"{rule}; received {values[row]:.15g} ({table.path}, line {line})"
+        table.faults.note(InvalidInput(words, table.place(name, line)))
     return values.nan_to_num(nan=NO_SEGMENT).to(torch.int64)

@@ -67,6 +67,7 @@ def test_every_cause_is_explained(run: Run) -> None:
     unknown = run("explain", "iron_plte")
     assert unknown.exit_code == 2
     assert "the closest is iron_plate" in unknown.stderr
+    assert "received 'nosuch'; 'coilcal explain' lists them" in run("explain", "nosuch").stderr
 
 
 def test_import_says_when_the_readings_were_taken(workspace: Path, run: Run, tmp_path: Path) -> None:

@@ -88,6 +88,8 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     first = headline(calm)[0]
     assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
     assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
+    settled = replace(calm, left_open=replace(calm.left_open, next_measurements=()))
+    assert headline(settled)[-1] == "There is nothing to mend: use the rig file as it is."
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(

@@ -89,7 +89,9 @@ def test_fields_in_another_unit_take_their_noise_along() -> None:
         ("axis gain", "must look like cause"),
         ("axis_gian", "the closest is axis_gain"),
         ("axis_gain[probe]", "must say where, one of hall"),
+        ("axis_gain[hal]", r"must say where, one of hall; received 'axis_gain\[hal\]'; the closest is hall"),
         ("axis_gain.q", "must be given by one of x, y, z"),
+        ("current_gain.exces", "received 'current_gain.exces'; the closest is excess"),
         ("segment_gain.gain", "must be given by one of segment0_gain, segment1_gain"),
     ],
 )

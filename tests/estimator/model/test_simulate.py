@@ -106,7 +106,7 @@ def test_priors_that_leave_no_bore_are_refused(rig_text: str) -> None:
     [
         (
             {"coil1.radius": 0.05},
-            "rig 'small' has no parameter 'coil1.radius'; the closest name is coil1.radius_m",
+            "rig 'small' has no parameter 'coil1.radius'; the closest is coil1.radius_m",
         ),
         (
             {"coil1.axial_pitch_m": 0.002},

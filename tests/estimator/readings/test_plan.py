@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.readings.plan import Plan, load_plan, observations_of
+from estimator.readings.plan import Plan, load_plan, observations_of, plan_and_faults
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
@@ -138,7 +138,7 @@ CURRENTS = "[{coil1: 3}, {coil1: -3, coil2: 0.5}]"
 REFUSALS = {
     "other version": ("schema_version: 1", "schema_version: 3", "schema_version must be 1; received 3", 1),
     "unknown key": ("repeats: 2", "repeat: 2", "repeat is not a known key; the closest is repeats", 11),
-    "no poses": ("poses:", "pose:", "poses.calibration is missing", 1),
+    "no poses": ("poses:", "pose:", "poses is missing; the closest is pose", 1),
     "no calibration": (
         "  calibration:",
         "  calibrate:",
@@ -336,3 +336,39 @@ def test_what_the_protocol_decides_may_be_said_otherwise(tmp_path: Path, rig: Ri
         (tmp_path / "plan.yaml").write_text(text, encoding="utf-8")
         with pytest.raises(InvalidInput, match="largest_A|currents_A is missing"):
             load_plan(tmp_path / "plan.yaml", rig)
+
+
+@pytest.mark.parametrize(("old", "new"), [case[:2] for case in REFUSALS.values()], ids=REFUSALS)
+def test_a_single_mistake_is_one_fault_and_has_no_followers(
+    rig: Rig, tmp_path: Path, old: str, new: str
+) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN.replace(old, new), encoding="utf-8")
+    with pytest.raises(InvalidInput) as raised:
+        load_plan(path, rig)
+    plan, faults = plan_and_faults(path, rig)
+    assert (plan, [str(fault) for fault in faults]) == (None, [str(raised.value)])
+
+
+def test_mistakes_of_all_parts_are_told_at_once(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    wrong = {
+        "order: raster": "order: rastre",
+        "x_cm: 2": "x_kg: 2",
+        "repeats: 2": "repeats: 0",
+        "coil2: 0.5": "coil3: 0.5",
+    }
+    text = PLAN
+    for old, new in wrong.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    told = [str(fault).partition(" ")[0] for fault in plan_and_faults(path, rig)[1]]
+    assert told == ["poses.validation.stage.x_kg", "currents_A", "order", "repeats"]
+
+
+def test_a_plan_without_faults_is_the_one_that_is_loaded(rig: Rig, tmp_path: Path) -> None:
+    plan = loaded(tmp_path, rig)
+    again, faults = plan_and_faults(tmp_path / "plan.yaml", rig)
+    assert again is not None
+    assert (faults, again.name, again.currents_A) == ([], plan.name, plan.currents_A)

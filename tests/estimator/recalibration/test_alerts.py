@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -40,6 +41,14 @@ def test_a_command_for_a_shell_is_told_how_to_get_one_and_that_works(tmp_path: P
     assert hint == f"sh -c 'cat >> {tmp_path}/alerts.log'"
     assert run_command(hint, MESSAGE) is None
     assert json.loads((tmp_path / "alerts.log").read_text(encoding="utf-8")) == MESSAGE
+
+
+@pytest.mark.parametrize("command", ["cat >> alerts.log", "cat | mail root", "tee a 2> b", "true && date"])
+def test_a_command_that_needs_a_shell_is_refused_before_the_first_alert(command: str) -> None:
+    words = f"alert command must need no shell; received {command!r}; it runs without a shell, so write sh -c '{command}'"
+    with pytest.raises(InvalidInput, match=re.escape(words)):
+        senders(command, None)
+    assert len(senders(f"sh -c '{command}'", None)) == 1
 
 
 def test_webhook_gets_the_message_and_a_dead_one_is_told() -> None:

@@ -46,12 +46,12 @@ REFUSALS = {
     ),
     "unknown cause": (
         "effects:\n  axis_gian[probe]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gian[probe] must be a cause that coilcal knows, such as axis_gain; received 'axis_gian'",
+        "effects.axis_gian[probe] must be a cause that coilcal knows; received 'axis_gian'; the closest is axis_gain",
         9,
     ),
     "cause in other words": (
         "effects:\n  earth_field[room]: {x_T: 0, y_T: 0, z_T: 0}",
-        "effects.earth_field[room] must be a cause that coilcal knows, such as background_field; received 'earth_field'",
+        "effects.earth_field[room] must be a cause that coilcal knows; received 'earth_field'; 'coilcal explain' lists them",
         9,
     ),
     "no place": (

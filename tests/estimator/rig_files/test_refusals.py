@@ -130,7 +130,7 @@ REFUSALS = {
     "unknown mover": (
         "    carried_by: arm1",
         "    carried_by: arm3",
-        "coils.coil1.carried_by must name a mover (arm1, arm2); received 'arm3'",
+        "coils.coil1.carried_by must name a mover (arm1, arm2); received 'arm3'; the closest is arm2",
         8,
     ),
     "base frame without its rotation": (
@@ -148,7 +148,7 @@ REFUSALS = {
     "tie to nothing": (
         "tied_to: coil1.radius_m",
         "tied_to: coil1.radius_mm",
-        "coils.coil2.radius_mm must be tied to a parameter of the rig, by its name in SI; received 'coil1.radius_mm'",
+        "coils.coil2.radius_mm must be tied to a parameter of the rig, by its name in SI; received 'coil1.radius_mm'; the closest is coil1.radius_m",
         16,
     ),
     "tie to itself": (

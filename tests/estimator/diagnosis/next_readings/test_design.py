@@ -75,6 +75,7 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
         ({"split": ("axis_gain", "axis_gian")}, "the closest is axis_gain"),
         ({"split": ("axis_gain[probe]", "cross_axis")}, "must say where, one of hall"),
         ({"split": ("current_gain", "cross_axis")}, "the fit follows it wholly"),
+        ({"shrink": "coil1.raduis_m"}, "received 'coil1.raduis_m'; the closest is coil1.radius_m"),
         ({"shrink": "hall.world_from_sensor.x_m"}, "must name a parameter that the fit may change"),
     ],
 )

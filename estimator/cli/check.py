@@ -1,0 +1,118 @@
+"""`coilcal check`: all that is wrong with a rig file and a file that goes with it, then what coilcal understood of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from estimator.cli.options import json_option
+from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, printable, show
+from estimator.errors import Faults, InvalidInput
+
+if TYPE_CHECKING:
+    from estimator.rig.rig import Rig
+    from estimator.store.session import Session
+
+MOST_SHOWN = 50  # faults; `--json` has them all
+PLANS = (".yaml", ".yml")
+
+
+@click.command("check", cls=CoilcalCommand)
+@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
+@click.argument("path", metavar="[FILE]", required=False, type=click.Path(path_type=Path))
+@json_option
+def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
+    """Say all that is wrong with the rig file RIG and with FILE, a readings CSV or a plan (.yaml).
+
+    Where nothing is wrong, say what they hold. Exit code 2 where something is.
+    """
+    from estimator.cli.understood import rig_lines, rig_record
+    from estimator.rig_files.read import rig_and_faults
+
+    rig, faults = rig_and_faults(rig_path)
+    lines, record = [], {}
+    if rig is not None and not faults:
+        lines, record = [f"{rig_path}: {rig_lines(rig)[0]}", *rig_lines(rig)[1:]], {"rig": rig_record(rig)}
+    if path is not None and rig is not None:
+        further, about, file_faults = _file(path, rig, is_rig_right=not faults)
+        faults = [*faults, *file_faults]
+        lines, record = [*lines, *further], {**record, **about}
+    elif path is not None:
+        lines.append(f"{path} was not looked at: what it may hold depends on what is wrong above")
+    _tell(faults, lines, record, as_json)
+    if faults:
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
+    """What a plan or a readings CSV holds, as lines and as a record, and its faults."""
+    from estimator.cli.understood import plan_lines, plan_record, readings_lines, readings_record
+    from estimator.readings.plan import plan_and_faults
+    from estimator.store.importers.readings_csv import readings_and_faults
+
+    if path.suffix in PLANS:
+        plan, faults = plan_and_faults(path, rig)
+        if plan is None:
+            return [], {}, faults
+        first, *rest = plan_lines(plan, rig)
+        return [f"{path}: {first}", *rest], {"plan": plan_record(plan, rig)}, faults
+    table, session, faults = readings_and_faults(path, rig)
+    if table is None or session is None:
+        return [], {}, faults
+    if is_rig_right:
+        faults = _physical_faults(rig, session, str(path))
+    first, *rest = readings_lines(table)
+    return [f"{path}: {first}", *rest], {"readings": readings_record(table)}, faults
+
+
+def _physical_faults(rig: Rig, session: Session, source: str) -> list[InvalidInput]:
+    """What an import of the readings would refuse: too few, nothing measured, other units than they claim."""
+    from estimator.cli.import_readings import with_validation
+    from estimator.model.preflight import check_readings, check_units
+
+    faults = Faults(is_collected=True)
+    check_readings(rig, session.observations, source, faults=faults)
+    if not faults.noted:
+        with faults.noting():
+            check_units(rig, session.observations, source)
+            check_readings(rig, with_validation(session).observations, source)
+    return faults.noted
+
+
+def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], as_json: bool) -> None:
+    told = [f"{_where(fault)}{_without_place(fault)}" for fault in faults[:MOST_SHOWN]]
+    if len(faults) > MOST_SHOWN:
+        told.append(f"and {len(faults) - MOST_SHOWN} more; --json lists them all")
+    if faults:
+        told.append(f"{len(faults)} {'mistake' if len(faults) == 1 else 'mistakes'}")
+    else:
+        lines.append("nothing is wrong")
+    entries = [
+        {
+            "message": _without_place(fault),
+            "file": fault.place.file if fault.place else None,
+            "line": fault.place.line if fault.place else None,
+            "column": fault.place.column if fault.place else None,
+        }
+        for fault in faults
+    ]
+    show({"faults": entries, **record}, "\n".join(map(printable, [*lines, *told])), as_json)
+
+
+def _where(fault: InvalidInput) -> str:
+    place = fault.place
+    if place is None:
+        return ""
+    column = "" if place.column is None else f", column {place.column}"
+    return f"{place.file}, line {place.line}{column}: "
+
+
+def _without_place(fault: InvalidInput) -> str:
+    """The message without the place at its end, which is told apart from it."""
+    place, message = fault.place, str(fault)
+    if place is None:
+        return message
+    return message.removesuffix(f" ({place.file}, line {place.line})").removesuffix(f" ({place.file})")

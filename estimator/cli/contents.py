@@ -1,0 +1,287 @@
+"""What a file or folder of coilcal is, and what it holds: as lines for people and as a record for programs."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from estimator.calibration.calibrate import CHAIN_STORE
+from estimator.calibration.result import SUMMARY_FILE, Calibration
+from estimator.cli.understood import rig_lines, rig_record
+from estimator.cli.words import duration_words
+from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
+from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.recalibration.registry import LOG, VERSIONS, Registry
+from estimator.rig_files.read import load_rig
+from estimator.store.session import Session, is_growing, is_session, load_session
+from estimator.yaml_section import Section
+
+JOBS, RESULT_FILE = "jobs", "result.json"  # of `estimator.batching`, which needs an extra
+DATABASE = "coilcal.sqlite"  # of `estimator.service`, likewise
+MOST_LINES = 8  # of a list inside; `--json` has all of it
+Contents = tuple[dict[str, Any], list[str]]
+
+
+def contents_of(path: Path) -> Contents:
+    """Kind and content of a path.
+
+    Returns: A record with `kind` and what it holds, and lines that say the same.
+
+    Raises:
+        InvalidInput: There is nothing, or nothing that coilcal knows.
+        CorruptStore: It is damaged.
+    """
+    kind = kind_of(path)
+    if kind is None:
+        known = ", ".join(KINDS)
+        raise InvalidInput(f"path must be something that coilcal reads or writes ({known}); received {path}")
+    record, lines = KINDS[kind](path)
+    return {"kind": kind, **record}, [f"{path}: {kind}", *(f"  {line}" for line in lines)]
+
+
+def kind_of(path: Path) -> str | None:
+    """What a path is, by the files that mark it; None where it is nothing of coilcal."""
+    if path.is_file():
+        return _kind_of_file(path)
+    if not path.is_dir():
+        raise InvalidInput(f"path must exist; received {path}")
+    marks = {
+        "session that grows": is_growing(path),
+        "session": is_session(path),
+        "diagnosis": (path / DIAGNOSIS).is_file(),
+        "calibration": (path / SUMMARY_FILE).is_file(),
+        "unfinished calibration": (path / CHAIN_STORE).is_dir(),
+        "registry": (path / LOG).is_file() or (path / VERSIONS).is_dir(),
+        "data of the service": (path / DATABASE).is_file(),
+        "batch": any((path / JOBS).glob(f"*/{RESULT_FILE}")),
+    }
+    kind = next((kind for kind, is_there in marks.items() if is_there), None)
+    if kind is None and any(_known_inside(path)):
+        return "folder"
+    return kind
+
+
+def _kind_of_file(path: Path) -> str | None:
+    if path.suffix == ".csv":
+        return "readings CSV"
+    if path.suffix not in (".yaml", ".yml"):
+        return None
+    top = Section.from_file(path)
+    if "coils" in top or "sensors" in top:
+        return "rig file"
+    return "plan" if "poses" in top or "stops" in top else None
+
+
+def _known_inside(folder: Path) -> list[tuple[str, str]]:
+    """Name and kind of what coilcal knows among the entries of a folder; not of those of folders in it."""
+    inside = []
+    for path in sorted(folder.iterdir()):
+        is_empty = path.is_dir() and (path.is_symlink() or not any(path.iterdir()))
+        try:
+            kind = None if is_empty or (path.is_dir() and _is_plain_folder(path)) else kind_of(path)
+        except InvalidInput:
+            kind = None
+        if kind is not None:
+            inside.append((path.name, kind))
+    return inside
+
+
+def _is_plain_folder(path: Path) -> bool:
+    """Whether none of the marks is in it, so that only what it holds would tell."""
+    return not any(
+        (path / name).exists()
+        for name in (
+            "zarr.json",
+            "journal.jsonl",
+            DIAGNOSIS,
+            SUMMARY_FILE,
+            CHAIN_STORE,
+            LOG,
+            VERSIONS,
+            "jobs",
+        )
+    )
+
+
+def _session(path: Path) -> Contents:
+    session = load_session(path)
+    o = session.observations
+    n_validation = int(o.is_validation.sum())
+    names = [sensor.name for sensor in session.rig.sensors]
+    by_sensor = {name: int((o.sensor == i).sum()) for i, name in enumerate(names)}
+    duration_s = float(o.time_s.max() - o.time_s.min()) if len(o) else 0.0
+    record = {
+        "rig": rig_record(session.rig),
+        "readings": len(o),
+        "validation": n_validation,
+        "readings_by_sensor": by_sensor,
+        "duration_s": duration_s,
+        "recorded": session.created,
+        "source": session.source,
+        "is_simulated": bool(session.truth),
+        "session_hash": session.hash,
+    }
+    lines = [
+        f"rig {session.rig.name!r}: coils {', '.join(c.name for c in session.rig.coils)}; "
+        f"movers {', '.join(f'{m.name} ({m.motion})' for m in session.rig.movers) or 'none'}",
+        f"{len(o)} readings, {n_validation} of them for validation, over {duration_words(duration_s)}",
+        *(f"  {name}: {number}" for name, number in by_sensor.items()),
+        *_current_lines(session),
+        f"recorded {session.created}; from {session.source}",
+    ]
+    if session.truth:
+        lines.append(f"simulated, with the truth of {len(session.truth)} numbers")
+    return record, [*lines, "next: coilcal calibrate, coilcal diagnose"]
+
+
+def _current_lines(session: Session) -> list[str]:
+    current_A = session.observations.current_A
+    if not len(current_A):
+        return []
+    return [
+        f"current of {coil.name}: {float(current_A[:, i].min()):g} to {float(current_A[:, i].max()):g} A"
+        for i, coil in enumerate(session.rig.coils)
+    ][:MOST_LINES]
+
+
+def _growing(path: Path) -> Contents:
+    record, lines = _session(path)
+    return record, [*lines[:-1], "coilcal acquire writes it, or was interrupted: the same command goes on"]
+
+
+def _calibration(path: Path) -> Contents:
+    summary = dict(Calibration.load(path).summary())
+    quality = summary.get("quality", {"verdict": "not judged", "reasons": []})
+    return summary, [
+        f"rig {summary['rig_name']!r}; {quality['verdict']}: {' '.join(quality['reasons'])}".rstrip(": "),
+        *_parameter_lines(summary["parameters"]),
+        f"session: {summary['session_source']}, of {summary['session_created']}",
+        "next: coilcal predict, coilcal report",
+    ]
+
+
+def _parameter_lines(parameters: dict[str, Any]) -> list[str]:
+    width = max(map(len, parameters), default=0)
+    lines = []
+    for name, told in list(parameters.items())[:MOST_LINES]:
+        low, high = told["ci90"]
+        words = f"{told['median']:.6g}  90 %: {low:.6g} to {high:.6g}  {told['unit'].removeprefix('1')}"
+        lines.append(f"  {name:{width}}  {words.rstrip()}")
+    more = len(parameters) - len(lines)
+    return lines if more <= 0 else [*lines, f"  and {more} more"]
+
+
+def _unfinished(path: Path) -> Contents:
+    return {}, [f"{path / SUMMARY_FILE} is missing: the same coilcal calibrate goes on"]
+
+
+def _diagnosis(path: Path) -> Contents:
+    try:
+        told = json.loads((path / DIAGNOSIS).read_text(encoding="utf-8"))
+        lines = [f"verdict: {told['verdict']}"]
+        for cause in told["causes"]:
+            lines.append(f"  {cause['name']}[{cause['place']}] ({cause['probability']:.0%})")
+            lines += _parameter_lines(cause["parameters"])
+        if told["next_measurement"]:
+            lines.append(f"to tell more, measure {told['next_measurement'][0]['action']}")
+        if told["ended_early"]:
+            lines.append(f"the search ended early: {told['ended_early']}")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        words = reason(error) if isinstance(error, OSError) else f"{type(error).__name__} {error}"
+        raise CorruptStore(f"diagnosis must be readable; {path / DIAGNOSIS} is damaged: {words}") from error
+    if (path / CALIBRATION_FOLDER / SUMMARY_FILE).is_file():
+        lines.append(f"calibration of the extended rig: {path / CALIBRATION_FOLDER}")
+    return told, [*lines, f"next: {path / 'report.html'}"]
+
+
+def _registry(path: Path) -> Contents:
+    registry = Registry(path)
+    entries = registry.entries()
+    conclusions = Counter(entry.conclusion for entry in entries)
+    record = {
+        "versions": list(registry.versions),
+        "current": registry.current,
+        "sessions": len(entries),
+        "conclusions": dict(conclusions),
+        "last": entries[-1].reason if entries else None,
+    }
+    words = ", ".join(f"{number} {conclusion}" for conclusion, number in conclusions.items())
+    lines = [
+        f"{len(registry.versions)} versions; in use is {registry.current or 'none'}",
+        f"log: {words or 'empty'}",
+    ]
+    lines += [
+        f"  {entry.taken or entry.concluded}  {entry.conclusion}: {entry.reason}" for entry in entries[-3:]
+    ]
+    return record, [*lines, f"next: {path / 'history.html'}"]
+
+
+def _batch(path: Path) -> Contents:
+    record = {"fits": len(list((path / JOBS).glob(f"*/{RESULT_FILE}")))}
+    record["sampled"] = len(list((path / JOBS).glob(f"*/{CALIBRATION_FOLDER}/{SUMMARY_FILE}")))
+    lines = [f"{record['fits']} fits, {record['sampled']} of them sampled"]
+    return record, [*lines, f"next: {path / 'overview.html'}, {path / 'summary.csv'}"]
+
+
+def _service(path: Path) -> Contents:
+    record = {name: len(list((path / name).glob("*"))) for name in ("sessions", JOBS)}
+    words = f"{record['sessions']} sessions, {record[JOBS]} jobs"
+    return record, [words, "next: coilcal serve --data", "copy it with coilcal serve backup only"]
+
+
+def _rig(path: Path) -> Contents:
+    rig = load_rig(path)
+    return {"rig": rig_record(rig)}, [*rig_lines(rig), "next: coilcal check, coilcal simulate"]
+
+
+def _plan(path: Path) -> Contents:
+    top = Section.from_file(path)
+    parts = [key for key in ("poses", "stops", "currents_A", "largest_A") if key in top]
+    name = str(top.value("name"))
+    return {"name": name, "parts": parts}, [
+        f"plan {name!r} with {', '.join(parts)}",
+        f"next: coilcal check RIG {path} says how many stops it has",
+    ]
+
+
+def _readings(path: Path) -> Contents:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            header, n_rows = next(csv.reader(file), []), sum(1 for line in file if line.strip())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
+    return {"columns": header, "rows": n_rows}, [
+        f"{n_rows} rows of {', '.join(header)}",
+        f"next: coilcal check RIG {path}",
+    ]
+
+
+def _folder(path: Path) -> Contents:
+    inside = _known_inside(path)
+    lines = [f"{name}: {kind}" for name, kind in inside[:MOST_LINES]]
+    if len(inside) > MOST_LINES:
+        counts = Counter(kind for _, kind in inside)
+        lines.append(
+            f"and more, in all {', '.join(f'{number} of kind {kind}' for kind, number in counts.items())}"
+        )
+    return {"holds": [{"name": name, "kind": kind} for name, kind in inside]}, lines
+
+
+KINDS: dict[str, Callable[[Path], Contents]] = {
+    "session": _session,
+    "session that grows": _growing,
+    "calibration": _calibration,
+    "unfinished calibration": _unfinished,
+    "diagnosis": _diagnosis,
+    "batch": _batch,
+    "data of the service": _service,
+    "registry": _registry,
+    "rig file": _rig,
+    "plan": _plan,
+    "readings CSV": _readings,
+    "folder": _folder,
+}

@@ -1,0 +1,160 @@
+"""Movers, coils and sensors of a rig file.
+
+A body that cannot be read is named in `Numbers.unclear` where faults are collected, and one of its name stands in for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from estimator.errors import closest
+from estimator.rig.parameters import Parameter, Tie
+from estimator.rig.rig import (
+    AnyCoil,
+    Coil,
+    DisplacementFrame,
+    FieldSum,
+    HarmonicCoil,
+    MotionKind,
+    Mover,
+    Sensor,
+)
+from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
+from estimator.rig_files.numbers import Numbers, read_pose, read_pure, read_scalar
+from estimator.units import split_unit
+from estimator.yaml_section import Section
+
+WINDING = "winding"  # the model of a coil that names none
+OF_A_WINDING = (
+    "radius",
+    "wire_radius",
+    "axial_pitch",
+    "radial_pitch",
+    "axial_loops",
+    "radial_loops",
+    "field_sum",
+    "superconducting",
+)
+
+
+def read_mover(section: Section, name: str, numbers: Numbers) -> Mover:
+    """Read a mover."""
+    numbers.unclear.add(name)
+    with section.faults.noting():
+        mover = _clear_mover(section, name, numbers)
+        numbers.unclear.remove(name)
+        return mover
+    return Mover(name, MotionKind.POSE)
+
+
+def _clear_mover(section: Section, name: str, numbers: Numbers) -> Mover:
+    motion = MotionKind(section.choice("motion", tuple(MotionKind)))
+    frame = DisplacementFrame.END_EFFECTOR
+    rotation = [0.0, 0.0, 0.0]
+    if motion is MotionKind.DISPLACEMENT:
+        frame = DisplacementFrame(
+            section.choice("displacement_frame", tuple(DisplacementFrame), default=str(frame))
+        )
+        if frame is DisplacementFrame.BASE:
+            if "base_from_flange0" not in section:
+                section.refuse(
+                    "displacement_frame", "base needs the rotation base_from_flange0 {rx, ry, rz}", "none"
+                )
+            reference = section.section("base_from_flange0")
+            for axis, key in enumerate(("rx", "ry", "rz")):
+                entry = reference.quantity(key, "angle")
+                rotation[axis] = entry[1] if entry else 0.0
+            reference.finish()
+    else:
+        read_pose(section.section("world_from_base"), f"{name}.world_from_base", numbers)
+    section.finish()
+    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]))
+
+
+def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
+    """Read a coil with its winding, or one without."""
+    numbers.unclear.add(name)
+    with section.faults.noting():
+        coil = _clear_coil(section, name, movers, numbers)
+        numbers.unclear.remove(name)
+        return coil
+    return Coil(name)
+
+
+def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
+    if section.choice("model", (WINDING, MODEL), WINDING) == MODEL:
+        return _harmonic_coil(section, name, movers, numbers)
+    read_scalar(section, name, "radius", "length", numbers, positive=True)
+    follows_wire = {
+        pitch: not section.has_quantity(pitch, "length") for pitch in ("axial_pitch", "radial_pitch")
+    }
+    if any(follows_wire.values()) or section.has_quantity("wire_radius", "length"):
+        read_scalar(section, name, "wire_radius", "length", numbers, positive=True)
+    for pitch, is_tied in follows_wire.items():
+        if is_tied:
+            numbers.parameters[f"{name}.{pitch}_m"] = Parameter(
+                f"{name}.{pitch}_m", "m", 0.0, tie=Tie(f"{name}.wire_radius_m", 2.0), is_positive=True
+            )
+        else:
+            read_scalar(section, name, pitch, "length", numbers, positive=True)
+    for count in ("axial_loops", "radial_loops"):
+        read_pure(section, name, count, numbers, positive=True, is_count=True)
+    read_pure(section, name, "current_gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
+    field_sum, is_superconducting = FieldSum.VECTORS, False
+    with section.faults.noting():
+        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
+    with section.faults.noting():
+        is_superconducting = section.flag("superconducting")
+    section.finish()
+    return Coil(name, carried_by, field_sum, is_superconducting)
+
+
+def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> HarmonicCoil:
+    region, degree = read_region(section)
+    coil = HarmonicCoil(name, None, region, degree)
+    read_harmonic(section, coil, numbers)
+    read_pure(section, name, "current_gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
+    for key in OF_A_WINDING:
+        if any(given == key or split_unit(given)[0] == key for given in section):
+            given = next(g for g in section if g == key or split_unit(g)[0] == key)
+            section.refuse(
+                given, f"must not be given for a coil of model {MODEL}, which has no winding", given
+            )
+    section.finish()
+    return replace(coil, carried_by=carried_by)
+
+
+def read_sensor(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> Sensor:
+    """Read a sensor."""
+    read_scalar(section, name, "noise", "field", numbers, positive=True)
+    read_pure(section, name, "gain", numbers, default=1.0)
+    carried_by = _body_pose(section, name, "sensor", movers, numbers)
+    section.finish()
+    return Sensor(name, carried_by)
+
+
+def _body_pose(
+    section: Section, name: str, kind: str, movers: tuple[Mover, ...], numbers: Numbers
+) -> str | None:
+    carried_by = section.value("carried_by")
+    mover = next((m for m in movers if m.name == carried_by), None)
+    if carried_by is None:
+        blocks = [f"world_from_{kind}"]
+    elif mover is None or mover.name in numbers.unclear:
+        blocks = [
+            b for b in (f"world_from_{kind}", f"world_from_{kind}0", f"flange_from_{kind}") if b in section
+        ]
+    elif mover.motion is MotionKind.DISPLACEMENT:
+        blocks = [f"world_from_{kind}0", f"flange_from_{kind}"]
+    else:
+        blocks = [f"flange_from_{kind}"]
+    with section.faults.noting():
+        if carried_by is not None and mover is None:
+            names = ", ".join(m.name for m in movers) or "the rig has none"
+            hint = closest(str(carried_by), [m.name for m in movers])
+            section.refuse("carried_by", f"must name a mover ({names})", f"{carried_by!r}{hint}")
+    for block in blocks:
+        read_pose(section.section(block), f"{name}.{block}", numbers)
+    return None if mover is None else mover.name

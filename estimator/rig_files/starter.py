@@ -1,0 +1,230 @@
+"""The first rig file and plan of a new set-up: one coil, one sensor, one mover, with comments that say what each number is.
+
+Every free number has a prior as wide as a ruler and a maker's note leave it; the comments say when to free another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimator.errors import InvalidInput
+from estimator.rig_files.read import NAME, SCHEMA_VERSION
+
+PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
+TILT_SD_DEG = 2.0  # of a mount that was set by eye
+RELATIVE_SD = 0.05  # of a radius that was measured with a caliper over tape and varnish
+NEAREST_SDS = 4.0  # of the place, between a sensor and the end of the winding
+N_POSES, N_JUDGED = 40, 12
+
+
+class Moved(StrEnum):
+    """What the mover carries; the other body stands still and is the origin of the room."""
+
+    COIL = "coil"
+    SENSOR = "sensor"
+
+
+class Motion(StrEnum):
+    """What the mover reports. Joint angles need the arm's place in the room, which nobody can guess."""
+
+    DISPLACEMENT = "displacement"
+    POSE = "pose"
+
+
+@dataclass(frozen=True)
+class Starter:
+    """What is asked of the user, in the units of rig files.
+
+    Attributes:
+        name: Of the rig.
+        motion: What the mover reports.
+        moved: What it carries.
+        radius_mm: Outer radius of the winding.
+        wire_radius_mm: Half the distance of neighbouring turns.
+        axial_loops, radial_loops: Turns along the axis, and layers.
+        distance_mm: Along the axis, from the middle of the winding to the sensor where they are nearest.
+        reach_mm: How far the mover goes to each side, and away.
+        noise_uT: Scatter of one component of one reading.
+        largest_A: Largest current.
+    """
+
+    name: str = "my rig"
+    motion: Motion = Motion.DISPLACEMENT
+    moved: Moved = Moved.COIL
+    radius_mm: float = 48.0
+    wire_radius_mm: float = 0.46
+    axial_loops: float = 45.0
+    radial_loops: float = 22.0
+    distance_mm: float = 40.0
+    reach_mm: float = 40.0
+    noise_uT: float = 20.0
+    largest_A: float = 3.0
+
+    def __post_init__(self) -> None:
+        for key in ("radius_mm", "wire_radius_mm", "distance_mm", "reach_mm", "noise_uT", "largest_A"):
+            if not 0.0 < getattr(self, key) < 1e6:
+                raise InvalidInput(f"{key} must be > 0 and below 1000000; received {getattr(self, key):g}")
+        for key in ("axial_loops", "radial_loops"):
+            if not 1.0 <= getattr(self, key) < 1e4:
+                raise InvalidInput(
+                    f"{key} must be at least 1 and below 10000; received {getattr(self, key):g}"
+                )
+        thickness_mm = 2.0 * self.wire_radius_mm * self.radial_loops * (1.0 + 2.0 * RELATIVE_SD)
+        if thickness_mm >= self.radius_mm * (1.0 - 2.0 * RELATIVE_SD):
+            rule = f"must exceed {thickness_mm / (1.0 - 2.0 * RELATIVE_SD):.4g}, the thickness of its layers and some room"
+            raise InvalidInput(f"radius_mm {rule}; received {self.radius_mm:g}")
+        if self.distance_mm < self.nearest_mm:
+            rule = f"must be at least {self.nearest_mm:.4g}, so that no sensor comes into the winding"
+            raise InvalidInput(f"distance_mm {rule}; received {self.distance_mm:g}")
+
+    @property
+    def nearest_mm(self) -> float:
+        """Half the length of the winding, and how far either may be off."""
+        half_length_mm = self.wire_radius_mm * self.axial_loops
+        return half_length_mm * (1.0 + NEAREST_SDS * RELATIVE_SD) + NEAREST_SDS * PLACE_SD_MM
+
+
+def starter_rig_text(starter: Starter) -> str:
+    """The rig file, with comments."""
+    s = starter
+    is_coil_moved = s.moved is Moved.COIL
+    still = "    # It stands still and is the origin of the room: every other place counts from here.\n"
+    coil = _moved_pose(s, "coil", -s.distance_mm) if is_coil_moved else f"{still}    world_from_coil: {{}}\n"
+    sensor = (
+        f"{still}    world_from_sensor: {{}}\n" if is_coil_moved else _moved_pose(s, "sensor", s.distance_mm)
+    )
+    return f"""\
+# A rig file says what is known of a set-up before any reading is looked at. Start here, then read docs/how-to/write-a-rig-file.md.
+#
+# A key ends in its unit: lengths in m, cm, mm or um, angles in rad, mrad or deg, fields in T, mT, uT, nT or G.
+# A plain number is exact, and no fit moves it:        radius_mm: 48
+# A number with a prior is free, and a fit finds it:   radius_mm: {{prior: {{normal: {{mean: 48, sd: 3}}}}}}
+# "sd" is how far off the number may well be; "lower" and "upper" may be added as bounds.
+schema_version: {SCHEMA_VERSION}
+name: "{s.name}"
+
+movers:                      # robots and stages; readings have six columns of each
+  arm1:
+{_motion_lines(s)}
+coils:
+  coil1:
+{"    carried_by: arm1          # leave this out for a coil that stands still" + chr(10) if is_coil_moved else ""}\
+    # Outer radius, over the insulation; a length, must be given. Free it unless you measured it far better than you need it.
+    radius_mm: {_normal(s.radius_mm, RELATIVE_SD * s.radius_mm)}
+    # Half the distance of neighbouring turns, insulation included; a length. Free it: windings are never quite tight.
+    wire_radius_mm: {_normal(s.wire_radius_mm, RELATIVE_SD * s.wire_radius_mm)}
+    # Turns along the axis, and layers; pure numbers, must be given. Write plain numbers if you counted them.
+    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1)}
+    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1)}
+    # axial_pitch_mm, radial_pitch_mm: distance of turns and of layers; where left out, twice the wire radius.
+    # current_gain: delivered over commanded current, 1 where left out. Free it only as narrowly as your ammeter is good:
+    #   more current looks like more turns.
+{coil}
+sensors:
+  hall:
+{"" if is_coil_moved else "    carried_by: arm1          # leave this out for a sensor that stands still" + chr(10)}\
+    # Scatter of one component of one reading; a field, must be given. Free it unless you measured it.
+    noise_uT: {{prior: {{log_normal: {{median: {s.noise_uT:g}, relative_sd: 0.5}}}}}}
+    # gain: 1 where left out. Leave it fixed; a diagnosis asks for gains by axis.
+{sensor}
+# effects: known errors, one entry cause[place] each, such as
+#   axis_gain[hall]: {{x: 0.01, y: 0, z: 0}}
+# 'coilcal explain' lists all causes, and 'coilcal diagnose' finds them.
+#
+# devices: how to reach the instruments, for 'coilcal acquire'; 'coilcal rig-simulator' writes an example.
+"""
+
+
+def starter_plan_text(starter: Starter) -> str:
+    """The plan, with comments."""
+    s = starter
+    side = -1.0 if s.moved is Moved.COIL else 1.0
+    start = s.distance_mm if s.motion is Motion.POSE else 0.0
+    near, far = sorted(
+        (side * start + 0.0, side * (start + s.reach_mm))
+    )  # + 0.0: no minus sign before a zero
+    span = f"{{from: {-s.reach_mm:g}, to: {s.reach_mm:g}}}"
+    inner = f"{{from: {-0.8 * s.reach_mm:g}, to: {0.8 * s.reach_mm:g}}}"
+    depth, middle = near + 0.1 * (far - near), far - 0.1 * (far - near)
+    return f"""\
+# A plan says which poses to visit with which currents: 'coilcal simulate' makes readings from it, 'coilcal acquire' measures it.
+schema_version: 1
+name: "first plan of {s.name}"
+poses:
+  calibration:               # what a fit sees
+    scattered: {N_POSES}            # poses that fill the spans evenly; leave it out for a grid, and give each span a count
+    arm1:                    # what is left out stays at 0; angles rx_deg, ry_deg, rz_deg likewise
+      x_mm: {span}
+      y_mm: {span}
+      z_mm: {{from: {near:g}, to: {far:g}}}
+  validation:                # kept out of every fit, to judge it
+    scattered: {N_JUDGED}
+    arm1:
+      x_mm: {inner}
+      y_mm: {inner}
+      z_mm: {{from: {depth:g}, to: {middle:g}}}
+# Largest current of each coil in ampere. Each pose is read without current, and at half and at the whole of it with both signs:
+# that tells the coil from the room and from the sensor's zero. Or list settings yourself: currents_A: [{{coil1: 3}}, {{}}]
+largest_A: {{coil1: {s.largest_A:g}}}
+settle_s: 1                  # time from one reading to the next in seconds, 1 where left out
+# order: mixed (where left out), random or raster; mixed shows drifts.
+# repeats: visits of every pose, 1 where left out.
+"""
+
+
+def _motion_lines(s: Starter) -> str:
+    if s.motion is Motion.DISPLACEMENT:
+        return """\
+    # "displacement": columns say how far it went since a reference position. Others: "pose" (position and rotation vector),
+    # "UR3", "UR3e" (joint angles).
+    motion: displacement
+    # Axes of the displacements: of what is carried ("end_effector", where left out), or "base" with base_from_flange0 {rx_deg, ...}.
+    # displacement_frame: end_effector
+"""
+    return f"""\
+    # "pose": columns are position and rotation vector of the flange in the base. Others: "displacement" (since a reference position),
+    # "UR3", "UR3e" (joint angles).
+    motion: pose
+    world_from_base:         # where the base stands in the room; 0 where left out. Free it: nobody knows it to a millimetre.
+{_place(6, "xyz", (0.0, 0.0, 0.0))}"""
+
+
+def _moved_pose(s: Starter, kind: str, z_mm: float) -> str:
+    """Pose of the body that the mover carries."""
+    if s.motion is Motion.POSE:
+        return f"""\
+    # How it is mounted on the flange: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
+    # Its place is not free here, for that of the base is, and only their sum shows.
+    flange_from_{kind}:
+{_tilts()}"""
+    return f"""\
+    # Where it is at zero displacement: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
+    # Free the places and tilts of one body only. Never free the spin: a coil is round.
+    world_from_{kind}0:
+{_place(6, "xyz", (0.0, 0.0, z_mm))}{_tilts()}"""
+
+
+def _place(indent: int, axes: str, values_mm: tuple[float, ...]) -> str:
+    lines = (f"{axis}_mm: {_normal(value, PLACE_SD_MM)}" for axis, value in zip(axes, values_mm, strict=True))
+    return "".join(f"{' ' * indent}{line}\n" for line in lines)
+
+
+def _tilts() -> str:
+    return "".join(f"      tilt_{axis}_deg: {_normal(0.0, TILT_SD_DEG)}\n" for axis in "xy")
+
+
+def _normal(mean: float, sd: float, lower: float | None = None) -> str:
+    bound = "" if lower is None else f", lower: {lower:g}"
+    return f"{{prior: {{normal: {{mean: {mean:g}, sd: {sd:.3g}{bound}}}}}}}"
+
+
+def check_name(name: str) -> str:
+    """A name that stands in YAML without quotes.
+
+    Raises:
+        InvalidInput: It has other characters.
+    """
+    if not all(NAME.fullmatch(word) for word in name.split()) or not name.strip():
+        raise InvalidInput(f"name must consist of letters, digits, _, - and blanks; received {name!r}")
+    return " ".join(name.split())

@@ -1,0 +1,133 @@
+"""`coilcal check`: all mistakes at once with their places, and what was understood where there is none."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+Run = Callable[..., Result]
+
+
+@pytest.mark.usefixtures("in_workspace")
+def test_what_is_right_is_told_in_a_few_lines(run: Run) -> None:
+    result = run("check", "rig.yaml", "readings.csv")
+    assert (result.exit_code, result.stderr) == (0, "")
+    lines = [re.sub(r"(?<=\S) +", " ", line) for line in result.stdout.splitlines()]
+    assert lines[0] == "rig.yaml: rig 'small'"
+    assert "  coil coil1: winding of radius 51 mm, 12 x 3 loops; carried by arm1" in lines
+    assert "  free parameters: 3; a fit moves these and keeps all others" in lines
+    assert "    coil1.radius_m 51 ± 1, at least 0 mm" in lines
+    assert "readings.csv: 36 readings" in lines
+    assert "  coil1_current 3 to 3 A" in lines
+    assert "  arm1_x -0.04 to 0.04 m" in lines
+    assert "  set calibration (27), validation (9)" in lines
+    assert lines[-1] == "nothing is wrong"
+
+
+@pytest.mark.usefixtures("in_workspace")
+def test_a_plan_is_told_too(run: Run) -> None:
+    told = json.loads(run("check", "rig.yaml", "plan.yaml", "--json").stdout)
+    assert told["faults"] == []
+    assert told["plan"]["readings"] == 36
+    assert told["rig"]["free"]["coil1.radius_m"] == {"unit": "m", "prior": "0.051 ± 0.001, at least 0"}
+    assert "plan.yaml: plan 'small grid'" in run("check", "rig.yaml", "plan.yaml").stdout
+
+
+def test_mistakes_of_both_files_are_told_at_once(workspace: Path, run: Run, tmp_path: Path) -> None:
+    rig, readings = tmp_path / "rig.yaml", tmp_path / "readings.csv"
+    text = (workspace / "rig.yaml").read_text(encoding="utf-8")
+    for old, new in (("radial_loops: 3", "radial_lops: 3"), ("noise_uT: 5", "noise_uT: -5\n    gian: 1")):
+        assert old in text
+        text = text.replace(old, new)
+    rig.write_text(text, encoding="utf-8")
+    rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    rows[0] = rows[0].replace("By_T", "By").replace("coil1_current_A", "coil_current_A")
+    rows[3] = "three" + rows[3][rows[3].index(",") :]
+    rows[4] += ",1"
+    readings.write_text("\n".join(rows), encoding="utf-8")
+    result = run("check", rig, readings, "--json")
+    assert result.exit_code == 2
+    faults = json.loads(result.stdout)["faults"]
+    columns = rows[0].split(",")
+    assert [(Path(fault["file"]).name, fault["line"], fault["column"]) for fault in faults] == [
+        ("rig.yaml", 8, 5),
+        ("rig.yaml", 17, 5),
+        ("rig.yaml", 18, 5),
+        ("readings.csv", 1, columns.index("coil_current_A") + 1),
+        ("readings.csv", 1, columns.index("By") + 1),
+        ("readings.csv", 4, 1),
+        ("readings.csv", 5, None),
+    ]
+    assert faults[0]["message"] == "coils.coil1.radial_loops is missing; the closest is radial_lops"
+    assert faults[2]["message"] == "sensors.hall.gian is not a known key; the closest is gain"
+    assert "the closest is coil1_current" in faults[3]["message"]
+    told = run("check", rig, readings)
+    assert told.exit_code == 2
+    assert f"{rig}, line 17, column 5: sensors.hall.noise_uT must be > 0; received -5\n" in told.stdout
+    assert told.stdout.endswith("7 mistakes\n")
+    assert "nothing is wrong" not in told.stdout
+
+
+def test_readings_wait_where_nobody_can_say_what_columns_there_are(
+    workspace: Path, run: Run, tmp_path: Path
+) -> None:
+    text = (workspace / "rig.yaml").read_text(encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(
+        text.replace("motion: displacement", "motion: shift"), encoding="utf-8"
+    )
+    result = run("check", tmp_path / "rig.yaml", workspace / "readings.csv")
+    assert (result.exit_code, result.stdout.splitlines()[-1]) == (2, "1 mistake")
+    assert "readings.csv was not looked at" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        ("coil1_current_A", "0", ["at least one coil must carry current"]),
+        ("arm1_x_m", "1e3", ["measured and nominal field must agree", "positions of the movers must be"]),
+        ("set", "validation", ["session must hold calibration readings"]),
+    ],
+)
+def test_readings_that_an_import_would_refuse_are_named(
+    workspace: Path, run: Run, tmp_path: Path, column: str, value: str, words: list[str]
+) -> None:
+    header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    index = header.split(",").index(column)
+    changed = [[*cells[:index], value, *cells[index + 1 :]] for cells in (row.split(",") for row in rows)]
+    path = tmp_path / "readings.csv"
+    path.write_text("\n".join([header, *map(",".join, changed)]), encoding="utf-8")
+    result = run("check", workspace / "rig.yaml", path, "--json")
+    imported = run("import", path, "--rig", workspace / "rig.yaml", "--out", tmp_path / "new.zarr")
+    assert (result.exit_code, imported.exit_code) == (2, 2)
+    faults = json.loads(result.stdout)["faults"]
+    assert any(word in faults[0]["message"] for word in words)
+    assert imported.stderr == f"coilcal: {faults[0]['message']}\n"
+
+
+def test_many_mistakes_are_counted(workspace: Path, run: Run, tmp_path: Path) -> None:
+    header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    broken = [re.sub("^", "x", row) for row in rows * 2]  # t_s, in 72 rows
+    (tmp_path / "readings.csv").write_text("\n".join([header, *broken]), encoding="utf-8")
+    result = run("check", workspace / "rig.yaml", tmp_path / "readings.csv")
+    assert result.stdout.endswith("\nand 22 more; --json lists them all\n72 mistakes\n")
+    assert (
+        len(
+            json.loads(run("check", workspace / "rig.yaml", tmp_path / "readings.csv", "--json").stdout)[
+                "faults"
+            ]
+        )
+        == 72
+    )
+
+
+def test_a_file_that_is_not_there_is_one_mistake(run: Run, tmp_path: Path) -> None:
+    result = run("check", tmp_path / "no.yaml")
+    assert result.exit_code == 2
+    assert result.stdout.splitlines()[0].endswith(
+        "no.yaml must be readable as text: No such file or directory"
+    )
