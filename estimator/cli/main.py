@@ -15,6 +15,7 @@ from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.explain import explain_command
+from estimator.cli.export import export_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.live import live_command
 from estimator.cli.predict import predict_command
@@ -53,6 +54,7 @@ for command in (
     diagnose_command,
     design_command,
     predict_command,
+    export_command,
     report_command,
     explain_command,
     schema_group,
