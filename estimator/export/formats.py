@@ -48,6 +48,12 @@ def _cpp(request: Request) -> None:
     _text(request, cpp_header(request.calibrated))
 
 
+def _matlab(request: Request) -> None:
+    from estimator.export.matlab_function import matlab_function
+
+    _text(request, matlab_function(request.calibrated, request.path.stem))
+
+
 def _text(request: Request, text: str) -> None:
     from estimator.store.files import write_text
 
@@ -57,6 +63,7 @@ def _text(request: Request, text: str) -> None:
 FORMATS: Mapping[str, Format] = {
     "json": Format(".json", "every number of the model, with units", _json),
     "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
+    "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
 }
 
 

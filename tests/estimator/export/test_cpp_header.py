@@ -15,9 +15,9 @@ from estimator.calibration.result import Calibration
 from estimator.export.cpp_header import cpp_header
 from estimator.rig.coordinates import Coordinates
 from estimator.system.actuation import independent_entries
+from tests.estimator.export.compared import assert_close
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-ROUNDING = 1e-9  # of the field at a point; sums and poses are rounded in another order
 PROGRAM = """
 #include "magnet.hpp"
 #include <cstdio>
@@ -72,14 +72,6 @@ def rows(
         [folder / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
     )
     return np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
-
-
-def assert_close(received: np.ndarray, expected: Tensor) -> None:
-    """Equal to rounding relative to the size at each point, NaN at the same points."""
-    size = expected.flatten(1).norm(dim=1).numpy()
-    error = np.linalg.norm((received - expected.flatten(1).numpy()), axis=1)
-    np.testing.assert_array_equal(np.isnan(error), np.isnan(size))
-    assert np.nanmax(error / size) < ROUNDING
 
 
 def test_field_is_that_of_predict(
