@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
@@ -45,6 +46,12 @@ class Calibrated(Protocol):
 
     def best_values(self) -> dict[str, Tensor]:
         """The same as tensors."""
+
+    def room(self, points_m: Float[Tensor, "point 3"], motion: Motion | None) -> RoomField:
+        """The coils with each mover in one pose."""
+
+    def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
+        """Currents in the order of the rig's coils; those that are not named are off."""
 
     def field(
         self,

@@ -54,6 +54,30 @@ def _matlab(request: Request) -> None:
     _text(request, matlab_function(request.calibrated, request.path.stem))
 
 
+def _arviz(request: Request) -> None:
+    from estimator.export.arviz_netcdf import write_netcdf
+
+    write_netcdf(request.calibrated, request.path)
+
+
+def _magpylib(request: Request) -> None:
+    from estimator.export.magpylib_module import magpylib_module
+
+    _text(request, magpylib_module(request.calibrated, request.motion))
+
+
+def _csv(request: Request) -> None:
+    from estimator.export.grid_csv import grid_csv
+
+    _text(request, grid_csv(request))
+
+
+def _mag_manip(request: Request) -> None:
+    from estimator.export.mag_manip import vfield_yaml
+
+    _text(request, vfield_yaml(request))
+
+
 def _text(request: Request, text: str) -> None:
     from estimator.store.files import write_text
 
@@ -64,6 +88,10 @@ FORMATS: Mapping[str, Format] = {
     "json": Format(".json", "every number of the model, with units", _json),
     "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
     "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
+    "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
+    "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
+    "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
+    "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
 }
 
 
