@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -13,7 +14,7 @@ from estimator.export.calibrated import Calibrated
 from estimator.rig_files.write import rig_text
 from estimator.store.session import observation_arrays
 
-ENGINE = "h5netcdf"  # comes with ArviZ
+ENGINE: Literal["h5netcdf"] = "h5netcdf"  # comes with ArviZ
 
 
 def write_netcdf(calibrated: Calibrated, path: Path) -> None:
