@@ -162,7 +162,7 @@ def in_cpp(
 
 
 def magpylib_winding(model: Calibration, points_m: np.ndarray, motions: np.ndarray) -> Callable[[int], None]:
-    """Every loop of the winding as a circle, moved from call to call, and the gradient by central differences, which magpylib leaves to its user."""
+    """Every loop of the winding as a circle, moved from call to call; the gradient by differences, which magpylib leaves to its user."""
     with tempfile.TemporaryDirectory() as name:
         module = runpy.run_path(str(model.export("magpylib", Path(name) / "magnet.py")))
     collection = module["magnet"]([CURRENT_A])
