@@ -11,6 +11,7 @@ import click
 from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
+from estimator.cli.compare import compare_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
@@ -52,6 +53,7 @@ for command in (
     import_command,
     calibrate_command,
     diagnose_command,
+    compare_command,
     design_command,
     predict_command,
     export_command,
