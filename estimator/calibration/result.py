@@ -19,6 +19,8 @@ from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.export import formats
+from estimator.export.request import Grid
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -186,6 +188,27 @@ class Calibration:
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
+
+    def export(
+        self,
+        to: str,
+        path: Path | str | None = None,
+        *,
+        grid: Grid | None = None,
+        currents_A: Mapping[str, float] | None = None,
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> Path:
+        """Write the model for other programs, as `coilcal export` does (docs/how-to/use-a-calibration-elsewhere.md).
+
+        Args:
+            to: Name of a format, such as "cpp".
+            path: File to write; one named after the rig, in the current folder, where none is given.
+            grid, currents_A, motion: Points, currents and poses, for formats that take them.
+        Returns: The file.
+        Raises:
+            InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
+        """
+        return formats.export(self, to, path, grid=grid, currents_A=currents_A, motion=motion)
 
     def save(self, folder: Path | str) -> None:
         """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete."""

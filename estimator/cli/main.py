@@ -12,10 +12,12 @@ from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.check import check_command
+from estimator.cli.compare import compare_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
 from estimator.cli.explain import explain_command
+from estimator.cli.export import export_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.init import init_command
 from estimator.cli.live import live_command
@@ -56,8 +58,10 @@ for command in (
     import_command,
     calibrate_command,
     diagnose_command,
+    compare_command,
     design_command,
     predict_command,
+    export_command,
     report_command,
     show_command,
     explain_command,

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from estimator.cli.grid import grid_axes
 from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 
-if TYPE_CHECKING:
-    import numpy as np
-
-MOST_POINTS = 1_000_000
 BLOCK = 10_000  # points predicted at once, with all draws of the posterior
 HEADER = (
     ["x_m", "y_m", "z_m"]
@@ -80,15 +75,7 @@ def predict_command(
 
     refuse_existing(out, overwrite)
     calibration = Calibration.load(folder)
-    grid = [_axis(text) for text in axes]
-    if len({name for name, _ in grid}) < len(grid):
-        raise InvalidInput(f"--grid must name an axis once; received {', '.join(axes)}")
-    n_points = math.prod(len(coordinates_m) for _, coordinates_m in grid)
-    if n_points > MOST_POINTS:
-        raise InvalidInput(
-            f"--grid must have at most {MOST_POINTS} points; received {n_points} ({', '.join(axes)})"
-        )
-    coordinates_m = {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(grid)}
+    coordinates_m = grid_axes(axes)
     points_m = torch.from_numpy(
         np.stack(np.meshgrid(*coordinates_m.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     )
@@ -123,34 +110,3 @@ def predict_command(
     show(
         {"file": str(out), "points": len(points_m), "inside_winding": n_inside, "level": level}, text, as_json
     )
-
-
-def _axis(text: str) -> tuple[str, np.ndarray]:
-    """Parse an option --grid into the axis and its coordinates in metres."""
-    import numpy as np
-
-    from estimator.units import split_unit
-    from estimator.yaml_section import LARGEST
-
-    key, _, span = text.partition("=")
-    name, unit = split_unit(key)
-    parts = span.split(":")
-    try:
-        numbers = [float(part) for part in parts]
-        count = int(parts[2]) if len(parts) == 3 else 1
-    except ValueError:
-        numbers, count = [], 0
-    if (
-        unit is None
-        or unit.dimension != "length"
-        or name not in ("x", "y", "z")
-        or len(numbers) not in (1, 3)
-        or count < 1
-        or not np.isfinite(numbers).all()
-    ):
-        raise InvalidInput(f"--grid must look like x_mm=-50:50:11 or z_mm=20; received {text!r}")
-    if count > MOST_POINTS or max(map(abs, numbers[:2])) > LARGEST:
-        raise InvalidInput(
-            f"--grid must have at most {MOST_POINTS} points within {LARGEST:g} of 0; received {text!r}"
-        )
-    return name, np.linspace(numbers[0], numbers[-2 if len(numbers) == 3 else 0], count) * unit.to_si

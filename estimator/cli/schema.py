@@ -23,3 +23,11 @@ def schema_rig_command() -> None:
     from estimator.rig_files.schema import rig_schema
 
     click.echo(json.dumps(rig_schema(), indent=1))
+
+
+@schema_group.command("calibration", cls=CoilcalCommand)
+def schema_calibration_command() -> None:
+    """Print the JSON Schema of what `coilcal export --to json` writes."""
+    from estimator.export.json_model import calibration_schema
+
+    click.echo(json.dumps(calibration_schema(), indent=1))

@@ -109,7 +109,8 @@ def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
 
 def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:
     """Errors, log predictive density and coverage of a fit's predictions; Laplace gives the uncertainty of the parameters."""
-    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
+    fitted = fit.posterior.model
+    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fitted.rules).with_maps(fitted.sources.maps)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(unseen), 3)

@@ -84,7 +84,7 @@ def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
-def _translated(function: Callable[..., None]) -> Any:
+def machine_code(function: Callable[..., None]) -> Any:
     """Machine code of a function, kept on disk where a folder for it can be written."""
     plain = inspect.unwrap(function)  # without the checks of shapes that tests put around every function
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -94,7 +94,7 @@ def _translated(function: Callable[..., None]) -> Any:
         return numba.njit(**settings)(plain)
 
 
-@_translated
+@machine_code
 def _means(  # type: ignore[no-untyped-def]
     x, y2, z, rho2, height, radius, steps, u, s, p2, mean, t, product, square
 ):
@@ -123,7 +123,7 @@ def _means(  # type: ignore[no-untyped-def]
         scale *= 2.0
 
 
-@_translated
+@machine_code
 def _sum(points, heights, radii, weights, steps, field):  # type: ignore[no-untyped-def]
     """Fill `field` row by row, a block of points at a time; the last point fills up the last block."""
     x, y, z, y2, rho2, u, s, p2, mean, t, product, square, h_sum, axial_sum = np.empty((14, POINTS_AT_ONCE))
@@ -153,7 +153,7 @@ def _sum(points, heights, radii, weights, steps, field):  # type: ignore[no-unty
                 field[row, start + i, 2] = axial_sum[i]
 
 
-@_translated
+@machine_code
 def _slopes(points, heights, radii, steps, factors):  # type: ignore[no-untyped-def]
     """Fill `factors` as `loop.loop_derivatives` has them, and with the derivatives in the radius."""
     x, y2, z, rho2, u, s, p2, mean, t, product, square = np.empty((11, POINTS_AT_ONCE))

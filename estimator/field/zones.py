@@ -46,7 +46,7 @@ def zones_of(winding: Winding, distance_m: Float[Tensor, " point"], tolerance: f
         tolerance: Largest error relative to |B|; 0 asks for the full sum.
     """
     numbers = tuple(float(number) for number in astuple(winding))
-    nearest_m, farthest_m = NEAREST_CELLS * min(numbers[3:]), FARTHEST_RADII * numbers[0]
+    nearest_m, farthest_m = _ends_m(numbers)
     distance_m = torch.where(distance_m > 0.0, distance_m, math.inf).clamp(nearest_m, farthest_m)
     level = torch.floor(ZONES_PER_OCTAVE * torch.log2(distance_m)).to(torch.int64)
     rules = {int(number): _rule_at(numbers, int(number), tolerance) for number in level.unique()}
@@ -54,6 +54,29 @@ def zones_of(winding: Winding, distance_m: Float[Tensor, " point"], tolerance: f
     number_of = {number: finest_first.index(rule) for number, rule in rules.items()}
     zone = torch.tensor([number_of[number] for number in level.tolist()])
     return tuple(Zone(rule, (zone == i).nonzero().flatten()) for i, rule in enumerate(finest_first))
+
+
+def rules_by_level(winding: Winding, tolerance: float) -> tuple[int, tuple[Rule, ...]]:
+    """Rules at all distances: that of a distance d stands at floor(ZONES_PER_OCTAVE log2 d), less the number of the first.
+
+    Args:
+        winding, tolerance: As in `zones_of`.
+    Returns: Number of the first level, and the rule of each level from it on; distances beyond either end take the rule at that end.
+    Examples:
+        >>> ten, pitch_m = torch.tensor([10.0, 1e-3], dtype=torch.float64)
+        >>> first, rules = rules_by_level(Winding(5.0 * ten * pitch_m, ten, ten, pitch_m, pitch_m), 1e-6)
+        >>> first, rules[0], rules[-1]
+        (-29, Rule(axial_nodes=10, radial_nodes=10, steps=6), Rule(axial_nodes=2, radial_nodes=2, steps=3))
+    """
+    numbers = tuple(float(number) for number in astuple(winding))
+    nearest_m, farthest_m = _ends_m(numbers)
+    first, last = (math.floor(ZONES_PER_OCTAVE * math.log2(end_m)) for end_m in (nearest_m, farthest_m))
+    return first, tuple(_rule_at(numbers, level, tolerance) for level in range(first, last + 1))
+
+
+def _ends_m(numbers: tuple[float, ...]) -> tuple[float, float]:
+    """Distances between which rules differ."""
+    return NEAREST_CELLS * min(numbers[3:]), FARTHEST_RADII * numbers[0]
 
 
 @lru_cache(maxsize=4096)

@@ -57,11 +57,11 @@ def world_from_body(
     if body.carried_by is not None:
         for use in uses_of(rig, MotionEffect, body.carried_by):
             moved[use.place] = use.effect.apply(moved[use.place], columns[use.label], use.theta(values))
-    at_reference, since = (_mount(rig, body, values, columns, is_first) for is_first in (True, False))
+    at_reference, since = (mount_of(rig, body, values, columns, is_first) for is_first in (True, False))
     return nominal_world_from_body(rig, body, kind, moved, values, at_reference, since)
 
 
-def _mount(
+def mount_of(
     rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
 ) -> Transform:
     """nominal_from_real of a body on its carrier, by the effects present at the reference pose or by those that came later."""

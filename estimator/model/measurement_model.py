@@ -27,6 +27,7 @@ from estimator.effects.stages import (
 )
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule, Winding, choose_rule, distance_to_winding
 from estimator.frames import Transform
@@ -121,6 +122,10 @@ class MeasurementModel:
     def with_rules(self, rules: Mapping[str, Rule]) -> MeasurementModel:
         """The same model with given quadrature rules."""
         return replace(self, sources=replace(self.sources, rules=dict(rules)))
+
+    def with_maps(self, maps: Mapping[str, GridMap]) -> MeasurementModel:
+        """The same model with field maps in the place of some coils' windings."""
+        return replace(self, sources=replace(self.sources, maps=dict(maps)))
 
     def with_mode(self, mode: SumMode) -> MeasurementModel:
         """The same model with another way to sum loops."""

@@ -29,6 +29,7 @@ from estimator.effects.stages import (
 from estimator.effects.use import Use, uses_of
 from estimator.field.coil import coil_field_per_ampere
 from estimator.field.first_order import first_order_field
+from estimator.field.grid_map import GridMap
 from estimator.field.magnetised import field_of_rings
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
@@ -62,6 +63,7 @@ class Sources:
         rules: Per winding the quadrature rule; windings without one are left out.
         mode: How loops are summed: to first order for fits.
         zones: Per winding a rule for each row, where one for all would be wasteful; only for a coil that is powered in every row.
+        maps: Per coil a field map that stands for its winding.
     """
 
     rig: Rig
@@ -74,6 +76,7 @@ class Sources:
     rules: Mapping[str, Rule]
     mode: SumMode = SumMode.PLAIN
     zones: Mapping[str, Sequence[Zone]] = field(default_factory=dict)
+    maps: Mapping[str, GridMap] = field(default_factory=dict)
 
     def part(self, readings: Int[Tensor, " part"]) -> Sources:
         """The sources as some of the readings see them."""
@@ -248,7 +251,9 @@ class Sources:
         return turned
 
     def _own_field(self, coil: AnyCoil, values: Values) -> Callable[[Tensor], Tensor]:
-        """Field of one ampere at points of the coil frame: of the winding by the coil's rule, or of the harmonics."""
+        """Field of one ampere at points of the coil frame: of the winding by the coil's rule, of the harmonics, or of a map."""
+        if coil.name in self.maps:
+            return self.maps[coil.name].field
         if isinstance(coil, HarmonicCoil):
             return lambda points_m: harmonic_field_per_ampere(coil, points_m, values)
         winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]

@@ -27,6 +27,7 @@ from estimator.system.actuation import (
     independent_entries,
     minimum_norm_currents,
 )
+from estimator.system.compiled import CompiledSystem
 
 Motion = Mapping[str, Float[Tensor, "... 6"]]
 
@@ -142,6 +143,14 @@ class System:
             }
             rooms.append(part.room(points_m, part_motion))
         return SystemField(self, tuple(rooms))
+
+    def compiled(self) -> CompiledSystem:
+        """The same coils in machine code, for a point in microseconds; without intervals and derivatives in the pose.
+
+        Raises:
+            InvalidInput: A rig has something besides windings, poses, linear supplies and a uniform field; the message names it.
+        """
+        return CompiledSystem.of(self.parts, self.coils)
 
     def draws(self) -> tuple[Values, ...]:
         """Posterior draws of each part, equally many.

@@ -1,7 +1,9 @@
 """Speed beside magpylib, SciPy, plain emcee and NumPyro, in one run on one machine; `make bench` runs it.
 
-It measures loop and winding fields per second (`field`), and effective samples per second of the slowest parameter
-(`sampling`). Numbers are medians over repeats with their extremes. Compare the ratios: absolute numbers belong to the
+It measures loop and winding fields per second (`field`), the time to field and gradient at one pose (`latency`), and
+effective samples per second of the slowest parameter (`sampling`).
+
+Numbers are medians over repeats with their extremes. Compare the ratios: absolute numbers belong to the
 machine that is printed with them.
 """
 
@@ -28,6 +30,7 @@ def main() -> None:
     import torch
 
     from scripts.benchmarks.field import fields
+    from scripts.benchmarks.latency import latency, show_latency
     from scripts.benchmarks.sampling import sampling
 
     torch.set_num_threads(1)
@@ -41,12 +44,15 @@ def main() -> None:
     print(", ".join(f"{key} {value}" for key, value in machine.items()))
     print(f"seed {options.seed}, {options.repeats} repeats: median (smallest to largest)")
     result: dict[str, Any] = {"machine": machine, "seed": options.seed, "repeats": options.repeats}
-    if options.only != "fields":
+    if options.only in (None, "sampling"):
         result["sampling"] = sampling(options)
         show_sampling(result["sampling"], options.ess)
         if options.ess >= GOAL_ESS:
             result["goal"] = goal(result["sampling"], options.ess, cores)
-    if options.only != "sampling":
+    if options.only in (None, "latency"):
+        result["latency"] = latency(options)
+        show_latency(result["latency"])
+    if options.only in (None, "fields"):
         result["fields"] = fields(options)
         for title, rows in result["fields"].items():
             show_fields(title, rows)
@@ -64,7 +70,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ess", type=float, default=GOAL_ESS, help="effective samples of every parameter")
     parser.add_argument("--stretch-steps", type=int, default=3000, help="steps on the real-valued counts")
     parser.add_argument("--numpyro", action="store_true", help="NUTS as well (pip install '.[bench]')")
-    parser.add_argument("--only", choices=("fields", "sampling"))
+    parser.add_argument("--only", choices=("fields", "latency", "sampling"))
     parser.add_argument(
         "--tiny",
         action="store_true",

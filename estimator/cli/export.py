@@ -1,0 +1,79 @@
+"""`coilcal export`: a calibration for other programs and languages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from estimator.cli.grid import grid_axes
+from estimator.cli.options import json_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
+from estimator.export.formats import FORMATS
+
+TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items())
+
+
+@click.command(
+    "export",
+    cls=CoilcalCommand,
+    help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Formats:\n\n\b\n"
+    + TABLE,
+)
+@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Format.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write; by default one named after the rig, in this folder.",
+)
+@click.option(
+    "--grid",
+    "axes",
+    multiple=True,
+    metavar="AXIS=FROM:TO:COUNT",
+    help="Points of a field, as in coilcal predict. Repeatable.",
+)
+@click.option(
+    "--current",
+    "currents",
+    multiple=True,
+    metavar="COIL=AMPERE",
+    help="Current of a coil for a field. Repeatable.",
+)
+@click.option(
+    "--motion",
+    "motions",
+    multiple=True,
+    metavar="MOVER=V1,..,V6",
+    help="Pose of a mover, for formats in which nothing moves. Repeatable.",
+)
+@overwrite_option
+@json_option
+def export_command(
+    folder: Path,
+    to: str,
+    out: Path | None,
+    axes: tuple[str, ...],
+    currents: tuple[str, ...],
+    motions: tuple[str, ...],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the model of CALIBRATION for other programs."""
+    import torch
+
+    from estimator.calibration.result import Calibration
+    from estimator.export.formats import default_path
+    from estimator.export.request import Grid
+
+    calibration = Calibration.load(folder)
+    path = default_path(calibration, to) if out is None else out
+    refuse_existing(path, overwrite)
+    grid = Grid(*grid_axes(axes).values()) if axes else None
+    motion = {
+        name: torch.tensor(values, dtype=torch.float64)
+        for name, values in (named_numbers(text, "--motion", 6) for text in motions)
+    }
+    calibration.export(to, path, grid=grid, currents_A=named_number(currents, "--current"), motion=motion)
+    show({"file": str(path), "format": to}, f"{FORMATS[to].words} written to {path}", as_json)

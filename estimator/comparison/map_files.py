@@ -1,0 +1,134 @@
+"""Field maps of other programs as CSV: full grids with a header, or what COMSOL exports."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimator.errors import InvalidInput, reason
+from estimator.field.grid_map import GridMap
+from estimator.units import UNITS
+
+SEPARATORS = re.compile(r"[;,\t]|\s{2,}")
+COLUMN = re.compile(
+    r"^(?:.*\.)?(?P<name>[xyz]|B_?[xyz])\s*(?:[_ ]\s*)?(?:\(?(?P<unit>[mcun\u00b5\u03bc]?[mTG])\)?)?(?:\s*@.*)?$"
+)
+LENGTH_UNIT = re.compile(r"^%\s*Length unit\W+(\w+)", re.MULTILINE)
+MOST_BYTES = 400_000_000
+SAME = 1e-6  # of the spacing: coordinates that differ by less are one
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a quantity stands, and its factor to SI."""
+
+    index: int
+    to_si: float
+
+
+def read_map(path: Path, current_A: float) -> GridMap:
+    """The map per ampere.
+
+    Columns are x, y, z and Bx, By, Bz with a unit each, as `x_mm` or `mf.Bx (T)`. A coordinate without one has that of COMSOL's line
+    `% Length unit`.
+
+    Args:
+        path: The file.
+        current_A: Current at which it was computed.
+    Raises:
+        InvalidInput: The file cannot be read, a column is missing or has no unit, the points are no full grid, or a field is missing.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InvalidInput(f"field map must have at most {MOST_BYTES} bytes; {path} has more")
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(
+            f"field map must be a readable text file; {path} is not: {reason(error)}"
+        ) from error
+    lines = text.splitlines()
+    comments = [line.lstrip("% ") for line in lines if line.startswith("%")]
+    rows = [line for line in lines if line.strip() and not line.startswith("%")]
+    header = comments[-1] if comments else rows.pop(0) if rows else ""
+    columns = _columns(_cells(header), LENGTH_UNIT.search(text), path)
+    numbers = _numbers(rows, columns, path)
+    return _on_grid(numbers[:, :3], numbers[:, 3:] / current_A, path)
+
+
+def _cells(line: str) -> list[str]:
+    parts = next(csv.reader([line])) if "," in line else SEPARATORS.split(line.strip())
+    return [part.strip() for part in parts]
+
+
+def _columns(cells: list[str], length: re.Match[str] | None, path: Path) -> list[Column]:
+    columns: dict[str, Column] = {}
+    for index, cell in enumerate(cells):
+        match = COLUMN.match(cell)
+        if match is None:
+            continue
+        name = match["name"].replace("_", "")
+        symbol = (
+            (match["unit"] or (length[1] if length and name in "xyz" else ""))
+            .replace("\u00b5", "u")
+            .replace("\u03bc", "u")
+        )
+        unit = UNITS.get(symbol)
+        if unit is None or unit.dimension != ("length" if name in "xyz" else "field"):
+            raise InvalidInput(
+                f"column of a field map must have a unit, as x_mm or Bx (T); received {cell!r} ({path})"
+            )
+        columns[name] = Column(index, unit.to_si)
+    wanted = ("x", "y", "z", "Bx", "By", "Bz")
+    missing = [name for name in wanted if name not in columns]
+    if missing:
+        raise InvalidInput(
+            f"field map must have columns x, y, z, Bx, By, Bz with units; {missing[0]} is missing ({path})"
+        )
+    return [columns[name] for name in wanted]
+
+
+def _numbers(rows: list[str], columns: list[Column], path: Path) -> np.ndarray:
+    """The six columns in SI."""
+    wanted, factors = [column.index for column in columns], [column.to_si for column in columns]
+    table = np.empty((len(rows), len(wanted)))
+    for i, row in enumerate(rows):
+        cells = (
+            row.split(",")
+            if "," in row
+            else SEPARATORS.split(row.strip())
+            if ";" in row or "\t" in row
+            else row.split()
+        )
+        try:
+            table[i] = [float(cells[index]) for index in wanted]
+        except (ValueError, IndexError) as error:
+            raise InvalidInput(f"row of a field map must hold numbers; received {row!r} ({path})") from error
+    if not np.isfinite(table).all():
+        raise InvalidInput(
+            f"field map must be finite; {int((~np.isfinite(table)).any(1).sum())} rows are not ({path})"
+        )
+    return table * factors
+
+
+def _on_grid(points_m: np.ndarray, values: np.ndarray, path: Path) -> GridMap:
+    """The rows in the order of the grid."""
+    axes_m, rows = [], []
+    for column in points_m.T:
+        ordered = np.unique(column)
+        step_m = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1) if len(ordered) else 0.0
+        is_new = np.diff(ordered, prepend=-np.inf) > SAME * step_m
+        axes_m.append(ordered[is_new])
+        rows.append(np.searchsorted(axes_m[-1], column + SAME * step_m, side="right") - 1)
+    shape = tuple(map(len, axes_m))
+    flat = np.ravel_multi_index(tuple(rows), shape) if len(points_m) else np.zeros(0, dtype=int)
+    if len(points_m) != np.prod(shape) or len(np.unique(flat)) != len(flat):
+        raise InvalidInput(
+            f"field map must hold every point of a grid once; {path} has {len(points_m)} rows for {' x '.join(map(str, shape))} points"
+        )
+    field = np.empty((len(flat), 3))
+    field[flat] = values
+    return GridMap.of((axes_m[0], axes_m[1], axes_m[2]), field.reshape(*shape, 3))

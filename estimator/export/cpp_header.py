@@ -1,0 +1,71 @@
+"""A C++17 header without dependencies: field, gradient, actuation matrix and standard deviation of a calibrated magnet."""
+
+from __future__ import annotations
+
+import jinja2
+from torch import Tensor
+
+from estimator.export.calibrated import Calibrated
+from estimator.export.labels import identifier, origin_of, plain_words, regions_of
+from estimator.export.linearised import linearised
+from estimator.export.plain_model import plain_model
+from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.zones import ZONES_PER_OCTAVE
+from estimator.frames import Transform
+from estimator.units import MU0_T_M_PER_A
+
+
+def cpp_header(calibrated: Calibrated) -> str:
+    """The text of the header.
+
+    Raises:
+        InvalidInput: The rig has something that the header cannot express.
+    """
+    model = plain_model(calibrated.rig, calibrated.best_values(), "cpp")
+    return _template().render(
+        model=model,
+        changes=linearised(calibrated),
+        title=plain_words(model.name),
+        name=identifier(model.name),
+        regions=regions_of(calibrated),
+        origin=origin_of(calibrated),
+        coil_names=", ".join(coil.name for coil in model.coils),
+        mover_names=", ".join(mover.name for mover in model.movers) or "none",
+        currents=", ".join(["1.0"] * len(model.coils)),
+        mu0=MU0_T_M_PER_A,
+        tolerance=f"{DEFAULT_TOLERANCE:g}",
+        zones_per_octave=ZONES_PER_OCTAVE,
+    )
+
+
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("estimator.export", "."),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "number": _number,
+        "numbers": _numbers,
+        "array": _numbers,
+        "matrix": _matrix,
+        "pose": _pose,
+    }
+    return environment.get_template("cpp_header.hpp.j2")
+
+
+def _number(value: Tensor | float) -> str:
+    """All digits of a number."""
+    return repr(float(value))
+
+
+def _numbers(values: Tensor | tuple[float, ...]) -> str:
+    return "{" + ", ".join(map(_number, values)) + "}"
+
+
+def _matrix(rows: Tensor) -> str:
+    return "{ {" + ", ".join(map(_numbers, rows)) + "} }"
+
+
+def _pose(pose: Transform) -> str:
+    return "{ " + _matrix(pose.rotation) + ", " + _numbers(pose.translation_m) + " }"

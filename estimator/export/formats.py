@@ -1,0 +1,139 @@
+"""The formats of `coilcal export`: what each holds, what it asks for, and what writes it.
+
+A writer is loaded when it is called, so that the command line can list the formats without loading torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from estimator.errors import InvalidInput, reason
+
+if TYPE_CHECKING:
+    from estimator.export.calibrated import Calibrated, Motion
+    from estimator.export.request import Grid, Request
+
+__all__ = ["FORMATS", "Format", "default_path", "export"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Attributes:
+        ending: Of the file that is written where none is named.
+        words: What the file is, in a few words.
+        write: Writes the file.
+        takes: What of `grid`, `currents` and `motion` it takes.
+    """
+
+    ending: str
+    words: str
+    write: Callable[[Request], None]
+    takes: tuple[str, ...] = ()
+
+
+def _json(request: Request) -> None:
+    from estimator.export.json_model import json_model
+
+    _text(request, json_model(request.calibrated))
+
+
+def _cpp(request: Request) -> None:
+    from estimator.export.cpp_header import cpp_header
+
+    _text(request, cpp_header(request.calibrated))
+
+
+def _matlab(request: Request) -> None:
+    from estimator.export.matlab_function import matlab_function
+
+    _text(request, matlab_function(request.calibrated, request.path.stem))
+
+
+def _arviz(request: Request) -> None:
+    from estimator.export.arviz_netcdf import write_netcdf
+
+    write_netcdf(request.calibrated, request.path)
+
+
+def _magpylib(request: Request) -> None:
+    from estimator.export.magpylib_module import magpylib_module
+
+    _text(request, magpylib_module(request.calibrated, request.motion))
+
+
+def _csv(request: Request) -> None:
+    from estimator.export.grid_csv import grid_csv
+
+    _text(request, grid_csv(request))
+
+
+def _mag_manip(request: Request) -> None:
+    from estimator.export.mag_manip import vfield_yaml
+
+    _text(request, vfield_yaml(request))
+
+
+def _text(request: Request, text: str) -> None:
+    from estimator.store.files import write_text
+
+    write_text(request.path, text)
+
+
+FORMATS: Mapping[str, Format] = {
+    "json": Format(".json", "every number of the model, with units", _json),
+    "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
+    "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
+    "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
+    "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
+    "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
+    "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
+}
+
+
+def export(
+    calibrated: Calibrated,
+    to: str,
+    path: Path | str | None = None,
+    *,
+    grid: Grid | None = None,
+    currents_A: Mapping[str, float] | None = None,
+    motion: Motion | None = None,
+) -> Path:
+    """Write a calibration in a format for other programs.
+
+    Args:
+        calibrated: A calibration.
+        to: A name in `FORMATS`.
+        path: File to write; one named after the rig, in the current folder, where none is given.
+        grid, currents_A, motion: As in `Request`, for formats that take them.
+    Returns: The file.
+    Raises:
+        InvalidInput: An unknown format, something it does not take or lacks, a model that it cannot express, or no way to write the file.
+    """
+    from estimator.export.request import Request
+
+    if to not in FORMATS:
+        raise InvalidInput(f"format must be one of {', '.join(FORMATS)}; received {to!r}")
+    chosen = FORMATS[to]
+    for name, given in (("grid", grid), ("currents", currents_A), ("motion", motion)):
+        if given and name not in chosen.takes:
+            raise InvalidInput(f"export to {to} must have no {name}, for which it leaves room; received some")
+    path = default_path(calibrated, to) if path is None else Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        chosen.write(Request(calibrated, path, grid, currents_A or {}, motion or {}))
+    except OSError as error:
+        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+    return path
+
+
+def default_path(calibrated: Calibrated, to: str) -> Path:
+    """The file that is written where none is named."""
+    from estimator.export.labels import identifier
+
+    return Path(f"coilcal_{identifier(calibrated.rig.name)}{FORMATS[to].ending}")

@@ -1,0 +1,100 @@
+"""A Python module that makes a magpylib collection of a calibrated magnet, loop by loop, with its movers at rest."""
+
+from __future__ import annotations
+
+import json
+
+import torch
+
+from estimator.errors import InvalidInput
+from estimator.export.calibrated import Calibrated, Motion
+from estimator.export.labels import origin_of, plain_words, regions_of
+from estimator.export.linearised import WINDING_NUMBERS
+from estimator.export.plain_model import plain_model
+
+MODULE = '''"""Calibrated magnet "{title}" as a magpylib collection.
+
+`magnet({currents}).getB(points_m)` is the field in tesla in the world frame of the rig file, for commanded currents of {names} in ampere.
+Every loop of a winding is a circle, so that the field is that of the loops, which `coilcal predict` sums to 1e-6.
+Poses are those at: {poses}.
+{regions}
+{origin}
+"""
+
+import magpylib
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+COILS = {coils}
+DELIVERED_A_PER_A = np.array({delivered})
+OFFSET_A = np.array({offset})
+BACKGROUND_T = np.array({background})
+
+
+def magnet(currents_A):
+    """The collection at these commanded currents: one collection of circles for each coil, and the uniform field of the room."""
+    delivered_A = DELIVERED_A_PER_A @ np.asarray(currents_A, dtype=float) + OFFSET_A
+    return magpylib.Collection([winding(*each) for each in zip(COILS, delivered_A)] + [room()])
+
+
+def winding(coil, current_A):
+    """The loops of a coil in their places."""
+    axial = coil["axial_pitch_m"] * (np.arange(round(coil["axial_loops"])) - coil["axial_loops"] + 0.5)
+    radial = coil["radius_m"] - coil["radial_pitch_m"] * (np.arange(round(coil["radial_loops"])) + 0.5)
+    loops = [
+        magpylib.current.Circle(diameter=2.0 * radius_m, current=current_A, position=(0.0, 0.0, height_m))
+        for height_m in axial
+        for radius_m in radial
+    ]
+    collection = magpylib.Collection(loops, style_label=coil["name"])
+    collection.rotate(Rotation.from_matrix(coil["rotation"]), anchor=(0.0, 0.0, 0.0))
+    return collection.move(coil["translation_m"])
+
+
+def room():
+    """The uniform field that is there without currents."""
+
+    def field(field, observers):
+        scale = {{"B": 1.0, "H": 1.0 / magpylib.mu_0}}.get(field)
+        return None if scale is None else np.tile(scale * BACKGROUND_T, (len(observers), 1))
+
+    return magpylib.misc.CustomSource(field_func=field, style_label="room")
+'''
+
+
+def magpylib_module(calibrated: Calibrated, motion: Motion) -> str:
+    """The text of the module.
+
+    Args:
+        calibrated: A calibration.
+        motion: Six numbers of each mover; a mover that reports displacements defaults to zeros.
+    Raises:
+        InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that circles cannot express.
+    """
+    values = calibrated.best_values()
+    model = plain_model(calibrated.rig, values, "magpylib")
+    sources = calibrated.room(torch.zeros(1, 3, dtype=torch.float64), motion).sources
+    coils = []
+    for coil, plain in zip(calibrated.rig.wound, model.coils, strict=True):
+        numbers = {key: float(getattr(plain.winding, key)) for key in WINDING_NUMBERS}
+        for key in ("axial_loops", "radial_loops"):
+            if not numbers[key].is_integer():
+                raise InvalidInput(
+                    f"export to magpylib must have whole loops; {coil.name}.{key} is {numbers[key]:g}"
+                )
+        pose = sources.world_from_body(coil, "coil", torch.zeros(1, dtype=torch.int64), values)
+        rotation, translation_m = pose.rotation.reshape(3, 3).tolist(), pose.translation_m.reshape(3).tolist()
+        coils.append({"name": coil.name, **numbers, "rotation": rotation, "translation_m": translation_m})
+    poses = ", ".join(f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in motion.items())
+    return MODULE.format(
+        title=plain_words(model.name),
+        currents=[1.0] * len(coils),
+        names=", ".join(coil.name for coil in model.coils),
+        poses=poses or "rest",
+        regions="\n".join(line[:1].upper() + line[1:] for line in regions_of(calibrated)),
+        origin=origin_of(calibrated),
+        coils=json.dumps(coils, indent=4),
+        delivered=model.delivered_A_per_A.tolist(),
+        offset=model.offset_A.tolist(),
+        background=model.background_T.tolist(),
+    )

@@ -1,0 +1,98 @@
+"""A function for MATLAB and Octave: field, gradient and actuation matrix of a calibrated magnet at many points."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import astuple
+
+import jinja2
+import torch
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+from estimator.export.calibrated import Calibrated
+from estimator.export.labels import origin_of, plain_words, regions_of
+from estimator.export.linearised import WINDING_NUMBERS
+from estimator.export.plain_model import plain_model
+from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.zones import ZONES_PER_OCTAVE
+from estimator.frames import Transform
+from estimator.geometry.kinematics import DenavitHartenberg
+from estimator.units import MU0_T_M_PER_A
+
+DEFINED = re.compile(r"^function .*?(\w+)\(", re.MULTILINE)
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+
+
+def matlab_function(calibrated: Calibrated, name: str) -> str:
+    """The text of the file.
+
+    Args:
+        calibrated: A calibration.
+        name: Name of the function, which is that of its file.
+    Raises:
+        InvalidInput: A name that MATLAB does not take, or a rig with something that the function cannot express.
+    """
+    if not NAME.fullmatch(name):
+        raise InvalidInput(
+            f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {name!r}"
+        )
+    model = plain_model(calibrated.rig, calibrated.best_values(), "matlab")
+    text = _template().render(
+        model=model,
+        name=name,
+        title=plain_words(model.name),
+        regions=regions_of(calibrated),
+        origin=origin_of(calibrated),
+        coil_names=", ".join(coil.name for coil in model.coils),
+        mover_names=", ".join(mover.name for mover in model.movers) or "none",
+        winding_numbers=WINDING_NUMBERS,
+        quarter_mu0=_number(0.25 * MU0_T_M_PER_A),
+        tolerance=f"{DEFAULT_TOLERANCE:g}",
+        zones_per_octave=ZONES_PER_OCTAVE,
+    )
+    if name in DEFINED.findall(text)[1:]:
+        raise InvalidInput(
+            f"name of the function must not be that of a function inside it; received {name!r}"
+        )
+    return text
+
+
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("estimator.export", "."),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "number": _number,
+        "row": _row,
+        "column": lambda values: f"{_row(values)}'",
+        "rows": _rows,
+        "homogeneous": _homogeneous,
+        "table": _table,
+        "capitalize_first": lambda line: line[:1].upper() + line[1:],
+    }
+    return environment.get_template("matlab_function.m.j2")
+
+
+def _number(value: Tensor | float) -> str:
+    return repr(float(value))
+
+
+def _row(values: Tensor) -> str:
+    return f"[{' '.join(map(_number, values))}]"
+
+
+def _rows(matrix: Tensor) -> str:
+    return f"[{'; '.join(' '.join(map(_number, row)) for row in matrix)}]"
+
+
+def _homogeneous(pose: Transform) -> str:
+    last = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)
+    return _rows(torch.cat((torch.cat((pose.rotation, pose.translation_m[:, None]), dim=1), last)))
+
+
+def _table(joints: DenavitHartenberg | None) -> str:
+    """Rows theta, a, d and alpha, or nothing."""
+    return "[]" if joints is None else _rows(torch.tensor(astuple(joints), dtype=torch.float64))

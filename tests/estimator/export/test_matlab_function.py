@@ -1,0 +1,67 @@
+"""The function for MATLAB, run by Octave, against the calibration that it came from."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput
+from estimator.export.matlab_function import matlab_function
+from estimator.system.actuation import independent_entries
+from tests.estimator.export.compared import assert_close
+
+OCTAVE = shutil.which("octave-cli")
+PROGRAM = """
+points_m = dlmread("points.txt");
+motion = dlmread("motion.txt");
+[b, g, a] = magnet(points_m, [3 -2 5], motion);
+n = size(points_m, 1);
+printed = [b, reshape(permute(g, [1 3 2]), n, 9), reshape(permute(a, [1 3 2]), n, 24), magnet(points_m, [0 0 0])];
+printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
+"""
+
+
+@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+def test_octave_finds_field_gradient_and_actuation_of_predict(
+    magnet: Calibration,
+    motion: dict[str, Tensor],
+    currents_A: dict[str, float],
+    points_m: Tensor,
+    tmp_path: Path,
+) -> None:
+    magnet.export("matlab", tmp_path / "magnet.m")
+    (tmp_path / "main.m").write_text(PROGRAM, encoding="utf-8")
+    np.savetxt(tmp_path / "points.txt", points_m.numpy(), fmt="%.17g")
+    np.savetxt(tmp_path / "motion.txt", torch.stack((motion["arm"], motion["stage"])).numpy(), fmt="%.17g")
+    command = [str(OCTAVE), "--norc", "--no-history", "--quiet", "main.m"]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert printed.stderr == ""
+    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    field_T, gradient = (
+        magnet.field(points_m, currents_A, motion),
+        magnet.gradient(points_m, currents_A, motion),
+    )
+    assert_close(rows[:, :3], field_T)
+    assert_close(rows[:, 3:12], gradient)
+    matrix = torch.from_numpy(rows[:, 12:36].reshape(-1, 8, 3))
+    made = matrix @ torch.tensor(list(currents_A.values())).double()
+    assert_close((made[:, :3] + magnet.field(points_m, {}, motion)).numpy(), field_T)
+    off = independent_entries(magnet.gradient(points_m, {}, motion))
+    assert_close((made[:, 3:] + off).numpy(), independent_entries(gradient))
+    assert_close(
+        rows[:, 36:], magnet.field(points_m, {}, {"arm": torch.zeros(6).double()})
+    )  # no motion is zeros
+
+
+def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration) -> None:
+    with pytest.raises(InvalidInput, match="received '3coils'"):
+        matlab_function(magnet, "3coils")
+    with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):
+        matlab_function(magnet, "pose_of")
