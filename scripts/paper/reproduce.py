@@ -1,6 +1,6 @@
 """Every study of the paper in one run: its tables with our numbers beside the printed ones, and figures.
 
-`make paper` runs it, in about a quarter of an hour on two cores; `docs/paper.md` discusses the results. Each study's tables are kept in
+`make paper` runs it, in about twenty minutes on two cores; `docs/paper.md` discusses the results. Each study's tables are kept in
 `parts/` with the commit that made them, so an interrupted run continues; a changed tree runs all again but
 the twins of `residual_causes.jsonl`, which are made again where that file is removed. The studies in this folder also
 run one by one.
@@ -39,7 +39,7 @@ The paper's numbers are those of its Tables 1 to 10, digit for digit (`scripts/p
 def studies(out: Path) -> dict[str, Callable[[], str]]:
     """Title and function of each study, the longest first."""
     return {
-        "Causes of the experiment's residual": lambda: residual_ranking.study(out),
+        "Causes of the residual (Tables 8 to 10)": lambda: residual_ranking.study(out),
         "Twin of the experiment (Tables 8 to 10, Figs 12, 13)": lambda: experiment_twin.study(out),
         "Solvers (section 4.3, Table 2)": solvers.study,
         "Simulation (Tables 3 to 7, Figs 9, 10)": lambda: simulation_study.study(out),
