@@ -70,29 +70,27 @@ def test_quadratic_programming_never_moves_a_rounded_count() -> None:
 
 
 @pytest.mark.whole
-def test_the_genetic_algorithm_begins_at_the_start_and_stays_in_the_box(
+def test_the_genetic_algorithm_begins_at_the_start_keeps_the_best_and_stays_in_the_box(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(solvers, "GENERATIONS", 4)
     problem = solvers.Problem(is_whole=True)
-    ends = solvers.genetic(problem, problem.starts(1))
-    assert ends.evaluations.tolist() == [4 * solvers.POPULATION]
+    truth = np.array(list(solvers.TRUTH.values()))
+    ends = solvers.genetic(problem, np.stack((truth, problem.starts(1)[0])))
+    np.testing.assert_allclose(ends.values[0], truth, rtol=1e-12)
+    assert ends.evaluations.tolist() == [4 * solvers.POPULATION] * 2
     assert (problem.lower <= ends.values).all()
     assert (ends.values <= problem.upper).all()
-    costs = problem.error_T(solvers.torch.from_numpy(np.concatenate((problem.starts(1), ends.values))))
-    assert costs[1] < costs[0]
 
 
-def test_an_iron_table_makes_the_field_upright_on_its_surface() -> None:
-    truth = residual_causes.START.copy()
-    below_m = 0.03
-    at_the_table = truth.copy()
-    # The sensor stands on the table: coil and sensor move down together, so that only the image comes nearer.
-    field_T = residual_causes.nature_T(at_the_table, np.zeros((1, 3)), Mistake(mirror=(1.0, 0.0)), 1.0)
-    assert np.abs(field_T[0, :2]).max() < 1e-12
-    farther_T = residual_causes.nature_T(truth, np.zeros((1, 3)), Mistake(mirror=(1.0, below_m)), 1.0)
-    alone_T = residual_causes.nature_T(truth, np.zeros((1, 3)), Mistake(), 1.0)
-    assert np.linalg.norm(farther_T - alone_T) < np.linalg.norm(field_T - alone_T)
+def test_an_iron_table_turns_the_field_on_its_surface_upright_and_doubles_it() -> None:
+    def reading_T(wrong: Mistake) -> np.ndarray:
+        return residual_causes.nature_T(residual_causes.START, np.zeros((1, 3)), wrong, 1.0)[0]
+
+    alone_T, on_it_T = reading_T(Mistake()), reading_T(Mistake(mirror=(1.0, 0.0)))
+    np.testing.assert_allclose(on_it_T, alone_T * [0.0, 0.0, 2.0], atol=1e-12)
+    above_T = reading_T(Mistake(mirror=(1.0, 0.03)))
+    assert 0.0 < np.linalg.norm(above_T - alone_T) < np.linalg.norm(on_it_T - alone_T)
 
 
 @pytest.mark.parametrize("cause", sorted(CAUSES))
