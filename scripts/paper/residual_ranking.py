@@ -68,12 +68,10 @@ def log_kernels(drawn: np.ndarray, wanted: np.ndarray, width: np.ndarray) -> np.
 
 def log_density(kernels: np.ndarray) -> tuple[float, float]:
     """Logarithm of the mean kernel, and its standard deviation by the bootstrap."""
-    rng = np.random.default_rng(0)
-    again = [
-        logsumexp(kernels[rng.integers(0, len(kernels), len(kernels))]) - np.log(len(kernels))
-        for _ in range(N_BOOTSTRAP)
-    ]
-    return float(logsumexp(kernels) - np.log(len(kernels))), float(np.std(again))
+    n = len(kernels)
+    again = kernels[np.random.default_rng(0).integers(0, n, (N_BOOTSTRAP, n))]
+    spread = float(np.std(logsumexp(again, axis=1)))
+    return float(logsumexp(kernels) - np.log(n)), spread
 
 
 def ranking(all_twins: Sequence[Twin]) -> str:
