@@ -46,7 +46,7 @@ unit: $(INSTALLED)
 slow: $(INSTALLED)        # statistics with bounds that can fail
 	$(RUN) pytest -n 2 -m slow
 
-paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; minutes
+paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; twenty minutes, continues where it was interrupted
 	$(RUN) scripts.paper.reproduce --out out/paper
 
 two-arms: $(INSTALLED)    # coils calibrated one at a time, both on, judged by magpylib; a quarter of an hour

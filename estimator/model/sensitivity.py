@@ -38,12 +38,14 @@ class Factorial:
     Attributes:
         names: Of the parameters, an axis of `response` each.
         levels: Values of each parameter, in SI.
-        response: Rms field over the readings, in tesla.
+        response: Of every combination, in tesla.
+        label: What the response is, for axes of figures.
     """
 
     names: tuple[str, ...]
     levels: tuple[np.ndarray, ...]
     response: np.ndarray
+    label: str = "rms field"
 
     def main_effect(self, name: str) -> np.ndarray:
         """Mean response at each level of one parameter."""
@@ -150,27 +152,41 @@ def levels_about(rig: Rig, names: Sequence[str], n_levels: int = N_LEVELS) -> di
 
 def rms_field(rig: Rig, observations: Observations, names: Sequence[str]) -> Response:
     """Rms field over the readings in tesla as a function of some parameters; all others stay at their nominal values."""
+    field_T = _predictions(rig, observations, names)
+    return lambda values: field_T(values).square().sum(-1).mean(-1).sqrt()
+
+
+def rms_change(rig: Rig, observations: Observations, names: Sequence[str]) -> Response:
+    """Rms length of the change of the field from that of the nominal rig, in tesla; arguments as in `rms_field`."""
+    field_T, nominal = _predictions(rig, observations, names), rig.nominal_values()
+    reference_T = field_T(torch.tensor([nominal[name] for name in names], dtype=torch.float64))
+    return lambda values: (field_T(values) - reference_T).square().sum(-1).mean(-1).sqrt()
+
+
+def _predictions(
+    rig: Rig, observations: Observations, names: Sequence[str]
+) -> Callable[[Float[Tensor, "*batch parameter"]], Float[Tensor, "*batch reading 3"]]:
+    """Predicted readings, (*batch, reading, 3), as a function of some parameters."""
     fixed = [parameter.name for parameter in rig.free if parameter.name not in names]
     coordinates, model = Coordinates(rig.with_fixed(fixed)), MeasurementModel.build(rig, observations)
 
-    def response(values: Tensor) -> Tensor:
+    def field_T(values: Tensor) -> Tensor:
         vector = coordinates.vector(dict(zip(names, values.unbind(-1), strict=True)))
         with torch.no_grad():
-            field_T = model.predict(coordinates.values(vector))
-        return field_T.square().sum(-1).mean(-1).sqrt()
+            return model.predict(coordinates.values(vector))
 
-    return response
+    return field_T
 
 
-def factorial(response: Response, levels: Mapping[str, np.ndarray]) -> Factorial:
+def factorial(response: Response, levels: Mapping[str, np.ndarray], label: str = "rms field") -> Factorial:
     """All combinations of levels in one batch.
 
     References: Osinde et al., section 4.2: seven levels of four parameters, 2401 runs.
     """
     axes = [torch.from_numpy(np.asarray(values, dtype=float)) for values in levels.values()]
     runs = torch.cartesian_prod(*axes).reshape(-1, len(axes))
-    rms_T = response(runs).reshape([len(axis) for axis in axes])
-    return Factorial(tuple(levels), tuple(axis.numpy() for axis in axes), rms_T.numpy())
+    response_T = response(runs).reshape([len(axis) for axis in axes])
+    return Factorial(tuple(levels), tuple(axis.numpy() for axis in axes), response_T.numpy(), label)
 
 
 def sobol(response: Response, levels: Mapping[str, np.ndarray], n: int = 512) -> Sobol:

@@ -1,23 +1,33 @@
-"""Shared by the studies of the paper: its numbers that are at hand, and the layout of tables.
+"""Shared by the studies of the paper: its simulated coil under coilcal's names, and the layout of tables.
 
 Osinde, Etievant, Byiringiro and Andreff, "Calibration of a multi-mobile coil magnetic manipulation system utilizing a control-oriented
-magnetic model". Only notes of it were at hand: truth and start of its simulated coil, the turns and length that its Table 3 recovered, and
-the design of its studies. Every other number of its tables is printed as a dash; none is made up.
+magnetic model". Every printed number stands in `printed.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-NOT_AT_HAND = "-"
+from scripts.paper import printed
+
 NAMES = tuple(f"coil1.{key}" for key in ("radius_m", "wire_radius_m", "axial_loops", "radial_loops"))
-START = dict(zip(NAMES, (0.048, 0.46e-3, 45.0, 22.0), strict=True))
-TRUTH = dict(zip(NAMES, (0.051, 0.49e-3, 48.0, 25.0), strict=True))
-FOUND_TURNS, FOUND_LENGTH_M = 1196.0, 0.04702  # Table 3; the truth is 1200 turns on 47.04 mm
-CURRENT_A, DISTANCE_M = (
-    3.0,
-    0.04,
-)  # our choice: the paper states neither the current nor the position of its grid
+CURRENT_A, DISTANCE_M = 3.0, 0.04  # our choice: the paper states neither current nor grid
+
+
+def coil(winding: printed.Winding) -> dict[str, float]:
+    """A printed winding under the names of coilcal, in SI.
+
+    Examples:
+        >>> coil(printed.SIMULATED_TRUTH)["coil1.radius_m"]
+        0.051
+    """
+    radius_mm, wire_mm, axial, radial = winding
+    return dict(zip(NAMES, (radius_mm / 1e3, wire_mm / 1e3, float(axial), float(radial)), strict=True))
+
+
+START, TRUTH, FOUND = (
+    coil(winding) for winding in (printed.SIMULATED_START, printed.SIMULATED_TRUTH, printed.SIMULATED_FOUND)
+)
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

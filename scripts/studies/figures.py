@@ -37,14 +37,16 @@ DIAGNOSED = {
     "run07_left": "out/diagnosis_with_plate/mice-run07/residual_around_m1_before_and_after.png",
 }
 PAPER = (
-    "interactions",
+    "residual_causes",
+    "rmse_interactions",
     "valley",
     "relative_error_start",
     "relative_error_calibrated",
     "angle_calibrated",
-    "twin_residual",
-    "twin_predicted_literal",
-    "twin_predicted_extended",
+    "twin_relative_error_literal",
+    "twin_relative_error_extended",
+    "twin_angle_literal",
+    "twin_angle_extended",
 )
 
 

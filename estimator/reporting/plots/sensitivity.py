@@ -27,7 +27,7 @@ def main_effect(factorial: Factorial, name: str, ax: Axes | None = None) -> Axes
     ax.plot(across, factorial.main_effect(name) / MILLI, color=BLUE, marker="o", ms=4, label="mean")
     ax.axhline(factorial.response.mean() / MILLI, color=GREY, lw=0.8, ls=":")
     ax.set_xlabel(display.label)
-    ax.set_ylabel("rms field (mT)")
+    ax.set_ylabel(f"{factorial.label} (mT)")
     return ax
 
 
@@ -60,7 +60,7 @@ def interaction(factorial: Factorial, across: str, line: str, ax: Axes | None = 
     for row, level, colour in zip(table, levels, colours, strict=True):
         ax.plot(x, row, color=colour, lw=1.0, label=_level_text(level, display[line]))
     ax.set_xlabel(display[across].label)
-    ax.set_ylabel("rms field (mT)")
+    ax.set_ylabel(f"{factorial.label} (mT)")
     return ax
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.sensitivity import factorial, information, levels_about, rms_field, sobol
+from estimator.model.sensitivity import factorial, information, levels_about, rms_change, rms_field, sobol
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.rig.rig import Rig
@@ -64,6 +64,22 @@ def test_a_run_is_the_rms_field_of_that_rig(small_rig: Rig, readings: Observatio
     values = {name: torch.tensor(value).double() for name, value in changed.nominal_values().items()}
     field_T = MeasurementModel.build(changed, readings).predict(values)
     assert runs.response[2, 0] == pytest.approx(float(field_T.square().sum(-1).mean().sqrt()), rel=1e-5)
+
+
+def test_a_change_is_the_rms_difference_from_the_nominal_rig(small_rig: Rig, readings: Observations) -> None:
+    names = ("coil1.axial_loops", "coil1.radius_m")
+    runs = factorial(rms_change(small_rig, readings, names), levels_about(small_rig, names, 3), "RMSE")
+    changed = small_rig.with_values({"coil1.radius_m": 0.050})
+    fields = [
+        MeasurementModel.build(rig, readings).predict(
+            {name: torch.tensor(value).double() for name, value in rig.nominal_values().items()}
+        )
+        for rig in (small_rig, changed)
+    ]
+    expected_T = float((fields[1] - fields[0]).square().sum(-1).mean().sqrt())
+    assert runs.response[1, 1] == 0.0
+    assert runs.response[1, 0] == pytest.approx(expected_T, rel=1e-4)
+    assert runs.label == "RMSE"
 
 
 def test_information_is_that_of_differences_of_the_predicted_readings(

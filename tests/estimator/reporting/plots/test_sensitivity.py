@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,6 +31,13 @@ def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(
     said = words(ax)
     assert "radius (mm)" in said
     assert "rms field (mT)" in said
+
+
+def test_axes_say_what_the_response_is(runs: Factorial, words: Callable[[Axes | Figure], str]) -> None:
+    errors = replace(runs, label="RMSE against the truth")
+    assert "RMSE against the truth (mT)" in words(main_effect(errors, "coil1.radius_m"))
+    ax = interaction(errors, across="coil1.radius_m", line="coil1.axial_loops")
+    assert "RMSE against the truth (mT)" in words(ax)
 
 
 def test_interaction_has_a_line_for_each_level_of_the_other(
