@@ -15,6 +15,8 @@ from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig.rig import Rig
 from estimator.units import split_quotient
 
+HARDLY_NARROWED = 3.0  # data as wide as three priors narrow the interval by 5 %, which no reader sees
+
 
 def calibration_report(calibration: Calibration, command: str) -> str:
     """HTML of one calibration, self-contained.
@@ -88,6 +90,18 @@ def _noise_share(calibration: Calibration, role: str) -> str:
     )
 
 
+def undetermined_sentence(words: str, data_over_prior_sd: float) -> str:
+    """What readings say of a combination of parameters that the prior knows better.
+
+    Examples:
+        >>> undetermined_sentence("the wire radius", 28.0)
+        "These readings say almost nothing about the wire radius: its interval is the prior's."
+    """
+    if data_over_prior_sd > HARDLY_NARROWED:
+        return f"These readings say almost nothing about {words}: its interval is the prior's."
+    return f"These readings say less about {words} than the prior does: its interval is mostly the prior's."
+
+
 def _warnings(summary: Mapping[str, Any]) -> list[str]:
     warnings = []
     if not summary["is_converged"]:
@@ -98,10 +112,7 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
             f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
         )
     for direction in summary["undetermined"]:
-        warnings.append(
-            f"The data do not determine {direction['words']}: their standard deviation alone is "
-            f"{min(direction['data_over_prior_sd'], 9999):.3g} times the prior's, so the interval is the prior's."
-        )
+        warnings.append(undetermined_sentence(direction["words"], direction["data_over_prior_sd"]))
     for name, distance in summary["prior_tension"].items():
         warnings.append(
             f"{split_quotient(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
