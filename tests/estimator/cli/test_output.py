@@ -10,8 +10,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import pytest
-from click.testing import Result
+from click.testing import CliRunner, Result
 
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
@@ -131,14 +132,17 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(
     assert left.words(99.9, 100) == ""
 
 
-def test_quiet_keeps_progress_back_and_verbose_logs(
-    run: Callable[..., Result], workspace: Path, tmp_path: Path
-) -> None:
-    call = ["calibrate", workspace / "session.zarr", "--ess", 50, "--walkers", 16]
-    assert "sampling" in run(*call, "--out", tmp_path / "a").stderr
-    quiet = run(*call, "--out", tmp_path / "b", "--quiet")
-    assert quiet.stderr == ""
-    assert "report: " in quiet.stdout
+def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
+    @click.command(cls=CoilcalCommand)
+    def long_command() -> None:
+        with StageReporter() as reporter:
+            for stage in STAGES:
+                reporter(stage)
+        click.echo("done")
+
+    loud, quiet = (CliRunner().invoke(long_command, options) for options in ([], ["--quiet"]))
+    assert loud.stderr.splitlines()[0] == "point estimate"
+    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "done\n", "")
     faulty = run("show", tmp_path / "nothing", "--quiet")
     assert "path must exist" in faulty.stderr
     logger = logging.getLogger("estimator")
