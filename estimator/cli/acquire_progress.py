@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from estimator.acquisition.acquire import Progress
+from estimator.cli.output import is_quiet, tell_progress
 from estimator.cli.words import duration_words
 
 LINE_EVERY_S = 5.0
@@ -25,7 +26,7 @@ class StopReporter:
     def __init__(self, n_stops: int) -> None:
         self._printed_s = -math.inf
         self._bar: Bar | None = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not is_quiet():
             columns = (
                 TextColumn("stop"),
                 MofNCompleteColumn(),
@@ -59,7 +60,7 @@ class StopReporter:
             click.echo(remark, err=True)
         now_s = time.monotonic()
         if now_s - self._printed_s >= LINE_EVERY_S or progress.n_done == progress.n_stops:
-            click.echo(f"stop {progress.n_done} of {progress.n_stops}, {left}", err=True)
+            tell_progress(f"stop {progress.n_done} of {progress.n_stops}, {left}")
             self._printed_s = now_s
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.options import ess_option, json_option, seed_option
-from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show
+from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput
 
 
@@ -85,9 +85,11 @@ def batch_command(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
         ) from error
 
+    from estimator.cli.time_left import TimeLeft
     from estimator.inference.ensemble import SamplerSettings
     from estimator.store.files import write_text
 
+    time_left = TimeLeft()
     result = batch(
         sessions,
         out=out,
@@ -99,7 +101,9 @@ def batch_command(
         settings=SamplerSettings(target_ess=ess),
         workers=workers,
         scheduler=scheduler,
-        tell=lambda done, total, words: click.echo(f"{done} of {total}: {words}", err=True),
+        tell=lambda done, total, words: tell_progress(
+            f"{done} of {total}: {words}{time_left.words(done, total)}"
+        ),
     )
     result.save_table(out)
     options = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}

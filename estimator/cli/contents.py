@@ -17,7 +17,9 @@ from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.recalibration.registry import LOG, VERSIONS, Registry
 from estimator.rig_files.read import load_rig
+from estimator.store.importers.readings_csv import FIELD
 from estimator.store.session import Session, is_growing, is_session, load_session
+from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 JOBS, RESULT_FILE = "jobs", "result.json"  # of `estimator.batching`, which needs an extra
@@ -67,13 +69,29 @@ def kind_of(path: Path) -> str | None:
 
 def _kind_of_file(path: Path) -> str | None:
     if path.suffix == ".csv":
-        return "readings CSV"
+        return _kind_of_csv(path)
     if path.suffix not in (".yaml", ".yml"):
         return None
     top = Section.from_file(path)
     if "coils" in top or "sensors" in top:
         return "rig file"
     return "plan" if "poses" in top or "stops" in top else None
+
+
+def _kind_of_csv(path: Path) -> str | None:
+    header, _ = _csv(path)
+    if "inside_winding" in header:
+        return "field CSV"
+    return "readings CSV" if {split_unit(name.strip())[0] for name in header} & set(FIELD) else None
+
+
+def _csv(path: Path) -> tuple[list[str], int]:
+    """Header and number of rows."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return next(csv.reader(file), []), sum(1 for line in file if line.strip())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
 
 def _known_inside(folder: Path) -> list[tuple[str, str]]:
@@ -249,15 +267,17 @@ def _plan(path: Path) -> Contents:
 
 
 def _readings(path: Path) -> Contents:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header, n_rows = next(csv.reader(file), []), sum(1 for line in file if line.strip())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
+    header, n_rows = _csv(path)
     return {"columns": header, "rows": n_rows}, [
         f"{n_rows} rows of {', '.join(header)}",
         f"next: coilcal check RIG {path}",
     ]
+
+
+def _field(path: Path) -> Contents:
+    header, n_points = _csv(path)
+    words = f"field at {n_points} points, in SI and in the world frame, with its credible interval"
+    return {"columns": header, "points": n_points}, [words]
 
 
 def _folder(path: Path) -> Contents:
@@ -283,5 +303,6 @@ KINDS: dict[str, Callable[[Path], Contents]] = {
     "rig file": _rig,
     "plan": _plan,
     "readings CSV": _readings,
+    "field CSV": _field,
     "folder": _folder,
 }

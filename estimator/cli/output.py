@@ -6,6 +6,7 @@ This file and `options` are loaded for every page of help, so they import nothin
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import re
@@ -26,8 +27,46 @@ EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
+QUIET = "coilcal.is_quiet"  # key of what a call shares between its parts
+
+
+def is_quiet() -> bool:
+    """Whether the command that runs was called with `--quiet`."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(QUIET))
+
+
+def tell_progress(line: str) -> None:
+    """Tell on standard error how far the command is, unless it is to be quiet."""
+    if not is_quiet():
+        click.echo(line, err=True)
+
+
+def _keep_quiet(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    ctx.meta[QUIET] = value
+
+
+def _log(_: click.Context, __: click.Parameter, value: bool) -> None:
+    if value:
+        logging.basicConfig(format="%(asctime)s %(name)s: %(message)s")  # to standard error
+        for package in ("estimator", "drivers"):
+            logging.getLogger(package).setLevel(logging.DEBUG)
+
+
 class CoilcalCommand(click.Command):
-    """A command that uses the threads of `--threads` and explains its faults."""
+    """A command that uses the threads of `--threads`, has `--quiet` and `--verbose`, and explains its faults."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        words = {
+            "quiet": ("No progress on standard error; faults and warnings stay.", _keep_quiet),
+            "verbose": ("Log on standard error what modules do.", _log),
+        }
+        for name, (help_text, callback) in words.items():
+            option = click.Option(
+                [f"--{name}"], is_flag=True, expose_value=False, help=help_text, callback=callback
+            )
+            self.params.append(option)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; help, completion and refused arguments never get here, so they do not load torch."""

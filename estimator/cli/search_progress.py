@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 import time
 
-import click
 from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from estimator.cli.output import is_quiet, tell_progress
 from estimator.cli.words import duration_words
 from estimator.diagnosis.progress import Progress
 
@@ -22,7 +22,7 @@ class SearchReporter:
     def __init__(self) -> None:
         self._printed_s = time.monotonic()
         self._bar: Bar | None = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not is_quiet():
             columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn())
             self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
             self._task = self._bar.add_task("", total=None)
@@ -40,7 +40,7 @@ class SearchReporter:
         """Show a message that stays."""
         self._printed_s = time.monotonic()
         if self._bar is None:
-            click.echo(f"coilcal: {words}", err=True)
+            tell_progress(f"coilcal: {words}")
             sys.stderr.flush()
             return
         self._bar.console.print(f"coilcal: {words}", markup=False, highlight=False, soft_wrap=True)

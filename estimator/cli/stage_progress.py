@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 
-import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from estimator.calibration.calibrate import Stage
+from estimator.cli.output import is_quiet, tell_progress
+from estimator.cli.time_left import TimeLeft
 
 
 class StageReporter:
@@ -16,10 +17,11 @@ class StageReporter:
 
     def __init__(self) -> None:
         self._last = ""
+        self._time_left = TimeLeft()
         console = Console(stderr=True)
         self._bar: Progress | None = None
         # Console.is_terminal also believes FORCE_COLOR, which build servers set while they record a pipe.
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not is_quiet():
             columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
             self._bar = Progress(*columns, console=console, transient=True)
             self._task = self._bar.add_task("starting", total=None)
@@ -42,10 +44,10 @@ class StageReporter:
         detail = ""
         if sampling is not None:
             detail = f"step {sampling.step}, effective samples {sampling.smallest_ess:.0f} of {sampling.target_ess:.0f}"
-            detail += f", R-hat {sampling.largest_rhat:.4f}"
+            detail += f", R-hat {sampling.largest_rhat:.4f}{self._time_left.words(sampling.smallest_ess, sampling.target_ess)}"
         if self._bar is None:
             for line in (*lines, *([f"  {detail}"] if detail else [])):
-                click.echo(line, err=True)
+                tell_progress(line)
             return
         for line in lines:
             self._bar.console.print(line)

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner, Result
 
 from estimator.calibration.calibrate import Stage
-from estimator.cli.output import explained_errors, named_number, named_numbers
+from estimator.cli.main import main
+from estimator.cli.output import CoilcalCommand, explained_errors, named_number, named_numbers
 from estimator.cli.stage_progress import StageReporter
+from estimator.cli.time_left import TimeLeft
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.ensemble import Progress
 from estimator.inference.laplace import OpenDirection
@@ -106,3 +114,47 @@ def test_options_name_numbers() -> None:
 def test_what_is_no_named_number_is_refused(text: str) -> None:
     with pytest.raises(InvalidInput, match=r"--current must look like NAME=1\.0; received"):
         named_number([text], "--current")
+
+
+def test_the_time_left_follows_from_what_was_done_since_the_beginning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    left = TimeLeft()
+    assert left.words(50, 250) == ""
+    now_s[0] += 10.0
+    assert left.words(100, 250) == ", about 30 s left"
+    assert left.words(250, 250) == ""
+    assert left.words(0, 100) == ""  # something new
+    now_s[0] += 1.0
+    assert left.words(1, 100) == ", about 1 min 39 s left"
+    assert left.words(99.9, 100) == ""
+
+
+def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
+    @click.command(cls=CoilcalCommand)
+    def long_command() -> None:
+        with StageReporter() as reporter:
+            for stage in STAGES:
+                reporter(stage)
+        click.echo("done")
+
+    loud, quiet = (CliRunner().invoke(long_command, options) for options in ([], ["--quiet"]))
+    assert loud.stderr.splitlines()[0] == "point estimate"
+    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "done\n", "")
+    faulty = run("show", tmp_path / "nothing", "--quiet")
+    assert "path must exist" in faulty.stderr
+    logger = logging.getLogger("estimator")
+    before = logger.level
+    try:
+        assert run("explain", "axis_gain", "--verbose").exit_code == 0
+        assert logger.level == logging.DEBUG
+    finally:
+        logger.setLevel(before)
+
+
+def test_every_command_can_be_quiet() -> None:
+    for name, command in main.commands.items():
+        if isinstance(command, CoilcalCommand):
+            assert {"--quiet", "--verbose"} <= {o for p in command.params for o in p.opts}, name

@@ -65,6 +65,8 @@ def test_files(workspace: Path, run: Run) -> None:
     assert told(run, workspace / "plan.yaml")[1][0] == "plan 'small grid' with poses, currents_A"
     record, _ = told(run, workspace / "readings.csv")
     assert (record["kind"], record["rows"]) == ("readings CSV", 36)
+    record, _ = told(run, workspace / "field.csv")
+    assert (record["kind"], record["points"]) == ("field CSV", 5)
 
 
 def test_a_folder_of_all_sorts(workspace: Path, run: Run) -> None:
