@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.cli.predict import _axis
+from estimator.cli.grid import _axis
 from estimator.errors import InvalidInput
 from estimator.readings.plan import load_plan
 from estimator.rig.rig import Rig

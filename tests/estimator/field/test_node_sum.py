@@ -93,4 +93,4 @@ def test_where_no_folder_can_be_written_the_kernels_are_translated_in_every_proc
         return translate(**settings)
 
     monkeypatch.setattr(kernel.numba, "njit", refuses_a_cache)
-    assert kernel._translated(lambda x: x + 1.0)(2.0) == 3.0
+    assert kernel.machine_code(lambda x: x + 1.0)(2.0) == 3.0
