@@ -117,5 +117,5 @@ def _picture(name: str, rival: Rival, coil: str) -> Picture:
         distance_mm, rival.residual_T.numpy(), rival.lack_of_fit.noise_T, label, title=name
     )
     assert isinstance(axes.figure, Figure)
-    words = "Measured less predicted, in units of the noise. Means off zero say where the description fails."
+    words = "Measured less predicted; the band is one sigma of the noise. Means off zero say where the description fails."
     return Picture(f"Residual of the {name}", words, axes.figure)

@@ -78,6 +78,18 @@ def _mag_manip(request: Request) -> None:
     _text(request, vfield_yaml(request))
 
 
+def _urdf(request: Request) -> None:
+    from estimator.export.frames_urdf import urdf
+
+    _text(request, urdf(request.calibrated))
+
+
+def _tf(request: Request) -> None:
+    from estimator.export.frames_urdf import static_transforms
+
+    _text(request, static_transforms(request.calibrated))
+
+
 def _text(request: Request, text: str) -> None:
     from estimator.store.files import write_text
 
@@ -91,6 +103,8 @@ FORMATS: Mapping[str, Format] = {
     "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
     "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
     "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
+    "urdf": Format(".urdf", "calibrated frames as a URDF", _urdf),
+    "tf": Format(".launch.py", "ROS 2 launch file of the calibrated transforms", _tf),
     "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
 }
 

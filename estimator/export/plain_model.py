@@ -34,7 +34,7 @@ from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Rig
+from estimator.rig.rig import Body, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Rig
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear
 PROBE_POINTS_M = (
@@ -144,21 +144,23 @@ def plain_model(rig: Rig, values: Values, to: str) -> PlainModel:
     )
 
 
-def poses_of(rig: Rig, coil: AnyCoil, sources: Sources, values: Values) -> tuple[Transform, Transform]:
-    """`world_from_base` and `flange_from_coil` of a coil, as `PlainCoil` has them; differentiable in the values."""
+def poses_of(
+    rig: Rig, body: Body, sources: Sources, values: Values, kind: str = "coil"
+) -> tuple[Transform, Transform]:
+    """`world_from_base` and `flange_from_coil` of a coil, as `PlainCoil` has them, or those of a sensor; differentiable in the values."""
     at_reference, since = (
-        mount_of(rig, coil, values, sources.columns, is_first) for is_first in (True, False)
+        mount_of(rig, body, values, sources.columns, is_first) for is_first in (True, False)
     )
-    if coil.carried_by is None:
-        return _alone(pose_of(f"{coil.name}.world_from_coil", values) @ since), Transform.identity()
-    mover = rig.mover(coil.carried_by)
-    flange_from_coil = pose_of(f"{coil.name}.flange_from_coil", values) @ at_reference
+    if body.carried_by is None:
+        return _alone(pose_of(f"{body.name}.world_from_{kind}", values) @ since), Transform.identity()
+    mover = rig.mover(body.carried_by)
+    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
     if mover.motion is not MotionKind.DISPLACEMENT:
         base = pose_of(f"{mover.name}.world_from_base", values)
-        return _alone(base), _alone(flange_from_coil @ since)
-    base = pose_of(f"{coil.name}.world_from_coil0", values) @ flange_from_coil.inverse()
+        return _alone(base), _alone(flange_from_body @ since)
+    base = pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse()
     return _alone(base @ _flange_from_report(mover)), _alone(
-        _flange_from_report(mover).inverse() @ flange_from_coil @ since
+        _flange_from_report(mover).inverse() @ flange_from_body @ since
     )
 
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
 import pytest
+import torch
 from click.testing import Result
 
+from estimator.calibration.result import Calibration
 from tests.estimator.cli.conftest import Run
+
+PAGE = Path(__file__).parents[3] / "docs/how-to/use-a-calibration-elsewhere.md"
 
 
 @pytest.mark.usefixtures("in_workspace")
@@ -31,6 +38,39 @@ def test_file_is_named_after_the_rig_and_not_replaced(
     assert "namespace coilcal_small {" in text
     assert "readings about coil1 lay at x " in text
     assert "--overwrite" in refused(run("export", workspace / "calibration", "--to", "cpp"))
+
+
+def block(language: str) -> str:
+    """The first example of a language on the page that explains exports."""
+    text = PAGE.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)[0]
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, run: Run, tmp_path: Path) -> None:
+    run("export", workspace / "calibration", "--to", "cpp", "--out", tmp_path / "magnet.hpp")
+    (tmp_path / "main.cpp").write_text(block("cpp"), encoding="utf-8")
+    strict = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "main.cpp", "-o", "main"]
+    subprocess.run(strict, cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
+    calibration = Calibration.load(workspace / "calibration")
+    moved = {"arm1": torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)}
+    field_T = calibration.field(torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64), {"coil1": 3.0}, moved)
+    assert printed.startswith(f"Bz {field_T[0, 2]:.6g} +- ")
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
+def test_example_for_matlab_runs(workspace: Path, run: Run, tmp_path: Path) -> None:
+    run("export", workspace / "calibration", "--to", "matlab", "--out", tmp_path / "magnet.m")
+    (tmp_path / "main.m").write_text(
+        block("matlab") + "\nprintf('%.10g\\n', field_T(1, 3));", encoding="utf-8"
+    )
+    command = ["octave-cli", "--norc", "--no-history", "--quiet", "main.m"]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    calibration = Calibration.load(workspace / "calibration")
+    moved = {"arm1": torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)}
+    field_T = calibration.field(torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64), {"coil1": 3.0}, moved)
+    assert float(printed) == pytest.approx(field_T[0, 2].item(), rel=1e-9)
 
 
 @pytest.mark.usefixtures("in_workspace")

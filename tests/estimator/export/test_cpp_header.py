@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.export.cpp_header import cpp_header
 from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.system.actuation import independent_entries
 from tests.estimator.export.compared import assert_close
 
@@ -44,6 +47,22 @@ int main() {
     for (double number : magnet.standard_deviation_T(p, currents_A)) std::printf("%.17g ", number);
     std::printf("\\n");
   }
+}
+"""
+
+STANDING = """
+schema_version: 1
+name: standing
+coils: {coil: {radius_mm: 50, wire_radius_mm: 0.5, axial_loops: 20, radial_loops: 5, world_from_coil: {z_mm: -30}}}
+sensors: {hall: {noise_uT: 5}}
+"""
+STANDING_PROGRAM = """
+#include "magnet.hpp"
+#include <cstdio>
+int main() {
+  const coilcal_standing::Magnet magnet;
+  std::printf("%.17g ", magnet.field_T({0.0, 0.0, 0.02}, {2.0})[2]);
+  std::printf("%.17g", magnet.standard_deviation_T({0.0, 0.0, 0.02}, {2.0})[2]);
 }
 """
 
@@ -127,3 +146,20 @@ def test_standard_deviation_is_that_of_the_draws(
     ratio = rows[usual, 36:] / drawn_T.std(0).numpy()[usual]
     assert np.abs(ratio - 1.0).max() < 0.02
     assert np.isnan(rows[-1, 36:]).all()
+
+
+def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(
+    calibrated: Callable[[Rig], Calibration], tmp_path: Path
+) -> None:
+    """No mover and no direction of the posterior: arrays of length zero."""
+    rig = rig_from_text(STANDING)
+    (tmp_path / "magnet.hpp").write_text(cpp_header(calibrated(rig)), encoding="utf-8")
+    (tmp_path / "main.cpp").write_text(STANDING_PROGRAM, encoding="utf-8")
+    strict = ["-std=c++17", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
+    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
+    expected_T = calibrated(rig).field(torch.tensor([[0.0, 0.0, 0.02]], dtype=torch.float64), {"coil": 2.0})
+    assert [float(word) for word in printed.split()] == [
+        pytest.approx(expected_T[0, 2].item(), rel=1e-12),
+        0.0,
+    ]
