@@ -41,7 +41,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from drivers.device import ClosesItself
 from drivers.errors import DriverError, Refused
@@ -71,7 +71,7 @@ from drivers.watch import Watch
 SENSORS = ("lakeshore_f71", "lakeshore_460", "senis_3mh6", "metrolab_thm1176")
 SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
 THERMOMETERS = ("lakeshore_224",)
-ARMS: dict[str, Literal["UR3", "UR3e"]] = {"ur3": "UR3", "ur3e": "UR3e"}
+ARMS = {model.lower(): model for model in ("UR3", "UR5", "UR10", "UR3e", "UR5e", "UR10e", "UR16e", "UR20")}
 
 _CONNECT_S = 3.0
 _TEMPERATURE_S = 3.0

@@ -1,4 +1,4 @@
-"""UR3 and UR3e as a `RobotArm`: poses from a lossless RTDE reader, motion in a supervised child process.
+"""Arms of Universal Robots as a `RobotArm`: poses from a lossless RTDE reader, motion in a supervised child process.
 
 Poses are those of the flange only if the tool centre point set at the pendant is zero; the first motion checks that. A real
 arm must be in remote control (UR3e). If the child is killed, the watchdog of the controller stops the arm after 0.2 s.
@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal
 
 from drivers.deadline import Deadline
 from drivers.device import ClosesItself
@@ -29,9 +28,12 @@ from drivers.transport.tcp import TcpPort
 _LOG = logging.getLogger(__name__)
 
 DASHBOARD_PORT = 29999
-FREQUENCY_HZ = {"UR3": 125.0, "UR3e": 500.0}
+FREQUENCY_HZ = {
+    **dict.fromkeys(("UR3", "UR5", "UR10"), 125.0),  # CB3
+    **dict.fromkeys(("UR3e", "UR5e", "UR10e", "UR16e", "UR20"), 500.0),
+}
 JOINT_LIMITS_RAD = ((-2 * math.pi, 2 * math.pi),) * 6
-"""Range of the joints of a UR3 (the last one turns without end); a rig with cables states narrower limits."""
+"""Range of the joints (of a UR3, the last one turns without end); a rig with cables states narrower limits."""
 
 _CLOSE_S = 10.0
 _STILL_S = 2.0
@@ -45,7 +47,7 @@ class UniversalRobot(ClosesItself):
     def __init__(
         self,
         host: str,
-        model: Literal["UR3", "UR3e"],
+        model: str,
         *,
         joint_limits_rad: Sequence[tuple[float, float]] = JOINT_LIMITS_RAD,
         longest_start_s: float = LONGEST_START_S,
@@ -54,7 +56,7 @@ class UniversalRobot(ClosesItself):
 
         Args:
             host: Address of the controller.
-            model: Sets the rate of the control cycle.
+            model: One of `FREQUENCY_HZ`; sets the rate of the control cycle.
             joint_limits_rad: Lowest and highest angle of each of the six joints.
             longest_start_s: Time for the child that the first motion starts; it does not count as time of the motion.
 

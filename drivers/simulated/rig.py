@@ -25,7 +25,11 @@ _SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
     "senis_3mh6": SimulatedSenis,
     "metrolab_thm1176": SimulatedTHM1176,
 }
-_VERSIONS = {"ur3": "3.15.4.106291", "ur3e": "5.11.1.108318"}
+CB3, E_SERIES = "3.15.4.106291", "5.11.1.108318"
+_VERSIONS = {
+    **dict.fromkeys(("ur3", "ur5", "ur10"), CB3),
+    **dict.fromkeys(("ur3e", "ur5e", "ur10e", "ur16e", "ur20"), E_SERIES),
+}
 _PORTS = ("serial", "tcp", "visa", "port", "replay", "host", "baud", "record")
 
 

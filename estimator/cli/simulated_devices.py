@@ -125,7 +125,7 @@ def _middle_m(name: str, settings: Mapping[str, Any]) -> tuple[float, float, flo
 
 def _home(mover: Mover, middle_m: tuple[float, float, float]) -> Flange:
     """Pose in which an arm starts: a posture that folds no joint, or the middle of its workspace."""
-    if mover.motion in JOINT_ARMS:
+    if mover.table is not None:
         base_from_flange = base_from_motion(mover, torch.tensor([POSTURE_RAD], dtype=torch.float64))
         x_m, y_m, z_m = base_from_flange.translation_m[0].tolist()
         x_rad, y_rad, z_rad = vector_from_rotation(base_from_flange.rotation)[0].tolist()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from estimator.rig.parameters import LogNormal, Normal, Prior
-from estimator.rig.rig import MotionKind, Mover
+from estimator.rig.rig import Mover
 
 
 def duration_words(time_s: float) -> str:
@@ -48,7 +48,7 @@ def motion_words(mover: Mover, motion: Sequence[float]) -> str:
         >>> motion_words(Mover("arm1", MotionKind.DISPLACEMENT), [0.05, -0.02, 0.0, 0.0, 0.0, 0.0])
         '50.0, -20.0, 0.0 mm'
     """
-    if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
+    if mover.table is not None:
         return f"{_numbers([math.degrees(angle_rad) for angle_rad in motion])}°"
     rotation_deg = [math.degrees(angle_rad) for angle_rad in motion[3:]]
     rotation = f", turned by {_numbers(rotation_deg)}°" if any(rotation_deg) else ""

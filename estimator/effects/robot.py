@@ -18,7 +18,6 @@ from estimator.geometry.kinematics import base_from_joints
 from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
-JOINT_MOTIONS = (MotionKind.UR3, MotionKind.UR3E)
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
@@ -123,12 +122,13 @@ class JointZeros(MotionEffect):
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Arms that report joint angles."""
-        return tuple(mover.name for mover in rig.movers if mover.motion in JOINT_MOTIONS)
+        return tuple(mover.name for mover in rig.movers if mover.table is not None)
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Axis of every joint in the base frame, and a point on it."""
-        kind = str(circumstances.rig.mover(mover).motion)
-        joints = base_from_joints(kind, circumstances.observations.motion[mover])[:N_JOINTS]
+        table = circumstances.rig.mover(mover).table
+        assert table is not None  # see `places`
+        joints = base_from_joints(table, circumstances.observations.motion[mover])[:N_JOINTS]
         lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
         return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
 

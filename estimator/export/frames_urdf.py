@@ -21,7 +21,6 @@ from estimator.export.calibrated import Calibrated
 from estimator.export.labels import identifier, origin_of
 from estimator.export.plain_model import poses_of
 from estimator.frames import Transform
-from estimator.geometry.kinematics import ROBOTS
 from estimator.model.room_field import at_one_moment
 from estimator.rig.rig import Body, MotionKind, Mover
 
@@ -157,7 +156,7 @@ def joints_of(calibrated: Calibrated) -> list[Joint]:
 def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Iterator[Joint]:
     """From the world by the base to the flange."""
     yield Joint(f"world_to_{base_link}", FIXED, "world", base_link, base)
-    table = ROBOTS.get(str(mover.motion))
+    table = mover.table
     if table is None:
         yield Joint(f"{base_link}_to_{flange}", FLOATING, base_link, flange, Transform.identity())
         return

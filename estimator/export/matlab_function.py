@@ -17,7 +17,7 @@ from estimator.export.plain_model import plain_model
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
-from estimator.geometry.kinematics import DenavitHartenberg
+from estimator.rig.arms import DenavitHartenberg
 from estimator.units import MU0_T_M_PER_A
 
 DEFINED = re.compile(r"^function .*?(\w+)\(", re.MULTILINE)

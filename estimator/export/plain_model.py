@@ -28,11 +28,11 @@ from estimator.field.quadrature import DiscreteRule, discrete_gauss
 from estimator.field.winding import DEFAULT_TOLERANCE, Winding
 from estimator.field.zones import rules_by_level
 from estimator.frames import Transform, rotation_from_vector
-from estimator.geometry.kinematics import ROBOTS, DenavitHartenberg
 from estimator.geometry.motion import pose_of
 from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
+from estimator.rig.arms import DenavitHartenberg
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Body, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Rig
 
@@ -138,7 +138,7 @@ def plain_model(rig: Rig, values: Values, to: str) -> PlainModel:
     return PlainModel(
         rig.name,
         tuple(_coil(rig, coil, sources, values, carriers) for coil in rig.wound),
-        tuple(PlainMover(mover.name, mover.columns, ROBOTS.get(str(mover.motion))) for mover in carriers),
+        tuple(PlainMover(mover.name, mover.columns, mover.table) for mover in carriers),
         *supply_of(rig, sources, values),
         background_of(rig, sources, values),
     )

@@ -7,58 +7,24 @@ which its controller reports; corrected values form a table of the same kind.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-
-
-@dataclass(frozen=True)
-class DenavitHartenberg:
-    """Standard (distal) Denavit-Hartenberg table, one entry per joint, in the columns of Universal Robots.
-
-    A joint at angle q leads to the next one: turn by q + theta about z, shift by d along z, shift by a along x, turn
-    by alpha about x.
-    """
-
-    theta_rad: tuple[float, ...]
-    a_m: tuple[float, ...]
-    d_m: tuple[float, ...]
-    alpha_rad: tuple[float, ...]
-
-
-# Universal Robots, support page "DH Parameters for calculations of kinematics and dynamics". (The appendix of
-# a CB3 manual prints d1 = 0.118 m for the UR3; that is the shoulder height of the UR10 in the same appendix.)
-ROBOTS: dict[str, DenavitHartenberg] = {
-    "UR3": DenavitHartenberg(
-        theta_rad=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        a_m=(0.0, -0.24365, -0.21325, 0.0, 0.0, 0.0),
-        d_m=(0.1519, 0.0, 0.0, 0.11235, 0.08535, 0.0819),
-        alpha_rad=(pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0),
-    ),
-    "UR3e": DenavitHartenberg(
-        theta_rad=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        a_m=(0.0, -0.24355, -0.2132, 0.0, 0.0, 0.0),
-        d_m=(0.15185, 0.0, 0.0, 0.13105, 0.08535, 0.0921),
-        alpha_rad=(pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0),
-    ),
-}
+from estimator.rig.arms import ARMS, DenavitHartenberg
 
 
 def base_from_flange(robot: DenavitHartenberg | str, joints_rad: Float[Tensor, "*batch 6"]) -> Transform:
     """Pose of the flange in the controller's base frame, as the teach pendant shows it with no tool offset.
 
     Args:
-        robot: A name in `ROBOTS`, or the table of one arm with its factory corrections.
+        robot: A name in `ARMS`, or the table of one arm with its factory corrections.
         joints_rad: Base, shoulder, elbow, wrist 1, 2, 3, as the controller reports them.
     Returns: base_from_flange over `*batch`. (In ROS this frame is `base`; `base_link` is turned by pi.)
     Raises: InvalidInput for an unknown name.
-    References: see `ROBOTS`; J. Denavit and R. S. Hartenberg, J. Applied Mechanics 22 (1955) 215.
+    References: see `ARMS`; J. Denavit and R. S. Hartenberg, J. Applied Mechanics 22 (1955) 215.
     Examples:
         >>> stretched_out = torch.zeros(6, dtype=torch.float64)
         >>> base_from_flange("UR3e", stretched_out).translation_m.round(decimals=5).tolist()
@@ -77,9 +43,9 @@ def base_from_joints(
     Raises: InvalidInput for an unknown name.
     """
     if isinstance(robot, str):
-        if robot not in ROBOTS:
-            raise InvalidInput(f"robot must be one of {', '.join(ROBOTS)}; received {robot!r}")
-        robot = ROBOTS[robot]
+        if robot not in ARMS:
+            raise InvalidInput(f"robot must be one of {', '.join(ARMS)}; received {robot!r}")
+        robot = ARMS[robot]
     x, _, z = torch.eye(3, dtype=joints_rad.dtype, device=joints_rad.device)
     columns = zip(joints_rad.unbind(-1), robot.theta_rad, robot.a_m, robot.d_m, robot.alpha_rad, strict=True)
     frames = [Transform.identity(joints_rad.dtype, joints_rad.device)]

@@ -24,8 +24,8 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
     References: Osinde et al., eq 18-22; a controller that reports displacements in its base frame needs base_from_flange(q0)^T first
         (docs/explanation/field-model.md).
     """
-    if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
-        return base_from_flange(str(mover.motion), motion)
+    if mover.table is not None:
+        return base_from_flange(mover.table, motion)
     pose = Transform.from_pose(motion[:, :3], motion[:, 3:])
     if mover.motion is MotionKind.DISPLACEMENT and mover.displacement_frame is DisplacementFrame.BASE:
         base_from_flange0 = rotation_from_vector(
@@ -62,7 +62,7 @@ def motion_reached(
         reference: base_from_flange at zero displacement.
         near: Commanded readings, from which the search for joint angles starts.
     """
-    if mover.motion in (MotionKind.UR3, MotionKind.UR3E):
+    if mover.table is not None:
         return torch.stack(
             [_joints_reaching(mover, base_from_flange.rows(torch.tensor([i])), q) for i, q in enumerate(near)]
         )

@@ -11,7 +11,7 @@ import torch
 from estimator.errors import Faults, InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Coil, MotionKind, Rig
+from estimator.rig.rig import Coil, Rig
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
@@ -163,7 +163,7 @@ def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> O
     motion = {}
     for mover in rig.movers:
         scaled = observations.motion[mover.name].clone()
-        is_joint = mover.motion in (MotionKind.UR3, MotionKind.UR3E)
+        is_joint = mover.table is not None
         columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
         if not (is_joint and kind == "positions"):
             scaled[:, columns] *= factor

@@ -15,7 +15,7 @@ import yaml
 from estimator.errors import Faults, InvalidInput, in_order
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
-from estimator.rig.rig import POSE_QUANTITIES, MotionKind, Mover, Rig
+from estimator.rig.rig import POSE_QUANTITIES, Mover, Rig
 from estimator.units import UNITS
 from estimator.yaml_section import LARGEST, Section
 
@@ -210,7 +210,7 @@ def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping
 
 def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
     """Names in a plan of the six numbers of a mover's pose, with their dimensions."""
-    return JOINTS if mover.motion in (MotionKind.UR3, MotionKind.UR3E) else CARTESIAN
+    return CARTESIAN if mover.table is None else JOINTS
 
 
 def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:

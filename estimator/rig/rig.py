@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
+from estimator.rig.arms import ARMS, DenavitHartenberg
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
@@ -39,8 +40,15 @@ class MotionKind(StrEnum):
 
     POSE = "pose"  # base_from_flange as position and rotation vector
     DISPLACEMENT = "displacement"  # position relative to a reference configuration
-    UR3 = "UR3"  # six joint angles
+    JOINTS = "joints"  # six joint angles of an arm whose table the rig file holds
+    UR3 = "UR3"  # six joint angles of one of Universal Robots
+    UR5 = "UR5"
+    UR10 = "UR10"
     UR3E = "UR3e"
+    UR5E = "UR5e"
+    UR10E = "UR10e"
+    UR16E = "UR16e"
+    UR20 = "UR20"
 
 
 class DisplacementFrame(StrEnum):
@@ -62,18 +70,30 @@ class Mover:
     """A robot or stage; `motion` says what its readings mean.
 
     `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
-    controller reports in the base frame into the end-effector frame.
+    controller reports in the base frame into the end-effector frame. `own_table` is the kinematics of this very arm: of `joints` all of it,
+    of the others what the maker measured at the factory, as differences from the nominal table.
     """
 
     name: str
     motion: MotionKind
     displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
     reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    own_table: DenavitHartenberg | None = field(
+        default=None, repr=False
+    )  # `Rig.hash` names it where there is one
+
+    @property
+    def table(self) -> DenavitHartenberg | None:
+        """Kinematics of an arm that reports joint angles; None where poses or displacements are reported."""
+        nominal = ARMS.get(str(self.motion))
+        if nominal is None or self.own_table is None:
+            return nominal or self.own_table
+        return nominal.corrected(self.own_table)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of this mover's columns in a readings table."""
-        if self.motion in (MotionKind.UR3, MotionKind.UR3E):
+        if self.table is not None:
             return tuple(f"{self.name}_q{i}_rad" for i in range(6))
         return tuple(f"{self.name}_{axis}" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
 
@@ -196,6 +216,7 @@ class Rig:
         """SHA-256 over the structure and every parameter, not over the devices."""
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.acting))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
+        lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:

@@ -19,6 +19,7 @@ from estimator.rig.rig import (
     Mover,
     Sensor,
 )
+from estimator.rig_files.arm_tables import read_own_table
 from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
 from estimator.rig_files.numbers import Numbers, read_pose, read_pure, read_scalar
 from estimator.units import split_unit
@@ -67,8 +68,9 @@ def _clear_mover(section: Section, name: str, numbers: Numbers) -> Mover:
             reference.finish()
     else:
         read_pose(section.section("world_from_base"), f"{name}.world_from_base", numbers)
+    own_table = read_own_table(section, motion)
     section.finish()
-    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]))
+    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]), own_table)
 
 
 def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:

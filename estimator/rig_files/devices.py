@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from estimator.errors import InvalidInput, closest
+from estimator.rig.arms import ARMS
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.yaml_section import Section
 
 DEVICES = "devices"
 KINDS = {"sensor": "sensors", "supply": "coils", "arm": "movers"}
 THERMOMETER = "thermometer"
-JOINT_ARMS = {MotionKind.UR3: "ur3", MotionKind.UR3E: "ur3e"}
+JOINT_ARMS = {kind: str(kind).lower() for kind in MotionKind if str(kind) in ARMS}
 
 DeviceSettings: TypeAlias = Mapping[str, Mapping[str, Any]]
 """Settings of each device, as they stand in the file."""

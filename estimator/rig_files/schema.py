@@ -27,6 +27,8 @@ name: specimen
 movers:
   shifts: {{motion: displacement, displacement_frame: base, base_from_flange0: {{rx_rad: 0}}}}
   poses: {{motion: pose}}
+  turns: {{motion: joints, denavit_hartenberg: {{a_m: [0, -0.4, -0.4, 0, 0, 0]}}}}
+  measured: {{motion: UR5e, factory_corrections: {{d_m: [0, 0, 0, 0, 0, 0]}}}}
 coils:
   shifted:
     {{carried_by: shifts, radius_m: {{value: 0.05, prior: {{normal: {{mean: 0.05, sd: 0.01}}}}}},
@@ -53,7 +55,7 @@ def rig_schema() -> dict[str, Any]:
         >>> schema["properties"]["sensors"]["additionalProperties"]["properties"]["noise_uT"]
         {'$ref': '#/$defs/number'}
         >>> schema["properties"]["movers"]["additionalProperties"]["properties"]["motion"]["enum"]
-        ['pose', 'displacement', 'UR3', 'UR3e']
+        ['pose', 'displacement', 'joints', 'UR3', 'UR5', 'UR10', 'UR3e', 'UR5e', 'UR10e', 'UR16e', 'UR20']
     """
     asked = _Asked.of_text(SPECIMEN)
     read_rig(asked)

@@ -177,14 +177,14 @@ def _motion_lines(s: Starter) -> str:
     if s.motion is Motion.DISPLACEMENT:
         return """\
     # "displacement": columns say how far it went since a reference position. Others: "pose" (position and rotation vector),
-    # "UR3", "UR3e" (joint angles).
+    # "UR3", "UR5e" and others (joint angles).
     motion: displacement
     # Axes of the displacements: of what is carried ("end_effector", where left out), or "base" with base_from_flange0 {rx_deg, ...}.
     # displacement_frame: end_effector
 """
     return f"""\
     # "pose": columns are position and rotation vector of the flange in the base. Others: "displacement" (since a reference position),
-    # "UR3", "UR3e" (joint angles).
+    # "UR3", "UR5e" and others (joint angles).
     motion: pose
     world_from_base:         # where the base stands in the room; 0 where left out. Free it: nobody knows it to a millimetre.
 {_place(6, "xyz", (0.0, 0.0, 0.0))}"""

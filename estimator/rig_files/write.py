@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from typing import Any
 
 import yaml
 
+from estimator.rig.arms import DenavitHartenberg
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
     POSE_QUANTITIES,
@@ -24,6 +26,7 @@ from estimator.rig.rig import (
     Rig,
     Sensor,
 )
+from estimator.rig_files.arm_tables import COLUMNS, key_of_table
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import MODEL, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
@@ -134,8 +137,19 @@ def _dumped(section: Mapping[str, Any]) -> str:
     return text
 
 
+def _own_table(table: DenavitHartenberg) -> _Line:
+    line = _Line()
+    for (quantity, dimension), column in zip(COLUMNS, astuple(table), strict=True):
+        unit = _unit(dimension, list(column))
+        line[f"{quantity}_{unit}"] = [_in_unit(value, UNITS[unit].to_si) for value in column]
+    return line
+
+
 def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     entry: dict[str, Any] = {"motion": str(mover.motion)}
+    key = key_of_table(mover.motion)
+    if key is not None and mover.own_table is not None:
+        entry[key] = _own_table(mover.own_table)
     if mover.motion is not MotionKind.DISPLACEMENT:
         return entry | _pose_block(f"{mover.name}.world_from_base", parameters)
     if mover.displacement_frame is DisplacementFrame.BASE:

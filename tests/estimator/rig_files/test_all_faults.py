@@ -67,7 +67,11 @@ def test_mistakes_of_all_kinds_are_told_at_once_in_the_order_of_their_lines(path
     told = [(fault.place.line, fault.place.column, str(fault)) for fault in faults if fault.place]
     assert [(line, column, words.partition(";")[0].partition(" (")[0]) for line, column, words in told] == [
         (1, 1, "schema_version must be 1"),
-        (4, 10, "movers.arm1.motion must be one of pose, displacement, UR3, UR3e"),
+        (
+            4,
+            10,
+            "movers.arm1.motion must be one of pose, displacement, joints, UR3, UR5, UR10, UR3e, UR5e, UR10e, UR16e, UR20",
+        ),
         (8, 5, "coils.coil1.radial_loops is missing"),
         (13, 5, "coils.coil1.radial_loop is not a known key"),
         (14, 24, "coils.coil1.world_from_coil0.z_kg must carry its unit: write z_m or z_cm or z_mm or z_um"),

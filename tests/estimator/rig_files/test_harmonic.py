@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from estimator.errors import InvalidInput
+from estimator.rig.arms import ARMS
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import HarmonicCoil, Region
 from estimator.rig_files.read import load_rig, rig_from_text
@@ -164,6 +166,12 @@ def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, messa
 def test_rigs_of_today_keep_their_hash() -> None:
     """A coil with a winding is described as before, so that sessions, chains and registries still know it."""
     assert load_rig(CONFIGS / "paper_simulation.yaml").hash.startswith(HASH)
+
+
+def test_kinematics_of_one_arm_are_part_of_the_hash() -> None:
+    rig = load_rig(CONFIGS / "paper_simulation.yaml")
+    arm = replace(rig.movers[0], own_table=ARMS["UR5e"])
+    assert replace(rig, movers=(arm,)).hash != rig.hash
 
 
 HASH = "1dfec84bdd30f8ed"

@@ -141,8 +141,26 @@ REFUSALS = {
     ),
     "unknown motion": (
         "motion: UR3e",
-        "motion: UR5",
-        "movers.arm2.motion must be one of pose, displacement, UR3, UR3e; received 'UR5'",
+        "motion: UR7",
+        "movers.arm2.motion must be one of pose, displacement, joints, UR3, UR5, UR10, UR3e, UR5e, UR10e, UR16e, UR20; received 'UR7'",
+        5,
+    ),
+    "joint angles without kinematics": (
+        "motion: UR3e",
+        "motion: joints",
+        "movers.arm2.motion joints needs the table denavit_hartenberg {theta, a, d, alpha}; received none",
+        5,
+    ),
+    "five joints": (
+        "motion: UR3e",
+        "motion: UR3e, factory_corrections: {a_mm: [0, 1, 2, 3, 4]}",
+        "movers.arm2.factory_corrections.a_mm must be a list of 6 numbers within -1e+12 and 1e+12, one for each joint; received [0, 1, 2, 3, 4]",
+        5,
+    ),
+    "lengths in degrees": (
+        "motion: UR3e",
+        "motion: UR3e, factory_corrections: {d_deg: [0, 0, 0, 0, 0, 0]}",
+        "movers.arm2.factory_corrections.d_deg must be in a unit of length (m, cm, mm, um); received [0, 0, 0, 0, 0, 0] in deg",
         5,
     ),
     "tie to nothing": (

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.errors import InvalidInput
+from estimator.rig.arms import ARMS, DenavitHartenberg
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
     POSE_QUANTITIES,
@@ -116,13 +117,18 @@ def rigs(draw: st.DrawFn) -> Rig:
             else:
                 add(name, unit, draw(signed(2.0)))
 
+    column = st.tuples(*[signed(3.0)] * 6)
+    tables = st.builds(DenavitHartenberg, column, column, column, column)
     movers = []
     for name in names[: draw(st.integers(0, 2))]:
         motion = draw(st.sampled_from(MotionKind))
         is_in_base = motion is MotionKind.DISPLACEMENT and draw(st.booleans())
         rotation = draw(st.tuples(*[signed(3.0)] * 3)) if is_in_base else (0.0, 0.0, 0.0)
         frame = DisplacementFrame.BASE if is_in_base else DisplacementFrame.END_EFFECTOR
-        movers.append(Mover(name, motion, frame, rotation))
+        own_table = draw(tables) if motion is MotionKind.JOINTS else None
+        if str(motion) in ARMS and draw(st.booleans()):
+            own_table = draw(tables)
+        movers.append(Mover(name, motion, frame, rotation, own_table))
         if motion is not MotionKind.DISPLACEMENT:
             pose(f"{name}.world_from_base")
 
