@@ -45,6 +45,7 @@ def motion_words(mover: Mover, motion: Sequence[float]) -> str:
     """Format the columns of a mover as its controller shows them: joint angles, or position and rotation.
 
     Examples:
+        >>> from estimator.rig.rig import MotionKind
         >>> motion_words(Mover("arm1", MotionKind.DISPLACEMENT), [0.05, -0.02, 0.0, 0.0, 0.0, 0.0])
         '50.0, -20.0, 0.0 mm'
     """
