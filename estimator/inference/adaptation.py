@@ -17,10 +17,7 @@ from estimator.inference.proposal import DEGREES_OF_FREEDOM, MixtureProposal, Wh
 
 ROUNDS, DRAWS = 8, 2000
 ENOUGH = 0.8  # efficiency at which a proposal is left as it is
-WIDENED, WIDE_SHARE = (
-    2.0,
-    0.3,
-)  # this share of the draws comes from a wider law, which sees tails that the proposal misses
+WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees tails that the proposal misses
 COMPONENTS, ITERATIONS = 6, 20
 DEFENSIVE = 0.1  # weight of the standard component that always stays, so that no place becomes unreachable
 OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of counts

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 LARGEST_CURVATURE = 0.2  # prior standard deviation of a coefficient, in whitened units
 
@@ -48,17 +49,22 @@ class Bend:
         """
         n = white.shape[1]
         bend = cls.none(n)
+        first, second = np.tril_indices(n)
+        products = white[:, first] * white[:, second]
+        # In the order of their latest coordinate, so that those before coordinate i are a leading part, with a leading part of the factor.
+        order = np.argsort(np.concatenate(([-1], np.arange(n), first)), kind="stable")
+        columns = np.concatenate((np.ones((len(white), 1)), white, products), axis=1)[:, order]
+        penalty = np.repeat((1e-6, LARGEST_CURVATURE**-2), (n + 1, len(first)))[order]
+        weighted = weight[:, None] * columns / (weight**2).sum()
+        factor = np.linalg.cholesky(weighted.T @ columns + np.diag(penalty))
+        projected = weighted.T @ white
         for i in range(n):
-            first, second = np.tril_indices(i)
-            columns = np.concatenate(
-                (np.ones((len(white), 1)), white[:, :i], white[:, first] * white[:, second]), axis=1
-            )
-            weighted = weight[:, None] * columns / (weight**2).sum()
-            penalty = np.full(columns.shape[1], LARGEST_CURVATURE**-2)
-            penalty[: i + 1] = 1e-6
-            solution = np.linalg.solve(weighted.T @ columns + np.diag(penalty), weighted.T @ white[:, i])
-            bend.offset[i], bend.slope[i, :i] = solution[0], solution[1 : i + 1]
-            bend.curvature[i, first, second] = solution[i + 1 :]
+            n_columns = 1 + i + i * (i + 1) // 2
+            leading = (factor[:n_columns, :n_columns], True)
+            solution = np.zeros(len(order))
+            solution[order[:n_columns]] = cho_solve(leading, projected[:n_columns, i])
+            bend.offset[i], bend.slope[i] = solution[0], solution[1 : n + 1]
+            bend.curvature[i, first, second] = solution[n + 1 :]
         return bend
 
     def straightened(self, white: np.ndarray) -> np.ndarray:

@@ -99,3 +99,20 @@ def test_few_points_in_many_dimensions_leave_a_shape_with_a_density():
     bend = Bend.fitted(points, np.full(5, 0.2))
     assert isinstance(shape, WhiteShape)
     assert np.isfinite(shape.log_densities(bend.straightened(points))).all()
+
+
+def test_bend_is_the_least_squares_fit_of_every_coordinate_on_those_before():
+    random = np.random.RandomState(4)
+    points = random.standard_normal((300, 4))
+    weight = random.uniform(1.0, 2.0, 300)
+    weight /= weight.sum()
+    bend = Bend.fitted(points, weight)
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    columns = np.stack((np.ones(300), x, y, z, x * x, y * x, y * y, z * x, z * y, z * z), axis=1)
+    n_effective, prior_sd = 1.0 / (weight**2).sum(), 0.2
+    rows = np.concatenate((columns * np.sqrt(n_effective * weight)[:, None], np.eye(10)[4:] / prior_sd))
+    wanted = np.concatenate((points[:, 3] * np.sqrt(n_effective * weight), np.zeros(6)))
+    expected = np.linalg.lstsq(rows, wanted)[0]
+    found = [bend.offset[3], *bend.slope[3, :3], *bend.curvature[3][np.tril_indices(3)]]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(bend.bent(bend.straightened(points)), points, atol=1e-14)
