@@ -12,6 +12,7 @@ from estimator.calibration.summary import finite
 from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.headline import held_back
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.inference.ensemble import SamplerSettings
@@ -84,7 +85,7 @@ class Comparison:
         stays = Conclusion.DRIFTED if drifts else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
         if diagnosis.causes:
-            what = sizes_of(diagnosis)
+            what = "; ".join([sizes_of(diagnosis), *(one.rstrip(".") for one in held_back(diagnosis))])
         elif grown is not None:
             what = self._corrected_otherwise(diagnosis, grown)
         elif improvement.is_significant:
