@@ -11,7 +11,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from typing import Any
+from contextlib import suppress
 
 import h11
 import pytest
@@ -333,8 +333,10 @@ def test_heads_that_are_none_are_answered_with_400_or_closed(
     served: Callable[..., Served], said: bytes
 ) -> None:
     service = served()
-    with_end: Any = connected(service.url, said)
-    with_end.shutdown(socket.SHUT_WR)
-    answer = hangs_up(with_end)
-    assert not answer or answer.split(b" ")[1] in (b"400", b"403", b"431")
+    answer = b""
+    with suppress(ConnectionError):  # what is too long is not read to its end
+        line = connected(service.url, said)
+        line.shutdown(socket.SHUT_WR)
+        answer = hangs_up(line)
+    assert not answer or answer.split(b" ")[1] in (b"400", b"403", b"415", b"431")
     assert service.client.get("/healthz").status_code == 200
