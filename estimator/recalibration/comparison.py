@@ -85,12 +85,13 @@ class Comparison:
         stays = Conclusion.DRIFTED if drifts else Conclusion.UNCHANGED
         what = f"disagrees with the current version ({self._p_value()})"
         if diagnosis.causes:
-            what = "; ".join([sizes_of(diagnosis), *(one.rstrip(".") for one in held_back(diagnosis))])
+            what = sizes_of(diagnosis)
         elif grown is not None:
             what = self._corrected_otherwise(diagnosis, grown)
         elif improvement.is_significant:
             what = self._moved(diagnosis, improvement)
-        reason = f"{what}; {words_of(improvement)}"
+        held = "".join(f". {sentence.rstrip('.')}" for sentence in held_back(diagnosis))
+        reason = f"{what}; {words_of(improvement)}{held}"
         if not (improvement.is_significant and may_replace):
             return self._judgement(stays, reason, diagnosis, improvement)
         successor = sampled_successor(self.session, diagnosis, self.seed, settings)
