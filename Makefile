@@ -8,7 +8,7 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm browser figures
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -120,6 +120,9 @@ fuzz-service: $(INSTALLED)   # five minutes of requests made from the schema, al
 service-storm: $(INSTALLED)  # a service killed at 30 random instants while 100 clients stream, its workers at 20 while jobs run; twenty minutes
 	$(RUN) scripts.studies.service_storm --kills 30 --clients 100 --seed 1
 	$(RUN) scripts.studies.service_job_storm --kills 20 --seed 1
+
+service-soak: $(INSTALLED)   # a month of small things in 25 minutes against one service: memory, files and bytes against their number
+	nice -n 5 $(RUN) scripts.studies.service_soak --minutes 24 --pause 0.15
 
 bench-service: $(INSTALLED)  # appended batches and predictions over HTTP, by clients and beside the same in process
 	$(RUN) scripts.benchmarks.service

@@ -119,8 +119,11 @@ class RtdeReader:
     def latest(self, *, at_most_s: float) -> Sample:
         """The newest sample, left in the queue.
 
+        On a busy computer this process pauses as a whole. Then packages wait at its door, so an old sample is waited for before it counts
+        as the last one.
+
         Args:
-            at_most_s: Highest age that is accepted.
+            at_most_s: Highest age that is accepted, and how long a newer sample is waited for.
 
         Raises:
             DeadlineExceeded: The newest sample is older, so the stream has stalled.
@@ -129,14 +132,16 @@ class RtdeReader:
         with self._news:
             if self._error is not None:
                 raise self._error
-            self._news.wait_for(lambda: self._latest is not None or self._error is not None, at_most_s)
-            latest = self._latest
-        age_s = float("inf") if latest is None else time.monotonic() - latest.host_monotonic_s
+            self._news.wait_for(lambda: self._age_s() <= at_most_s or self._error is not None, at_most_s)
+            latest, age_s = self._latest, self._age_s()
         if latest is None or age_s > at_most_s:
             raise DeadlineExceeded(
                 f"{self.name} must send a package every {self._period_s:g} s; the last came {age_s:.2f} s ago"
             )
         return latest
+
+    def _age_s(self) -> float:
+        return float("inf") if self._latest is None else time.monotonic() - self._latest.host_monotonic_s
 
     def close(self) -> None:
         """End the connection; a second call does nothing."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -110,7 +111,7 @@ class SimulatedRig(ClosesItself):
                 raise Refused(
                     f"a simulated rig must know the field at {name}; received {', '.join(fields) or 'none'}"
                 )
-            return partial(_SENSORS[kind], self.world, fields[name])
+            return partial(_warmed_up, _SENSORS[kind], self.world, fields[name])
         coil = sources.index(name) if name in sources else -1
         if kind == "korad_ka3005p":
             return partial(SimulatedKorad, self.world, coil)
@@ -120,3 +121,14 @@ class SimulatedRig(ClosesItself):
                 simulated_kepco if kind == "kepco_bop" else simulated_scpi_supply, self.world, coil, highest_A
             )
         raise Refused(f"devices.{name} must be of a kind that can be simulated; received {kind!r}")
+
+
+def _warmed_up(
+    make: Callable[[World, FieldFunction], Instrument], world: World, field: FieldFunction
+) -> Instrument:
+    """A sensor that answers at once: the first field of a current loads code for half a second of a processor.
+
+    On a busy computer that is longer than an instrument may be silent, so it is done before the simulator says that it listens.
+    """
+    field(replace(world.snapshot(), currents_A=(1.0,) * len(world.circuits)))
+    return make(world, field)

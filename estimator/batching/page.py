@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from estimator.batching.jobs import PLAIN
 from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
 from estimator.reporting import plots
@@ -16,6 +17,7 @@ from estimator.reporting.numbers import displays, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 
 MOST_PARAMETERS = 12
+MOST_LISTED = 6  # sessions that a sentence names
 SCATTER_TOO_WIDE = 2.0  # chi-square per degree of freedom of a parameter across sessions
 
 
@@ -78,7 +80,7 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
     n_sampled = int(table["is_sampled"].sum()) if len(table) else 0
     failures = f", {len(result.failed)} failed" if result.failed else ""
     fits = "1 fit" if len(table) == 1 else f"{len(table)} fits"
-    sentences = [f"{fits}, {n_sampled} of them sampled{failures}."]
+    sentences = [*_wrong(best), f"{fits}, {n_sampled} of them sampled{failures}."]
     if len(best) > 1:
         disagreeing = [name for name in names if _scatter(best, name) > SCATTER_TOO_WIDE]
         words = displays(names)
@@ -87,11 +89,29 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
             + ", ".join(words[name].words for name in disagreeing)
             + "."
             if disagreeing
-            else "Every parameter agrees across sessions within its intervals."
+            else "What all of them have in common agrees across sessions within its intervals."
         )
-    if len(best) and table["hypothesis"].nunique() > 1:
+    if len(best) and table["hypothesis"].nunique() > 1 and not _wrong(best):
         counts = best["hypothesis"].value_counts()
         sentences.append("Most probable: " + ", ".join(f"{name} in {n}" for name, n in counts.items()) + ".")
+    return sentences
+
+
+def _wrong(best: pd.DataFrame) -> list[str]:
+    """Where another hypothesis than the rig as described is most probable, one sentence for each such hypothesis."""
+    if not len(best):
+        return []
+    short = _short(best["session"])
+    sentences = []
+    for name, rows in best[best["hypothesis"] != PLAIN].groupby("hypothesis", sort=False):
+        where = [
+            " ".join(filter(None, (short[row["session"]], row["coil"], f"({row['probability']:.0%})")))
+            for _, row in rows.head(MOST_LISTED).iterrows()
+        ]
+        more = f" and {len(rows) - MOST_LISTED} more" if len(rows) > MOST_LISTED else ""
+        sentences.append(
+            f"Most probable is {name} in {', '.join(where)}{more}: look at it with coilcal diagnose."
+        )
     return sentences
 
 

@@ -99,6 +99,8 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
+    from estimator.reporting.numbers import displays
+
     quality = summary["quality"]
     lines = [
         f"{quality['verdict']}: {' '.join(quality['reasons'])}",
@@ -106,9 +108,12 @@ def _text(summary: Any, out: Path) -> str:
         "",
     ]
     lines += [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
-    for name, parameter in summary["parameters"].items():
-        low, high = parameter["ci90"]
-        lines.append(f"{name:38} {parameter['median']:12.6g} {low:13.6g} {high:13.6g}  {parameter['unit']}")
+    for name, show_as in displays(list(summary["parameters"])).items():
+        parameter = summary["parameters"][name]
+        middle, low, high = (
+            f"{show_as.factor * value:.6g}" for value in (parameter["median"], *parameter["ci90"])
+        )
+        lines.append(f"{name:38} {middle:>12} {low:>13} {high:>13}  {show_as.unit or '1'}")
     for counts in summary["loop_counts"][:3]:
         lines.append(
             f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability {counts['probability']:.3f}"

@@ -102,13 +102,13 @@ def design_command(
 
 
 def _text(proposal: Design, out: Path | None) -> str:
-    from estimator.reporting.numbers import size_with_unit
+    from estimator.reporting.numbers import odds, size_with_unit
 
     lines = [f"goal: {proposal.goal}"]
-    merit = "standard deviation" if proposal.unit else "expected log evidence (3 is 20 to 1)"
+    merit = "standard deviation" if proposal.unit else "expected log evidence"
 
     def in_unit(value: float) -> str:
-        return size_with_unit(value, proposal.unit, 3) if proposal.unit else f"{value:.3g}"
+        return size_with_unit(value, proposal.unit, 3) if proposal.unit else f"{value:.3g} ({odds(value)})"
 
     lines.append(f"{merit} of the readings so far: {in_unit(proposal.so_far)}")
     if proposal.actions:

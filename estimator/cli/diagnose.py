@@ -149,18 +149,17 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
-    from estimator.diagnosis.headline import held_back, tension_words
+    from estimator.diagnosis.headline import headline, held_back, tension_words
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
+    from estimator.reporting.numbers import interval_with_unit, odds
+    from estimator.units import split_quotient
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
     lines = [f"verdict: {diagnosis.verdict}"]
     if words := tension_words(diagnosis):
         lines.append(f"  {words}")
-    if diagnosis.findings.search.ended_early:
-        lines.append(
-            f"  the search ended early: {diagnosis.findings.search.ended_early}; the same command goes on"
-        )
+    lines += [f"  {sentence}" for sentence in headline(diagnosis)]
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
         alternatives = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
@@ -168,9 +167,8 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
         lines.append(f"  {cause.name} ({cause.probability:.0%}){alternatives}{outside}")
         for name, quantity in cause.quantities.items():
             low, high = quantity.ci90
-            lines.append(
-                f"    {name:16} {quantity.median:12.5g}  90 %: {low:.5g} to {high:.5g}  {quantity.unit}"
-            )
+            size = interval_with_unit(quantity.median, low, high, quantity.unit)
+            lines.append(f"    {split_quotient(name)[0].replace('_', ' '):16} {size}")
     lines += [f"  {sentence}" for sentence in held_back(diagnosis)]
     if diagnosis.findings.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
@@ -180,8 +178,8 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         remainder = diagnosis.findings.search.steps[-1].discrepancy
         lines.append(
-            f"  something is left that no known cause explains: it depends on {remainder.family}, {remainder.rms_sigma:.2g} of the "
-            f"noise rms, log evidence {remainder.log_bayes_factor:.3g}"
+            f"  {odds(remainder.log_bayes_factor)} that something is left, {remainder.rms_sigma:.2g} of the noise rms, which depends on "
+            f"{remainder.family}"
         )
     if (correction := diagnosis.fits.correction) is not None:
         lines.append(f"  {correction.words(diagnosis.label)}")
@@ -194,11 +192,6 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
             f"of 90 % intervals {before.coverage90:.1%} -> {after.coverage90:.1%}; log predictive density "
             f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
-        )
-    if left_open.next_measurements:
-        best = left_open.next_measurements[0]
-        lines.append(
-            f"  to tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})"
         )
     lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}")
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from estimator.errors import InvalidInput
@@ -33,6 +33,22 @@ def grid_axes(texts: Sequence[str]) -> dict[str, np.ndarray]:
     return {"x": np.zeros(1), "y": np.zeros(1), "z": np.zeros(1), **dict(grid)}
 
 
+def grid_words(axes_m: Mapping[str, np.ndarray]) -> str:
+    """What a grid is, for those who took the number of points for a step.
+
+    Examples:
+        >>> import numpy as np
+        >>> grid_words({"x": np.linspace(-0.02, 0.02, 5), "y": np.zeros(1), "z": np.full(1, 0.01)})
+        'x -20 to 20 mm in 5 points, 10 mm apart; y 0 mm; z 10 mm'
+    """
+    words = []
+    for name, coordinates_m in axes_m.items():
+        first, last, n = 1e3 * coordinates_m[0], 1e3 * coordinates_m[-1], len(coordinates_m)
+        step = f" in {n} points, {abs(last - first) / (n - 1):.4g} mm apart" if n > 1 else ""
+        words.append(f"{name} {first:.6g} to {last:.6g} mm{step}" if n > 1 else f"{name} {first:.6g} mm")
+    return "; ".join(words)
+
+
 def _axis(text: str) -> tuple[str, np.ndarray]:
     """Parse an option --grid into the axis and its coordinates in metres."""
     import numpy as np
@@ -56,7 +72,9 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
         or count < 1
         or not np.isfinite(numbers).all()
     ):
-        raise InvalidInput(f"--grid must look like x_mm=-50:50:11 or z_mm=20; received {text!r}")
+        raise InvalidInput(
+            f"--grid must look like x_mm=-50:50:11, which is 11 points from -50 to 50, or z_mm=20; received {text!r}"
+        )
     if count > MOST_POINTS or max(map(abs, numbers[:2])) > LARGEST:
         raise InvalidInput(
             f"--grid must have at most {MOST_POINTS} points within {LARGEST:g} of 0; received {text!r}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.grid import grid_axes
+from estimator.cli.grid import grid_axes, grid_words
 from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
@@ -30,7 +30,7 @@ HEADER = (
     multiple=True,
     required=True,
     metavar="AXIS=FROM:TO:COUNT",
-    help="Points along an axis of the world frame, such as x_mm=-50:50:11. An axis left out is 0. Repeatable.",
+    help="Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
 )
 @click.option(
     "--current",
@@ -104,9 +104,8 @@ def predict_command(
     except OSError as error:
         raise InvalidInput(f"output must be writable; {out} is not: {reason(error)}") from error
     n_inside = int(is_inside.sum())
-    text = f"{len(points_m)} points written to {out}" + (
-        f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
-    )
+    inside = f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
+    text = f"{len(points_m)} points written to {out}{inside}\n{grid_words(coordinates_m)}"
     show(
         {"file": str(out), "points": len(points_m), "inside_winding": n_inside, "level": level}, text, as_json
     )

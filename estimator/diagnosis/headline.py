@@ -11,7 +11,7 @@ from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import Extent
-from estimator.reporting.numbers import interval_with_unit, size_with_unit
+from estimator.reporting.numbers import interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
 from estimator.units import split_quotient
@@ -189,7 +189,9 @@ def _next(diagnosis: Diagnosis) -> str:
     """What to do next."""
     if diagnosis.left_open.next_measurements:
         best = diagnosis.left_open.next_measurements[0]
-        return f"To tell them apart, measure {best.action.words} (expected log evidence {best.expected_log_evidence:.0f})."
+        return (
+            f"To tell them apart, measure {best.action.words} (expected {odds(best.expected_log_evidence)})."
+        )
     if (correction := diagnosis.fits.correction) is not None and correction.is_taken:
         return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:

@@ -35,7 +35,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
-from estimator.reporting.numbers import displays, interval_with_unit, size_with_unit
+from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
 from estimator.rig.rig import Cause, Coil
 
 MOST_MAPS, MOST_PATTERNS, MOST_RUNNERS, MOST_RACES, MOST_PLANS = 2, 6, 12, 6, 3
@@ -195,7 +195,7 @@ def _next(diagnosis: Diagnosis) -> list[NextMeasurement]:
         return [
             NextMeasurement(
                 proposal.action.words,
-                f"tells {' from '.join(proposal.splits)}: expected log evidence {proposal.expected_log_evidence:.0f}",
+                f"tells {' from '.join(proposal.splits)}: expected {odds(proposal.expected_log_evidence)}",
                 f"Turn {', '.join(proposal.action.turned)} first." if proposal.action.turned else "",
                 _plan(diagnosis, proposal.action.words, proposal.action.readings),
                 len(proposal.action.readings),

@@ -12,6 +12,7 @@ from estimator.calibration.summary import finite
 from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.headline import held_back
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.inference.ensemble import SamplerSettings
@@ -89,7 +90,8 @@ class Comparison:
             what = self._corrected_otherwise(diagnosis, grown)
         elif improvement.is_significant:
             what = self._moved(diagnosis, improvement)
-        reason = f"{what}; {words_of(improvement)}"
+        held = "".join(f". {sentence.rstrip('.')}" for sentence in held_back(diagnosis))
+        reason = f"{what}; {words_of(improvement)}{held}"
         if not (improvement.is_significant and may_replace):
             return self._judgement(stays, reason, diagnosis, improvement)
         successor = sampled_successor(self.session, diagnosis, self.seed, settings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
 from estimator.diagnosis.validation import Improvement
@@ -32,6 +34,8 @@ def _size(cause: SizedCause) -> str:
 def _quantity(name: str, interval: Interval) -> str:
     """A quantity in its display unit."""
     show, value, sd = displays([name])[name], interval.median, interval.sd
+    if interval.unit == "1" and abs(value) < 1.0:
+        show = replace(show, unit="%", factor=100.0)
     size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
     return f"{show.words} {size} {show.unit}".rstrip()
 

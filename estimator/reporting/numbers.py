@@ -15,6 +15,7 @@ from jaxtyping import Num
 from estimator.units import UNITS, split_quotient
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+EVEN = 0.3  # of log evidence, about 4 to 3
 SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
 
 
@@ -119,6 +120,24 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     decimals = max(0, -math.floor(math.log10(half_width))) if half_width > 0.0 else 3
     middle, lower, upper = (f"{end / factor:.{decimals}f}" for end in (value, low, high))
     return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
+
+
+def odds(log_evidence: float) -> str:
+    """A difference of log evidence as odds, which need no logarithm.
+
+    Examples:
+        >>> odds(10.6), odds(-3.0), odds(0.2), odds(400.0)
+        ('odds 40,000 to 1', 'odds 1 to 20', 'even odds', 'odds beyond a billion to 1')
+    """
+    size = abs(log_evidence)
+    if size < EVEN:
+        return "even odds"
+    if size > math.log(1e9):
+        number = "beyond a billion"
+    else:
+        ratio = float(f"{math.exp(size):.2g}" if size > 1.0 else f"{math.exp(size):.1f}")
+        number = f"{ratio:,.0f}" if ratio >= 10.0 else f"{ratio:g}"
+    return f"odds {number} to 1" if log_evidence > 0.0 else f"odds 1 to {number}"
 
 
 def with_sd(value: float, sd: float) -> str:

@@ -5,6 +5,7 @@ A body that cannot be read is named in `Numbers.unclear` where faults are collec
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from estimator.errors import closest
@@ -157,6 +158,25 @@ def _body_pose(
             names = ", ".join(m.name for m in movers) or "the rig has none"
             hint = closest(str(carried_by), [m.name for m in movers])
             section.refuse("carried_by", f"must name a mover ({names})", f"{carried_by!r}{hint}")
+    _refuse_other_poses(section, kind, mover, blocks)
     for block in blocks:
         read_pose(section.section(block), f"{name}.{block}", numbers)
     return None if mover is None else mover.name
+
+
+def _refuse_other_poses(section: Section, kind: str, mover: Mover | None, blocks: Sequence[str]) -> None:
+    """Refuse the pose of a body that is carried in another way, and say which pose this one has."""
+    if mover is None:
+        why = f"world_from_{kind} for a {kind} that stands still; only one that is carried_by a mover has another pose"
+    elif mover.motion is MotionKind.DISPLACEMENT:
+        why = (
+            f"world_from_{kind}0 for a {kind} that {mover.name} carries, its pose where {mover.name} "
+            "reports zero displacement"
+        )
+    else:
+        why = f"flange_from_{kind} for a {kind} that {mover.name} carries, for {mover.name} reports where its flange is"
+    others = {f"world_from_{kind}", f"world_from_{kind}0", f"flange_from_{kind}"}.difference(blocks)
+    for key in section:
+        if key in others:
+            with section.faults.noting():
+                section.refuse(key, f"must be {why}", key)

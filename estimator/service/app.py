@@ -27,6 +27,7 @@ from estimator.service.routes import (
     predictions,
     registries,
     registry_history,
+    removal,
     rigs,
     schedules,
     sessions,
@@ -82,6 +83,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         jobs,
         calibrations,
         predictions,
+        removal,
         webhooks,
         schedules,
     ):

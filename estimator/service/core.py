@@ -6,6 +6,8 @@ import fcntl
 import hashlib
 import os
 import shutil
+import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +18,7 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
-from estimator.service import alerts, schedules, webhooks
+from estimator.service import alerts, removal, schedules, webhooks
 from estimator.service.alerts import ALERTS, Alerts
 from estimator.service.cookies import Cookies
 from estimator.service.database import Database
@@ -27,6 +29,7 @@ from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.recent import Recent
+from estimator.service.removal import Tidy
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
@@ -69,12 +72,15 @@ class Core:
         self.watching = Watching(self.sessions.path, settings.most_watched)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
         self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
+        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.jobs.folder)
         self._tickers = (
             Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
             Ticker("alerts", alerts.LOOK_EVERY_S, self.alerts.tick),
+            Ticker("tidying", removal.LOOK_EVERY_S, self.tidy.tick),
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
-        self.n_streams = 0
+        self._streams: Counter[str] = Counter()
+        self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
@@ -106,24 +112,39 @@ class Core:
     def _fitted(self, session_id: str) -> Fit:
         return fit_for_what_if(load_session(self.sessions.path(session_id)))
 
+    @property
+    def n_streams(self) -> int:
+        """Event streams that are followed."""
+        return self._streams.total()
+
     @contextmanager
-    def stream(self) -> Iterator[None]:
-        """Room for an event stream.
+    def stream(self, user: str) -> Iterator[None]:
+        """Room for an event stream of a user.
 
         Raises:
-            Problem: Too many are followed.
+            Problem: Too many are followed, by all or by this user.
         """
-        if self.n_streams >= self.settings.most_streams:
-            rule = f"must be at most {self.settings.most_streams} at once"
-            raise Problem(429, "event streams", rule, headers={"Retry-After": "10"})
-        self.n_streams += 1
+        most, most_of_user = self.settings.most_streams, self.settings.most_streams_per_user
+        with self._counting:
+            for thing, n, limit in (
+                ("event streams", self.n_streams, most),
+                (f"event streams of {user}", self._streams[user], most_of_user),
+            ):
+                if n >= limit:
+                    raise Problem(
+                        429, thing, f"must be at most {limit} at once", headers={"Retry-After": "10"}
+                    )
+            self._streams[user] += 1
         try:
             yield
         finally:
-            self.n_streams -= 1
+            with self._counting:
+                self._streams[user] -= 1
+                self._streams += Counter()  # forgets users without one
 
     def start(self) -> None:
         """Begin to work on jobs, to tell webhooks and to follow schedules."""
+        self.tidy.remove_unknown(self.data / JOBS)
         self.jobs.start()
         for ticker in self._tickers:
             ticker.start()

@@ -1,4 +1,4 @@
-"""The instruments of an open session, as far as its readings tell of them: sensors, supplies that measure their current, thermometers."""
+"""The instruments of an open session, as its readings tell of them: sensors, movers, supplies that measure their current, thermometers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from estimator.rig.rig import Rig
 
-Kind = Literal["sensor", "supply", "thermometer"]
+Kind = Literal["sensor", "mover", "supply", "thermometer"]
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,9 @@ class Device:
 
     Attributes:
         kind: What it is.
-        name: Sensor that it is, coil that it feeds, or body whose temperature it measures.
+        name: Sensor or mover that it is, coil that it feeds, or body whose temperature it measures.
         values: What it showed, in `unit`; None for a component out of range.
-        unit: Unit of `values`: T, A or °C.
+        unit: Unit of `values`: T, A or °C; m for the position of a mover, rad for the joints of one that reports these.
         commanded_A: Of a supply, the current that was asked for.
         n_readings: How often it was read.
         n_silent: Readings of the session since then, in which it is missing.
@@ -56,6 +56,12 @@ def _of_entry(entry: Mapping[str, Any], rig: Rig) -> Iterator[Device]:
     commanded_A = dict(zip((coil.name for coil in rig.coils), entry["current_A"], strict=True))
     for name, field_T in entry["field_T"].items():
         yield Device("sensor", name, list(field_T), "T")
+    for mover in rig.movers:
+        numbers = list(entry["motion"][mover.name])
+        if mover.table is None:
+            yield Device("mover", mover.name, numbers[:3], "m")
+        else:
+            yield Device("mover", mover.name, numbers, "rad")
     for name, measured_A in entry.get("measured_A", {}).items():
         yield Device("supply", name, [measured_A], "A", commanded_A[name])
     for name, temperature_C in entry.get("temperature_C", {}).items():

@@ -26,7 +26,8 @@ from estimator.service.rate_limits import RateLimits
 from estimator.service.settings import Settings
 from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of, caller_of_id
 
-PUBLIC = frozenset({"/healthz", "/readyz", "/v1/login", *page_files()})
+LOGIN = "/v1/login"
+PUBLIC = frozenset({"/healthz", "/readyz", LOGIN, *page_files()})
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 SAFE = ("GET", "HEAD")
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -85,7 +86,9 @@ class Guard:
         await self._app(scope, limited, send_with_headers)
 
     def _note(self, scope: Scope, status: int, took_s: float) -> None:
-        """Log and count a request whose answer begins."""
+        """Log and count a request whose answer begins; a token that is guessed at the login counts as one that is guessed elsewhere."""
+        if scope["path"] == LOGIN and status == 401:
+            self._rates.count_refused(scope["client"][0] if scope.get("client") else "")
         caller = scope.get("caller")
         told = {"request_id": scope["request_id"], "method": scope["method"], "path": scope["path"]}
         told |= {"status": status, "user": None if caller is None else caller.user}
@@ -118,6 +121,8 @@ class Guard:
     async def _caller(self, scope: Scope, headers: Headers, address: str) -> Caller | None:
         """Who asks; refused without a valid token, or with too many requests."""
         if scope["path"] in PUBLIC:
+            if scope["path"] == LOGIN:
+                self._rates.check_refused(address)
             self._rates.count(address)
             return None
         self._rates.check_refused(address)

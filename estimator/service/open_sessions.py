@@ -14,7 +14,7 @@ import zlib
 from array import array
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -131,9 +131,11 @@ class OpenSessions:
             return session
 
     def remove(self, session_id: str) -> None:
-        """Delete what a creation that failed has left."""
-        self._forget(session_id)
-        shutil.rmtree(self.path(session_id), ignore_errors=True)
+        """Delete a session, after the append that is under way; one that waits finds it closed."""
+        writer = self._writers.get(session_id)
+        with nullcontext() if writer is None else writer.lock:
+            self._forget(session_id)
+            shutil.rmtree(self.path(session_id), ignore_errors=True)
 
     def close(self) -> None:
         """Release all journals, each after the append that is under way."""

@@ -65,8 +65,8 @@ Writer = Annotated[Caller, Depends(Needs(Scope.WRITE))]
 Admin = Annotated[Caller, Depends(Needs(Scope.ADMIN))]
 
 
-def _room(core: CoreOf) -> Iterator[None]:
-    with core.stream():
+def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
+    with core.stream(caller.user):
         yield
 
 

@@ -11,6 +11,7 @@ import uvicorn
 
 from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
+from estimator.service.connections import MOST_CONNECTIONS, PromptHttp, allow_files
 from estimator.service.core import DATABASE
 from estimator.service.database import Database, now
 from estimator.service.logs import install_logs
@@ -33,10 +34,13 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     """
     _check_tokens(settings)
     install_logs()
+    allow_files()
     listener = _bound(settings)
     app = create_app(settings)
     config = uvicorn.Config(
         app,
+        http=PromptHttp,
+        limit_concurrency=MOST_CONNECTIONS,
         log_config=None,
         access_log=False,
         server_header=False,

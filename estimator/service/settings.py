@@ -48,6 +48,8 @@ class Settings:
         most_predictions: Predictions that may be at work or wait at once.
         most_watched: Open sessions whose estimate is followed at once.
         most_streams: Event streams that may be followed at once.
+        most_streams_per_user: Event streams of one user.
+        keep_jobs_days: Days after which jobs that have ended are removed, judgements of sessions excepted; 0 keeps them for ever.
         most_body_s: Time in which the body of a request must arrive.
         most_requests_per_minute: Requests of one token, and of one address without one, where tokens are needed.
         most_refused_per_minute: Requests of one address without a valid token, after which all others from there are refused too.
@@ -78,6 +80,8 @@ class Settings:
     most_predictions: int = 200
     most_watched: int = 8
     most_streams: int = 100
+    most_streams_per_user: int = 60
+    keep_jobs_days: float = 0.0
     most_body_s: float = 60.0
     most_requests_per_minute: int = 20_000
     most_refused_per_minute: int = 60
@@ -149,6 +153,8 @@ def checked(settings: Settings) -> Settings:
             raise InvalidInput(f"{key} must be > 0; received {value}")
     if not 0 <= settings.port <= LARGEST_PORT:
         raise InvalidInput(f"port must be from 0 to {LARGEST_PORT}; received {settings.port}")
+    if not (math.isfinite(settings.keep_jobs_days) and settings.keep_jobs_days >= 0):
+        raise InvalidInput(f"keep_jobs_days must be >= 0; received {settings.keep_jobs_days}")
     if settings.workers < 0:
         raise InvalidInput(f"workers must be >= 0; received {settings.workers}")
     if not settings.host:

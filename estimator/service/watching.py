@@ -163,6 +163,8 @@ class Watched:
                     self._wake.wait(LOOK_EVERY_S)
         except CoilcalError as error:
             self._fault = str(error)
+        except FileNotFoundError:
+            self._fault = "session must be there to be followed; it was deleted"
         except Exception:
             self._fault = "estimate must follow the readings; it failed"
             raise

@@ -18,6 +18,7 @@ from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.validation import improvement_of
 from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
+from estimator.reporting.numbers import odds
 from estimator.rig.rig import Rig
 
 
@@ -82,7 +83,7 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
         if gain.elpd_difference <= 0.0 or log_bayes_factor <= 0.0:
             continue
         label = best.kind.cause.label
-        tell(f"correcting by {label} to degree {best.degree} ({log_bayes_factor:+.1f} in log evidence)")
+        tell(f"correcting by {label} to degree {best.degree} ({odds(log_bayes_factor)} for it)")
         parts.append(Part(best.kind.cause, best.degree, len(best.widths), log_bayes_factor, gain))
         fit = after
     refusal = "" if parts else "no correction has clear evidence and predicts places held out better"

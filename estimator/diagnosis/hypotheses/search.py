@@ -36,6 +36,7 @@ from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
+from estimator.reporting.numbers import odds
 from estimator.rig.rig import Cause
 
 
@@ -194,7 +195,7 @@ class _SearchState:
             if step.taken is None:
                 return fit
             self.tell(
-                f"taking {step.taken.label} ({step.taken_fit.log_evidence - fit.log_evidence:+.1f} in log evidence)"
+                f"taking {step.taken.label} ({odds(step.taken_fit.log_evidence - fit.log_evidence)} for it)"
             )
             self.additions.append(Addition((step.taken,), step.taken_fit))
             fit = self._without_idle(step.taken_fit)
@@ -288,7 +289,7 @@ class _SearchState:
                 return None
             wider = steps[0].taken_fit
         gain = wider.log_evidence - fit.log_evidence
-        self.tell(f"taking {', '.join(cause.label for cause in new)} ({gain:+.1f} in log evidence)")
+        self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(gain)} for them)")
         self.screened_at, self.pool = wider, candidates(wider, causes_of(wider.rig, wider))
         self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes_of(wider.rig, wider)}
         self.steps += steps
@@ -304,9 +305,7 @@ class _SearchState:
             return None
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
         log_bayes_factor = wider.log_evidence - fit.log_evidence
-        self.tell(
-            f"taking {', '.join(cause.label for cause in new)} ({log_bayes_factor:+.1f} in log evidence)"
-        )
+        self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(log_bayes_factor)} for them)")
         self.steps += comparison_steps(wider, new, self._pool(wider), self._smooth(wider))
         self.additions.append(Addition(tuple(new), wider))
         return wider

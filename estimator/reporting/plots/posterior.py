@@ -35,8 +35,8 @@ from estimator.reporting.plots.style import (
 )
 from estimator.rig.parameters import Prior
 
-MOST_BLOCKS = 300
-N_SINGLE_WALKERS = 3
+MOST_BLOCKS = 120  # what jumps from pixel to pixel fills half a page's bytes and shows nothing more
+N_SINGLE_WALKERS = 2
 PRIOR_DRAWS = 20_000
 LEARNT_LITTLE = 1.5  # prior over posterior standard deviation
 
@@ -49,7 +49,7 @@ def trace(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Median and 68 and 95 % bands over all walkers against the step, with three single walkers.
+    """Median and 68 and 95 % bands over all walkers against the step, with two single walkers.
 
     Long chains are pooled in blocks of neighbouring steps.
 

@@ -152,11 +152,13 @@ export class LiveView {
 
 const shortName = (name) => name.split(".").at(-1).replace(/_(m|rad|T|A)$/, "").replaceAll("_", " ");
 
-const DEVICES = { sensor: "sensor", supply: "supply of", thermometer: "thermometer of" };
+const DEVICES = { sensor: "sensor", mover: "mover", supply: "supply of", thermometer: "thermometer of" };
 
 // What a device showed last, with the current that was asked for.
 function shown({ values, unit, commanded_A: commanded }) {
-  const digits = { T: (v) => size(v, "T", 4), A: (v) => `${minus(v.toPrecision(5))} A`, "°C": (v) => `${minus(v.toFixed(1))} °C` }[unit];
+  const millimetres = (v) => `${minus((1e3 * v).toFixed(2))} mm`;
+  const degrees = (v) => `${minus(((180 * v) / Math.PI).toFixed(2))}°`;
+  const digits = { T: (v) => size(v, "T", 4), m: millimetres, rad: degrees, A: (v) => `${minus(v.toPrecision(5))} A`, "°C": (v) => `${minus(v.toFixed(1))} °C` }[unit];
   const told = values.map((v) => (v === null ? "out of range" : digits(v))).join(", ");
   return commanded === null ? told : `${told} of ${minus(String(commanded))} A`;
 }

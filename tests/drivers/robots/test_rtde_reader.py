@@ -6,6 +6,7 @@ import itertools
 import os
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 
@@ -122,3 +123,16 @@ def test_a_mute_controller_misses_the_deadline_of_the_set_up(simulator):
     with pytest.raises(DeadlineExceeded):
         connect(simulator)
     simulator.faults.fault = Fault.NONE
+
+
+def test_after_a_pause_of_the_whole_computer_the_packages_that_wait_are_heard_first(simulator):
+    reader = connect(simulator)
+    reader.read_new(timeout_s=1.0)
+    simulator.faults.fault = Fault.STALL
+    time.sleep(0.8)
+    end_of_pause = threading.Timer(0.2, lambda: setattr(simulator.faults, "fault", Fault.NONE))
+    end_of_pause.start()
+    sample = reader.latest(at_most_s=0.6)  # the one before is older than that
+    end_of_pause.join()
+    reader.close()
+    assert time.monotonic() - sample.host_monotonic_s < 0.6

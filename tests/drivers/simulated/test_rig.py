@@ -12,7 +12,7 @@ from drivers.protocols import FlangePose
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from tests.drivers.fields import along_z
+from tests.drivers.fields import SlowAtFirst, along_z
 from tests.drivers.rig import free_host
 from tests.drivers.test_open import ARM, SENSOR, SUPPLY
 
@@ -121,3 +121,11 @@ def test_what_is_missing_is_named():
         SimulatedRig(SECTION, FIELDS, circuits=[], homes=HOMES)
     with pytest.raises(Refused, match="must know the field at hall; received none"):
         SimulatedRig(SECTION, {}, circuits=CIRCUITS, homes=HOMES)
+
+
+def test_the_first_reading_with_a_current_waits_for_no_code_to_be_loaded():
+    section = {"hall": SECTION["hall"], "coil1": SECTION["coil1"]}
+    with SimulatedRig(section, {"hall": SlowAtFirst()}, circuits=CIRCUITS[:1], homes=[]) as running:
+        running.world.drive(0, 1.0)
+        with open_devices(running.section) as devices:
+            devices.sensors["hall"].read_field_T(timeout_s=SlowAtFirst.LOADING_S - 0.5)

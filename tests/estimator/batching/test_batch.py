@@ -15,8 +15,8 @@ from distributed import LocalCluster
 
 from estimator import SamplerSettings
 from estimator.batching import batch
-from estimator.batching.jobs import jobs_of, stacks
-from estimator.batching.page import overview
+from estimator.batching.jobs import PLAIN, jobs_of, stacks
+from estimator.batching.page import _best, _scalars, _verdict, overview
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, is_enough
 from estimator.errors import InvalidInput
@@ -301,6 +301,19 @@ def test_page_says_how_many_fits_and_what_failed(fitted):
     assert "6 fits, 0 of them sampled, 1 failed" in page
     assert "session must be a folder" in page
     assert "Parameters, session by session" in page
+
+
+def test_a_session_with_a_cause_is_said_first_and_not_covered_by_parameters_that_agree(fitted):
+    table = fitted.table()
+    table.loc[table["session"] == table["session"].iloc[-1], "probability"] = [0.0, 1.0]
+    wrong = table["hypothesis"] != PLAIN
+    table.loc[wrong & (table["session"] == table["session"].iloc[-1]), "log_evidence"] += 1e3
+    names = _scalars(fitted)
+    first, *others = _verdict(fitted, table, _best(table), names)
+    (name,) = set(table["hypothesis"][wrong])
+    assert first.startswith(f"Most probable is {name} in ")
+    assert "(100%): look at it with coilcal diagnose." in first
+    assert not any(sentence.startswith("Every parameter agrees") for sentence in others)
 
 
 def test_table_is_written_with_all_digits(fitted, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import threading
 import time
@@ -79,6 +81,7 @@ def sentence_of(result: Result) -> str:
     ("device", "fault", "word"),
     [
         ("hall", Fault.GARBAGE, "hall failed: "),
+        pytest.param("hall", Fault.STALL, "hall failed: an answer must end with", marks=pytest.mark.slow),
         ("warmth", Fault.PARTIAL, "the thermometer of coil1 failed: "),
         ("arm1", Fault.PROTECTIVE_STOP, "protective stop"),
         ("arm1", Fault.EMERGENCY_STOP, "emergency"),
@@ -100,12 +103,73 @@ def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
     assert is_growing(out)
     n_before = len(load_session(out).observations)
     assert 3 <= n_before < N_STOPS
-    if device in {"hall", "warmth"}:
+    if device in {"hall", "warmth"}:  # whose cable is back
         running.simulators[device].faults.fault = Fault.NONE
         result = acquire(run, tmp_path)
         assert result.exit_code == 0, result.stderr
         assert f"{n_before} of {N_STOPS} stops were visited before" in result.stderr
         assert len(load_session(out).observations) == N_STOPS
+
+
+@pytest.mark.slow
+def test_answers_that_come_letter_by_letter_only_take_longer(
+    run: Run, running: SimulatedRig, tmp_path: Path
+) -> None:
+    failing = fails_after(running, tmp_path / "session.zarr", 20, "warmth", Fault.SLOW)
+    result = acquire(run, tmp_path)
+    failing.join()
+    assert result.exit_code == 0, result.stderr
+    assert len(load_session(tmp_path / "session.zarr").observations) == N_STOPS
+
+
+@pytest.mark.slow
+def test_an_instrument_that_is_killed_ends_the_run_in_one_sentence_and_every_stop_before_is_there(
+    run: Run, running: SimulatedRig, tmp_path: Path
+) -> None:
+    """Its line hangs up, as where somebody pulls its cable."""
+    out = tmp_path / "session.zarr"
+    stops = (out / JOURNAL).exists
+
+    def kill() -> None:
+        while not (stops() and (out / JOURNAL).read_bytes().count(b"\n") > 4):
+            time.sleep(0.01)
+        running.simulators["hall"].close()
+
+    killing = threading.Thread(target=kill)
+    killing.start()
+    result = acquire(run, tmp_path)
+    killing.join()
+    assert result.exit_code == 5, result.stderr
+    assert sentence_of(result).startswith("coilcal: hall failed: ")
+    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
+    assert 4 <= len(load_session(out).observations) < N_STOPS
+
+
+@pytest.mark.slow
+def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
+    run: Run, running: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, n_written = os.pwrite, 0
+
+    def full_after_six(descriptor: int, data: bytes, offset: int) -> int:
+        nonlocal n_written
+        n_written += 1
+        if n_written > 6:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data, offset)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "pwrite", full_after_six)
+        result = acquire(run, tmp_path)
+    assert result.exit_code == 2, result.stderr
+    out = tmp_path / "session.zarr"
+    (sentence,) = [line for line in result.stderr.splitlines() if "No space left" in line]
+    assert sentence == f"coilcal: session must be writable; {out} is not: No space left on device"
+    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
+    n_before = len(load_session(out).observations)
+    assert n_before >= 4
+    assert acquire(run, tmp_path).exit_code == 0
+    assert len(load_session(out).observations) == N_STOPS
 
 
 def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when_it_is_cool(

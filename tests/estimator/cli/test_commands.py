@@ -149,7 +149,9 @@ def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dic
 def test_predict_writes_field_and_intervals_of_the_calibration(
     workspace: Path, results: dict[str, Result]
 ) -> None:
-    assert results["predict"].stdout == f"5 points written to {workspace / 'field.csv'}\n"
+    written, grid = results["predict"].stdout.splitlines()
+    assert written == f"5 points written to {workspace / 'field.csv'}"
+    assert grid == "x -20 to 20 mm in 5 points, 10 mm apart; y 0 mm; z 10 mm"
     table = rows(workspace / "field.csv")
     assert list(table[0]) == [
         *("x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T"),

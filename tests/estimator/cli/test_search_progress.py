@@ -34,10 +34,10 @@ def test_a_terminal_shows_progress_at_once_and_names_with_their_places(monkeypat
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "150")
     with SearchReporter() as reporter:
-        reporter.stage("taking axis_gain[hall] (+12.0 in log evidence)")
+        reporter.stage("taking axis_gain[hall] (odds 160,000 to 1 for it)")
         reporter.progress(SEVENTH)
     shown = terminal.getvalue()
-    assert "coilcal: taking axis_gain[hall] (+12.0 in log evidence)" in shown
+    assert "coilcal: taking axis_gain[hall] (odds 160,000 to 1 for it)" in shown
     assert WORDS in shown
 
 

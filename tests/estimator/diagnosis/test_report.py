@@ -68,7 +68,7 @@ def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_te
     found = re.search(r"\((\w+), (\d+)%[^)]*\)\), or (\w+) (\d+)%", text)
     assert {found[1], found[3]} == twins
     assert int(found[2]) == pytest.approx(int(found[4]), abs=1)
-    assert re.search(r"To tell them apart, measure .* \(expected log evidence \d+\)", text)
+    assert re.search(r"To tell them apart, measure .* \(expected odds [\d.,a-z ]+ to 1\)", text)
 
 
 def test_first_box_says_it_in_at_most_four_sentences(diagnosis: Diagnosis) -> None:

@@ -17,7 +17,7 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.recalibration import arrivals as arrivals_module
-from estimator.recalibration import policy
+from estimator.recalibration import comparison, policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
@@ -78,8 +78,13 @@ def told(monkeypatch: pytest.MonkeyPatch, small_calibration: Calibration) -> Non
 
 
 def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
-    inbox: Path, small_rig: Rig, small_settings: SamplerSettings, tmp_path: Path
+    inbox: Path,
+    small_rig: Rig,
+    small_settings: SamplerSettings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(comparison, "held_back", lambda _: ["The prior holds it back."])
     registry = Registry(tmp_path / "registry")
     recalibrate(small_rig, inbox, registry.folder, seed=1, settings=small_settings)
     first, same, drift, damaged = registry.entries()
@@ -99,6 +104,7 @@ def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
     assert named <= {"background_field", "sensor_offset"}  # twins under a fixed sensor
     lower, upper = cause["parameters"]["x_T"]["ci90"]
     assert abs(0.5 * (lower + upper)) == pytest.approx(DRIFT_T, rel=0.3)
+    assert drift.reason.endswith(". The prior holds it back")
     assert drift.checks["elpd_difference"] > 2.0 * drift.checks["elpd_se"]
     extended = registry.calibration()
     assert [one.name for one in extended.rig.effects] == [cause["name"]]

@@ -34,8 +34,23 @@ REFUSALS = {
     "pose of a body that is carried": (
         "  hall:",
         "  hall:\n    carried_by: arm2\n    world_from_sensor: {}",
-        "sensors.hall.world_from_sensor is not a known key; the closest is flange_from_sensor",
+        "sensors.hall.world_from_sensor must be flange_from_sensor for a sensor that arm2 carries, for arm2 reports where its flange is; "
+        "received world_from_sensor",
         24,
+    ),
+    "pose of a body that a stage carries": (
+        "    world_from_coil0:",
+        "    world_from_coil:",
+        "coils.coil1.world_from_coil must be world_from_coil0 for a coil that arm1 carries, its pose where arm1 reports zero "
+        "displacement; received world_from_coil",
+        13,
+    ),
+    "pose of a body that stands still": (
+        "  hall:",
+        "  hall:\n    world_from_sensor0: {}",
+        "sensors.hall.world_from_sensor0 must be world_from_sensor for a sensor that stands still; only one that is carried_by a mover "
+        "has another pose; received world_from_sensor0",
+        23,
     ),
     "unknown sum": (
         WIRE,

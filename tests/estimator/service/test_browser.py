@@ -221,6 +221,7 @@ def test_an_open_session_is_watched_by_who_has_logged_in(
         assert page.locator("figure").count() == 3
         devices = page.get_by_role("region", name="Devices").get_by_role("row")
         assert "in the last reading" in devices.filter(has_text="sensor hall").inner_text()
+        assert " mm" in devices.filter(has_text="mover arm1").inner_text()
         assert "silent for 2 readings" in devices.filter(has_text="supply of coil1").inner_text()
         assert "24.5 °C" in devices.filter(has_text="thermometer of coil1").inner_text()
         check(page, "live")

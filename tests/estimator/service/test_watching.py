@@ -17,8 +17,9 @@ from starlette.testclient import TestClient
 
 from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
-from estimator.service.devices import Device
+from estimator.service.devices import Device, updated
 from estimator.service.watching import REDRAWN_AT, News, Watched
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
@@ -108,6 +109,7 @@ def test_devices_are_those_of_the_readings_with_what_they_showed_last(
     assert told[0].devices == []
     assert told[-1].devices == [
         Device("sensor", "hall", [1e-3, None, 2e-3], "T", n_readings=12),
+        Device("mover", "arm1", lines[-1]["motion"]["arm1"][:3], "m", n_readings=12),
         Device("supply", "coil1", [2.5], "A", commanded_A, n_readings=9, n_silent=3),
         Device("thermometer", "coil1", [None], "°C", n_readings=9, n_silent=3),
     ]
@@ -182,3 +184,15 @@ def test_watched_sessions_are_counted_and_need_free_parameters(
         full = refusal(client.get(f"/v1/sessions/{others[1]}/live"), 429)
         assert full["detail"] == "watched sessions must be at most 2 at once"
     refusal(client.get(f"/v1/sessions/{'0' * 32}/live"), 404)
+
+
+def test_an_arm_that_reports_joints_is_shown_by_its_joints(two_coils_text: str) -> None:
+    rig = rig_from_text(two_coils_text)
+    joints = [0.1, -1.2, 1.3, 0.0, 0.5, 0.0]
+    motion = {mover.name: joints for mover in rig.movers}
+    entry = {"current_A": [0.0] * len(rig.coils), "field_T": {}, "motion": motion}
+    shown = {device.name: device for device in updated([], [entry], rig)}
+    for mover in rig.movers:
+        values, unit = (joints[:3], "m") if mover.table is None else (joints, "rad")
+        assert shown[mover.name] == Device("mover", mover.name, values, unit, n_readings=1)
+    assert {device.unit for device in shown.values()} == {"m", "rad"}

@@ -27,7 +27,7 @@ def test_sessions_versions_and_causes_are_drawn() -> None:
         VersionInUse(day(4), day(5), 2, {**bands, "axis_gain[hall].x": (0.008, 0.01, 0.012)}),
     ]
     fig = history(sessions, versions, "rig, January")
-    strip, radius_panel, gain_panel = fig.axes
+    strip, gain_panel, radius_panel = fig.axes
     colours = [to_hex(line.get_color()) for line in strip.lines if line.get_marker() != "None"]
     assert colours[: len(sessions)] == [to_hex(CONCLUSIONS[session.conclusion][0]) for session in sessions]
     words = [text.get_text() for text in strip.texts]
@@ -62,3 +62,12 @@ def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other() -> Non
         if i < j and boxes[i].overlaps(boxes[j])
     ]
     assert overlaps == []
+
+
+def test_what_drifted_is_drawn_before_a_version_has_it() -> None:
+    drift = {"axis_gain[hall].x": (0.033, 4e-3)}
+    sessions = [SessionSummary(day(n), "drifted", "axis gain", drift) for n in (2, 3)]
+    fig = history(sessions, [VersionInUse(day(1), day(4), 1, {"coil1.radius_m": (0.0508, 0.051, 0.0512)})])
+    _, gain_panel, _ = fig.axes
+    assert gain_panel.get_ylabel() == "axis gain x"
+    assert len(gain_panel.containers) == 2

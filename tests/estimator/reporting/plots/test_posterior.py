@@ -7,6 +7,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from estimator.reporting.page import Picture
 from estimator.reporting.plots import interval_summary, trace, traces
 from estimator.rig.parameters import Normal
 
@@ -34,6 +35,12 @@ def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], st
     fig = traces({f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, burn_in=10)
     text = words(fig)
     assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)"))
+
+
+def test_traces_of_many_parameters_leave_room_in_a_page_of_a_megabyte() -> None:
+    """Walkers that jump at random are the worst case; the other figures of a calibration take 0.45 MB."""
+    chains = {f"coil1.p{i}_m": chain(i) for i in range(12)}
+    assert len(Picture("Trace", "", traces(chains)).png_base64) < 550_000
 
 
 def test_interval_summary_says_what_was_learnt_and_what_was_not(

@@ -1,0 +1,106 @@
+"""What is deleted: jobs and sessions when somebody asks for it, and jobs that ended long ago where the settings say so.
+
+A row goes first and its folder after it, so a kill in between leaves a folder that nobody knows, which the next start removes.
+Judgements of sessions stay as long as their session: without them a schedule would judge it again.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from estimator.service.database import Database
+from estimator.service.job_queue import ENDED
+from estimator.service.problems import Problem
+from estimator.service.schedules import RECALIBRATE
+from estimator.service.schema import CalibrationRow, Job, SessionRow
+
+LOOK_EVERY_S = 3600.0
+BATCH = "batch"
+log = logging.getLogger("coilcal.service")
+
+
+def remove_job(db: Session, job: Job) -> None:
+    """Delete the rows of a job and of its calibration.
+
+    Raises:
+        Problem: It has not ended, or is the judgement of a session.
+    """
+    if job.state not in ENDED:
+        raise Problem(409, "job", "must have ended; cancel it first", job.state, job.id)
+    if job.kind == RECALIBRATE:
+        rule = "must be of another kind; the judgement of a session goes with the session"
+        raise Problem(409, "job", rule, job.kind, job.id)
+    _remove_rows(db, [job])
+
+
+def remove_session(db: Session, session: SessionRow) -> list[str]:
+    """Delete the row of a session with its judgements.
+
+    Returns: Ids of the jobs that are gone with it.
+    Raises:
+        Problem: A job has worked with it, or works.
+    """
+    jobs = list(db.scalars(select(Job).where(Job.session_id == session.id)))
+    others = [job for job in jobs if job.kind != RECALIBRATE or job.state not in ENDED]
+    batches = db.scalars(select(Job).where(Job.kind == BATCH))
+    others += [
+        job for job in batches if job not in others and session.id in job.options.get("session_ids", ())
+    ]
+    if others:
+        raise Problem(
+            409, "session", "must have no jobs; delete them first", f"{len(others)} jobs", session.id
+        )
+    _remove_rows(db, jobs)
+    db.delete(session)
+    return [job.id for job in jobs]
+
+
+def _remove_rows(db: Session, jobs: Iterable[Job]) -> None:
+    for job in jobs:
+        db.execute(delete(CalibrationRow).where(CalibrationRow.job_id == job.id))
+        db.delete(job)
+    db.flush()
+
+
+class Tidy:
+    """Removes folders that belong to no row, and jobs that ended longer ago than the settings keep them.
+
+    Args:
+        database: Rows of jobs.
+        keep_jobs_days: 0 keeps jobs for ever.
+        folder: Of a job, by its id.
+    """
+
+    def __init__(self, database: Database, keep_jobs_days: float, folder: Callable[[str], Path]) -> None:
+        self._database, self._keep_days, self._folder = database, keep_jobs_days, folder
+
+    def tick(self) -> int:
+        """Remove what is due; the number of jobs."""
+        if not self._keep_days:
+            return 0
+        before = (datetime.now(UTC) - timedelta(days=self._keep_days)).isoformat(timespec="milliseconds")
+        with self._database.writing() as db:
+            old = select(Job).where(Job.state.in_(ENDED), Job.kind != RECALIBRATE, Job.ended < before)
+            jobs = list(db.scalars(old))
+            ids = [job.id for job in jobs]
+            _remove_rows(db, jobs)
+        for job_id in ids:
+            shutil.rmtree(self._folder(job_id), ignore_errors=True)
+        if ids:
+            log.info("old jobs were removed", extra={"jobs": len(ids), "days": self._keep_days})
+        return len(ids)
+
+    def remove_unknown(self, jobs: Path) -> None:
+        """Remove folders of jobs that are gone, as a kill between row and folder leaves them."""
+        with self._database.reading() as db:
+            known = set(db.scalars(select(Job.id)))
+        for folder in jobs.iterdir() if jobs.is_dir() else ():
+            if folder.name not in known:
+                shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,342 @@
+"""What a hostile student would send: each request is refused in the form of refusals, and the service answers the next one."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import struct
+import threading
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import h11
+import pytest
+from starlette.testclient import TestClient
+
+from estimator.service import connections
+from estimator.service.connections import PromptHttp
+from estimator.service.post import check_url
+from estimator.service.problems import Problem
+from tests.estimator.service.conftest import Served, begin_session, refusal, upload_rig
+
+YAML, JSON, ZIP = "application/yaml", "application/json", "application/zip"
+NDJSON = "application/x-ndjson"
+DEEP = 100_000
+LOOPBACK = "http://127.0.0.1:8765"
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    from estimator.service.app import create_app
+    from estimator.service.settings import Settings
+
+    data = tmp_path_factory.mktemp("attacked") / "data"
+    app = create_app(Settings(data=data, most_body_MB=1.0, most_unpacked_MB=5.0), has_workers=False)
+    with TestClient(app, base_url=LOOPBACK, raise_server_exceptions=False) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def rig_id(client: TestClient, rig_text: str) -> str:
+    return upload_rig(client, rig_text)
+
+
+def archive(*members: tuple[str, bytes], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", kind) as file:
+        for name, content in members:
+            file.writestr(zipfile.ZipInfo(name), content, kind)
+    return buffer.getvalue()
+
+
+def symlink() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        entry = zipfile.ZipInfo("zarr.json")
+        entry.external_attr = 0o120777 << 16
+        file.writestr(entry, "/etc/passwd")
+    return buffer.getvalue()
+
+
+def quine_like() -> bytes:
+    """A member whose header promises four bytes and which unfolds to ten million."""
+    honest = bytearray(archive(("zarr.json", b"0" * 10_000_000)))
+    for position in (honest.find(b"PK\x03\x04") + 22, honest.find(b"PK\x01\x02") + 24):
+        honest[position : position + 4] = struct.pack("<I", 4)
+    return bytes(honest)
+
+
+ARCHIVES = {
+    "a bomb": archive(("zarr.json", b"0" * 50_000_000)),
+    "a bomb that claims to be small": quine_like(),
+    "many files": archive(*((f"{n}", b"") for n in range(8000))),
+    "up": archive(("../../coilcal.sqlite", b"x")),
+    "absolute": archive(("/etc/passwd", b"x")),
+    "backslashes": archive(("..\\..\\x", b"x")),
+    "a drive": archive(("C:x", b"x")),
+    "up in the middle": archive(("a/../../x", b"x")),
+    "a link": symlink(),
+    "deep": archive(("a/" * 90 + "x", b"x")),
+    "a long name": archive(("x" * 5000, b"x")),
+    "a line feed in a name": archive(("a\r\nSet-Cookie: x=1", b"x")),
+    "a zip in a zip": archive(("zarr.json", archive(("zarr.json", b"{}")))),
+    "lzma": archive(("zarr.json", b"{}"), kind=zipfile.ZIP_LZMA),
+    "gzip instead": zlib.compress(b"0" * 100_000),
+    "nothing": b"",
+}
+RIGS = {
+    "aliases that unfold": "a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(9)),
+    "nesting": "[" * DEEP,
+    "an object": "!!python/object/apply:os.system ['id']",
+    "an endless number": "schema_version: " + "9" * 10_000,
+    "half a character": 'schema_version: 1\nname: "\\ud800"\n',
+    "a name with a zero": 'schema_version: 1\nname: "a\\0b"\n',
+    "merge keys": "<<: [" + ",".join(["{a: 1}"] * 20_000) + "]",
+    "bytes": b"\xff\xfe\x00",
+}
+BODIES = {
+    "nested lists": "[" * DEEP,
+    "nested objects": '{"a":' * DEEP,
+    "an endless number": '{"rig_id": ' + "9" * 10_000 + "}",
+    "half a character": json.dumps({"rig_id": "0" * 32, "source": "\ud800"}),
+    "a path as id": json.dumps({"rig_id": "../../../etc/passwd", "source": "x"}),
+    "a list as id": json.dumps({"rig_id": ["0" * 32], "source": "x"}),
+    "a key twice": '{"rig_id": "' + "0" * 32 + '", "rig_id": "' + "1" * 32 + '", "source": "x"}',
+    "prototypes": json.dumps({"__proto__": {"x": 1}, "rig_id": "0" * 32, "source": "x"}),
+    "NaN": '{"rig_id": NaN, "source": Infinity}',
+}
+PATHS = (
+    "/page/../../coilcal.sqlite",
+    "/page/..%2f..%2fcoilcal.sqlite",
+    "/page/%2e%2e/%2e%2e/etc/passwd",
+    "/page//etc/passwd",
+    "/v1/sessions/..%2f..%2fcoilcal.sqlite",
+    "/v1/sessions/%00",
+    "/v1/jobs/" + "a" * 5000,
+    "/v1/rigs?cursor=..%2f..%2f",
+    "/v1/rigs?limit=99999999999999999999999",
+    "/v1/rigs?name=' OR 1=1 --&limit=0",
+)
+ADDRESSES = (
+    "http://127.0.0.1/",
+    "http://[::1]/",
+    "http://[::ffff:127.0.0.1]/",
+    "http://[::ffff:a9fe:a9fe]/",
+    "http://[64:ff9b::7f00:1]/",
+    "http://[2002:7f00:1::]/",
+    "http://169.254.169.254/latest/meta-data/",
+    "http://0.0.0.0/",
+    "http://10.0.0.1/",
+    "http://100.64.0.1/",
+    "http://[fc00::1]/",
+    "http://[fe80::1%25eth0]/",
+    "ftp://example.com/",
+    "file:///etc/passwd",
+    "gopher://example.com/",
+    "http://user:secret@example.com/",
+    "http://example.com\r\nX-Injected: 1/",
+    "http://example.com:99999/",
+    "http://exa mple.com/",
+)
+
+
+@pytest.fixture(autouse=True)
+def lives_on(client: TestClient) -> Iterator[None]:
+    """After each attack the service answers, and has left nothing where archives are unpacked."""
+    yield
+    assert client.get("/healthz").status_code == 200
+    uploads = client.app.state.core.uploads
+    assert not uploads.exists() or not list(uploads.iterdir())
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_an_archive_is_refused(client: TestClient, rig_id: str, name: str) -> None:
+    call = {"content": ARCHIVES[name], "headers": {"Content-Type": ZIP}}
+    answer = client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call)
+    assert refusal(answer, answer.status_code)["status"] in (413, 422)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_rig_is_refused(client: TestClient, name: str) -> None:
+    for path in ("/v1/rigs", "/v1/rigs/validate"):
+        refusal(client.post(path, content=RIGS[name], headers={"Content-Type": YAML}), 422)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_body_is_refused(client: TestClient, rig_id: str, name: str) -> None:
+    body = BODIES[name].replace("0" * 32, rig_id if "character" in name else "0" * 32)
+    answer = client.post("/v1/sessions", content=body, headers={"Content-Type": JSON})
+    assert refusal(answer, answer.status_code)["status"] in (400, 404, 422)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_path_leads_nowhere(client: TestClient, path: str) -> None:
+    answer = client.get(path)
+    assert refusal(answer, answer.status_code)["status"] in (404, 422)
+    assert b"root:" not in answer.content
+    assert b"SQLite" not in answer.content
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
+def test_an_address_of_a_webhook_is_refused(client: TestClient, address: str) -> None:
+    refusal(client.post("/v1/webhooks", json={"url": address}), 422)
+
+
+@pytest.mark.parametrize("address", ["http://2130706433/", "http://0x7f.1/", "http://localhost/"])
+def test_odd_spellings_of_loopback_are_refused_when_they_are_looked_up(address: str) -> None:
+    import asyncio
+
+    from estimator.service.post import Undelivered, post
+
+    check_url(address, ())
+    with pytest.raises(Undelivered, match="private address|must be reached"):
+        asyncio.run(post(address, "whsec_AAAA", "1", 1, b"{}", ()))
+
+
+def test_names_are_words_and_no_headers(client: TestClient, rig_id: str) -> None:
+    """What somebody calls a session comes back as text, and in no header."""
+    words = "<script>alert(1)</script>\r\nSet-Cookie: a=b"
+    session = client.post("/v1/sessions", json={"rig_id": rig_id, "source": words})
+    assert session.status_code == 201
+    answer = client.get(f"/v1/sessions/{session.json()['id']}")
+    assert answer.json()["source"] == words
+    assert answer.headers["content-type"] == JSON
+    assert "set-cookie" not in answer.headers
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_readings_that_are_too_many_or_too_deep_are_refused(client: TestClient, rig_id: str) -> None:
+    path = f"/v1/sessions/{begin_session(client, rig_id)}/readings"
+    for body in (b"{}\n" * 10_001, b"[" * DEEP, b'{"sequence": ' + b"9" * 5000 + b"}", b"\x00" * 1000):
+        answer = client.post(path, content=body, headers={"Content-Type": NDJSON})
+        assert refusal(answer, answer.status_code)["status"] in (413, 422)
+
+
+def test_guesses_at_the_login_are_counted_as_guesses(idle: Callable[..., TestClient]) -> None:
+    guarded = idle(require_tokens=True, most_refused_per_minute=3)
+    answers = [guarded.post("/v1/login", json={"token": f"guess {n}"}).status_code for n in range(5)]
+    assert answers == [401, 401, 401, 429, 429]
+    headers = {"Authorization": "Bearer guess"}
+    assert guarded.get("/v1/rigs", headers=headers).status_code == 429
+
+
+def test_no_user_takes_the_event_streams_of_all(idle: Callable[..., TestClient]) -> None:
+    core = idle(most_streams=4, most_streams_per_user=2).app.state.core
+    with core.stream("anne"), core.stream("anne"), core.stream("bert"):
+        with pytest.raises(Problem, match="event streams of anne must be at most 2"):
+            core.stream("anne").__enter__()
+        with core.stream("bert"), pytest.raises(Problem, match="event streams must be at most 4"):
+            core.stream("carl").__enter__()
+        assert core.n_streams == 3
+    assert core.n_streams == 0
+
+
+def connected(url: str, said: bytes) -> socket.socket:
+    host, _, port = url.removeprefix("http://").rpartition(":")
+    line = socket.create_connection((host, int(port)), timeout=10)
+    line.sendall(said)
+    return line
+
+
+def hangs_up(line: socket.socket) -> bytes:
+    """All that comes until the other side closes."""
+    received = b""
+    while piece := line.recv(65536):
+        received += piece
+    line.close()
+    return received
+
+
+class _Idle:
+    """A transport and a loop of which a test sees what a connection does with them."""
+
+    def __init__(self) -> None:
+        self.timers: list[_Idle] = []
+        self.is_closed = self.is_cancelled = False
+
+    def call_later(self, _: float, call: Callable[[], None]) -> _Idle:
+        self.timers.append(_Idle())
+        self.timers[-1].call = call  # type: ignore[attr-defined]
+        return self.timers[-1]
+
+    def cancel(self) -> None:
+        self.is_cancelled = True
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def test_letters_of_a_head_do_not_start_its_clock_anew() -> None:
+    http = object.__new__(PromptHttp)
+    loop = _Idle()
+    http.loop, http.transport, http._awaited = loop, loop, None  # type: ignore[assignment]
+    http.conn = h11.Connection(h11.SERVER)
+    http._await_head()
+    http.conn.receive_data(b"GET / HT")
+    assert http.conn.next_event() is h11.NEED_DATA
+    http._await_head()
+    assert len(loop.timers) == 1
+    http.conn.receive_data(b"TP/1.1\r\nHost: a\r\n\r\n")
+    assert isinstance(http.conn.next_event(), h11.Request)
+    http._await_head()
+    assert loop.timers[0].is_cancelled
+
+
+@pytest.mark.slow
+def test_connections_that_say_little_are_closed_and_hold_up_nobody(served: Callable[..., Served]) -> None:
+    service = served()
+    begin_s = time.monotonic()
+    lines = [connected(service.url, b"GET /healthz HTTP/1.1\r\nHost: 127") for _ in range(200)]
+    lines += [connected(service.url, b"") for _ in range(200)]
+    stopped = threading.Event()
+
+    def drip() -> None:
+        while not stopped.wait(2.0):
+            for line in lines[:100]:
+                try:
+                    line.sendall(b".")
+                except OSError:
+                    return
+
+    dripping = threading.Thread(target=drip, daemon=True)
+    dripping.start()
+    assert service.client.get("/healthz").status_code == 200
+    for line in lines:
+        line.settimeout(connections.MOST_HEAD_S + 20)
+        try:
+            hangs_up(line)
+        except ConnectionResetError:
+            line.close()
+    stopped.set()
+    assert time.monotonic() - begin_s < connections.MOST_HEAD_S + 20
+    assert service.client.get("/healthz").status_code == 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 200_000 + b"\r\n\r\n",
+        b"GET /healthz HTTP/1.1\r\n" + b"".join(b"X-%d: a\r\n" % n for n in range(20_000)) + b"\r\n",
+        b"POST /v1/rigs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET / ",
+        b"POST /v1/rigs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: -1\r\n\r\n",
+        b"GET /healthz HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01",
+    ],
+)
+def test_heads_that_are_none_are_answered_with_400_or_closed(
+    served: Callable[..., Served], said: bytes
+) -> None:
+    service = served()
+    answer = b""
+    with suppress(ConnectionError):  # what is too long is not read to its end
+        line = connected(service.url, said)
+        line.shutdown(socket.SHUT_WR)
+        answer = hangs_up(line)
+    assert not answer or answer.split(b" ")[1] in (b"400", b"403", b"415", b"431")
+    assert service.client.get("/healthz").status_code == 200

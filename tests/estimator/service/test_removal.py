@@ -1,0 +1,130 @@
+"""Jobs and sessions are deleted when that is asked for, in an order that leaves nothing behind, and old jobs by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from starlette.testclient import TestClient
+
+from estimator.rig.rig import Rig
+from estimator.service.core import Core
+from estimator.service.job_queue import DONE
+from estimator.service.schema import CalibrationRow, Job
+from estimator.store.session import Session
+from tests.estimator.service.conftest import (
+    append,
+    bearer,
+    begin_session,
+    import_csv,
+    lines_of,
+    refusal,
+    upload_rig,
+)
+
+LONG_AGO = "2020-01-01T00:00:00.000+00:00"
+
+
+def asked(client: TestClient, kind: str, session_id: str) -> str:
+    answer = client.post(f"/v1/jobs/{kind}", json={"session_id": session_id})
+    assert answer.status_code in (200, 201, 202), answer.text
+    return str(answer.json()["id"])
+
+
+def ended(core: Core, job_id: str, when: str) -> Path:
+    """Let a job have ended, with a folder and a calibration."""
+    folder = core.jobs.folder(job_id)
+    folder.mkdir(parents=True)
+    (folder / "result.json").write_text("{}")
+    with core.database.writing() as db:
+        job = db.query(Job).filter(Job.id == job_id).one()
+        job.state, job.ended = DONE, when
+        row = CalibrationRow(id=f"{job_id[::-1]}", job_id=job_id, session_id=job.session_id, rig_name="r")
+        row.created, row.user = when, job.user
+        db.add(row)
+    return folder
+
+
+def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle()
+    core: Core = client.app.state.core
+    session_id = import_csv(client, upload_rig(client, rig_text), readings_csv)["id"]
+    job_id = asked(client, "calibrate", session_id)
+    assert "must have ended" in refusal(client.delete(f"/v1/jobs/{job_id}"), 409)["rule"]
+    assert "delete them first" in refusal(client.delete(f"/v1/sessions/{session_id}"), 409)["rule"]
+    folder = ended(core, job_id, LONG_AGO)
+    assert client.get("/v1/calibrations").json()["items"]
+    assert client.delete(f"/v1/jobs/{job_id}").status_code == 204
+    assert not folder.exists()
+    assert client.get("/v1/calibrations").json()["items"] == []
+    refusal(client.get(f"/v1/jobs/{job_id}"), 404)
+    assert client.delete(f"/v1/sessions/{session_id}").status_code == 204
+    assert not core.sessions.path(session_id).exists()
+    refusal(client.delete(f"/v1/sessions/{session_id}"), 404)
+
+
+def test_a_session_of_a_batch_stays_and_a_judgement_goes_with_its_session(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle()
+    core: Core = client.app.state.core
+    rig_id = upload_rig(client, rig_text)
+    first, second = (import_csv(client, rig_id, readings_csv)["id"] for _ in range(2))
+    batch = client.post("/v1/jobs/batch", json={"session_ids": [first, second]}).json()["id"]
+    judgement = asked(client, "recalibrate", second)
+    folder = ended(core, judgement, LONG_AGO)
+    assert "goes with the session" in refusal(client.delete(f"/v1/jobs/{judgement}"), 409)["rule"]
+    assert "1 jobs" in refusal(client.delete(f"/v1/sessions/{second}"), 409)["detail"]
+    ended(core, batch, LONG_AGO)
+    assert client.delete(f"/v1/jobs/{batch}").status_code == 204
+    assert client.delete(f"/v1/sessions/{second}").status_code == 204
+    assert not folder.exists()
+
+
+def test_an_open_session_goes_without_a_trace_and_makes_room_for_another(
+    idle: Callable[..., TestClient], rig_text: str, small_session: Session, small_rig: Rig
+) -> None:
+    client = idle(most_open_sessions=1)
+    rig_id = upload_rig(client, rig_text)
+    session_id = begin_session(client, rig_id)
+    assert append(client, session_id, lines_of(small_session, small_rig)).status_code == 200
+    refusal(client.post("/v1/sessions", json={"rig_id": rig_id, "source": "another"}), 429)
+    assert client.delete(f"/v1/sessions/{session_id}").status_code == 204
+    assert client.app.state.core.sessions._writers == {}
+    refusal(append(client, session_id, lines_of(small_session, small_rig)), 404)
+    begin_session(client, rig_id)
+
+
+def test_what_belongs_to_others_stays(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle(require_tokens=True)
+    anne, bert = (bearer(client, user) for user in ("anne", "bert"))
+    client.headers.update(anne)
+    session_id = import_csv(client, upload_rig(client, rig_text), readings_csv)["id"]
+    job_id = asked(client, "calibrate", session_id)
+    for path in (f"/v1/jobs/{job_id}", f"/v1/sessions/{session_id}"):
+        assert "one's own" in refusal(client.delete(path, headers=bert), 403)["rule"]
+
+
+def test_old_jobs_are_removed_by_themselves_where_the_settings_say_so(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle(keep_jobs_days=30)
+    core: Core = client.app.state.core
+    session_id = import_csv(client, upload_rig(client, rig_text), readings_csv)["id"]
+    old, fresh = (asked(client, "calibrate", session_id) for _ in range(2))
+    judgement = asked(client, "recalibrate", session_id)
+    gone, *kept = (
+        ended(core, old, LONG_AGO),
+        ended(core, fresh, "2999-01-01T00:00:00.000+00:00"),
+        ended(core, judgement, LONG_AGO),
+    )
+    assert (core.tidy.tick(), core.tidy.tick()) == (1, 0)
+    assert not gone.exists()
+    assert all(folder.exists() for folder in kept)
+    (core.jobs.folder("f" * 32)).mkdir()  # as a kill between row and folder leaves it
+    core.tidy.remove_unknown(core.data / "jobs")
+    assert sorted(path.name for path in (core.data / "jobs").iterdir()) == sorted([fresh, judgement])
