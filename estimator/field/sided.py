@@ -42,12 +42,13 @@ class SidedWinding:
     """Geometry of a winding with straight sides; every number may carry a batch.
 
     Attributes:
+        is_rounded: Whether corners are arcs.
         side_x_m, side_y_m: Sides of the bore, along x and y.
         corner_radius_m: Of the bore, where corners are round; 0 where they are sharp.
         axial_loops, radial_loops, axial_pitch_m, radial_pitch_m: As in `Winding`; counts may be real numbers.
-        is_rounded: Whether corners are arcs.
     """
 
+    is_rounded: bool
     side_x_m: Float[Tensor, "*batch"]
     side_y_m: Float[Tensor, "*batch"]
     corner_radius_m: Float[Tensor, "*batch"]
@@ -55,7 +56,6 @@ class SidedWinding:
     radial_loops: Float[Tensor, "*batch"]
     axial_pitch_m: Float[Tensor, "*batch"]
     radial_pitch_m: Float[Tensor, "*batch"]
-    is_rounded: bool
 
     @property
     def numbers(self) -> tuple[Tensor, ...]:
@@ -113,7 +113,7 @@ def sided_field_per_ampere(
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.2 (Biot and Savart).
     Examples: In the middle of a square loop of side L the field is 2 sqrt(2) mu0 I / (pi L).
         >>> side_m, one, pitch_m = torch.tensor([0.098, 1.0, 2e-3], dtype=torch.float64)
-        >>> square = SidedWinding(side_m, side_m, 0.0 * one, one, one, pitch_m, pitch_m, False)  # one loop of 100 mm, 1 mm behind the face
+        >>> square = SidedWinding(False, side_m, side_m, 0.0 * one, one, one, pitch_m, pitch_m)  # one loop of 100 mm, 1 mm behind
         >>> middle_m = torch.tensor([[0.0, 0.0, -0.001]], dtype=torch.float64)
         >>> round(sided_field_per_ampere(middle_m, square, Rule(1, 1, 0))[0, 2].item() * 1e6, 6)
         11.313708
@@ -145,19 +145,19 @@ def sided_loops_of(winding: SidedWinding, rule: Rule) -> SidedLoops:
 def full_sided_rule(winding: SidedWinding, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:
     """The rule that sums all loops of a winding with whole loop counts, with arcs to all digits.
 
-    The integrand along an arc is analytic up to the complex angle i d / r, with d the distance of the nearest point and r the radius. With n
-    points its error falls as rho^(-2 n), with rho the sum of the semi-axes of the ellipse of Bernstein through that angle.
+    The integrand along an arc is analytic up to the complex angle i d / r, with d the distance of the nearest point and r the radius. The
+    error of n points falls as rho^(-2 n), with rho the sum of the semi-axes of the ellipse of Bernstein through that angle.
     References: Trefethen, SIAM Review 50, 67 (2008), theorem 4.5.
     """
-    counts = (int(count.max().item()) for count in (winding.axial_loops, winding.radial_loops))
+    axial, radial = (int(count.max().item()) for count in (winding.axial_loops, winding.radial_loops))
     if not winding.is_rounded:
-        return Rule(*counts, 0)
+        return Rule(axial, radial, 0)
     with torch.no_grad():
         half_cell_m = 0.5 * float(torch.minimum(winding.axial_pitch_m, winding.radial_pitch_m).min())
         nearest_m = max(float(distance_to_sided(points_coil_m, winding).min()), 0.1 * half_cell_m)
         outermost_m = float((winding.corner_radius_m + winding.thickness_m).max())
     n = math.log(1.0 / ALL_DIGITS) / (2.0 * math.asinh(nearest_m / outermost_m / (0.5 * QUARTER)))
-    return Rule(*counts, min(math.ceil(n) + SPARE_POINTS, MOST_ARC_POINTS))
+    return Rule(axial, radial, min(math.ceil(n) + SPARE_POINTS, MOST_ARC_POINTS))
 
 
 def choose_sided_rule(
@@ -230,7 +230,7 @@ def _to_first_order(
     """The field with exact value and first derivatives, but without second ones."""
 
     def loops_at(numbers: Sequence[Tensor]) -> SidedLoops:
-        return sided_loops_of(SidedWinding(*numbers, winding.is_rounded), rule)
+        return sided_loops_of(SidedWinding(winding.is_rounded, *numbers), rule)
 
     fixed = [number.detach() for number in winding.numbers]
     if not is_plain(points_m.detach(), *fixed):
@@ -246,10 +246,11 @@ def _to_first_order(
 
     loops, changes = value_and_jacobian(loops_at_step, torch.zeros(len(fixed), dtype=points_m.dtype))
     batch = torch.broadcast_shapes(points_m.shape[:-2], loops.shape[:-2])
-    arrays = [_in_rows(points_m.detach(), batch, 2), _in_rows(loops, batch, 2), _in_rows(changes, batch, 3)]
-    value, slopes = (
-        part.reshape(*batch, *part.shape[1:]) for part in slopes_of_sided_loops(*arrays, rule.steps)
+    points, loops, changes = (
+        _in_rows(part, batch, n) for part, n in ((points_m.detach(), 2), (loops, 2), (changes, 3))
     )
+    parts = slopes_of_sided_loops(points, loops, changes, rule.steps)
+    value, slopes = (part.reshape(*batch, *part.shape[1:]) for part in parts)
     return carrying_slopes(value, slopes, points_m, winding.numbers)
 
 

@@ -1,8 +1,8 @@
-"""Loops with straight sides in machine code: their field without derivatives, or with the first ones. The formulas are those of `field.sided`."""
+"""Loops with straight sides in machine code, without derivatives or with the first ones; the formulas are those of `field.sided`."""
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 import torch
