@@ -104,7 +104,7 @@ def linearised(calibrated: Calibrated) -> Linearised:
     n = len(rig.coils)
     gains, offset_A = supply.split((n * n, n), dim=-1)
     return Linearised(
-        tuple(map(moved_coil, rig.wound)), gains.reshape(-1, n, n), offset_A, moved(background_of)
+        tuple(map(moved_coil, rig.round)), gains.reshape(-1, n, n), offset_A, moved(background_of)
     )
 
 

@@ -137,7 +137,7 @@ def plain_model(rig: Rig, values: Values, to: str) -> PlainModel:
     carriers = [mover for mover in rig.movers if mover.name in {coil.carried_by for coil in rig.coils}]
     return PlainModel(
         rig.name,
-        tuple(_coil(rig, coil, sources, values, carriers) for coil in rig.wound),
+        tuple(_coil(rig, coil, sources, values, carriers) for coil in rig.round),
         tuple(PlainMover(mover.name, mover.columns, mover.table) for mover in carriers),
         *supply_of(rig, sources, values),
         background_of(rig, sources, values),
@@ -181,7 +181,7 @@ def _inexpressible(rig: Rig) -> list[str]:
     """Coils and effects that never have a place."""
     missing = [f"{coil.name} (a coil without a winding)" for coil in rig.unwound]
     missing += [
-        f"{c.name} (field_sum of the paper)" for c in rig.wound if c.field_sum is not FieldSum.VECTORS
+        f"{c.name} (field_sum of the paper)" for c in rig.round if c.field_sum is not FieldSum.VECTORS
     ]
     carriers = {coil.carried_by for coil in rig.coils}
     coil_names = {coil.name for coil in rig.coils}

@@ -118,6 +118,8 @@ def sided_field_per_ampere(
         >>> round(sided_field_per_ampere(middle_m, square, Rule(1, 1, 0))[0, 2].item() * 1e6, 6)
         11.313708
     """
+    if not winding.is_rounded:
+        rule = replace(rule, steps=0)
     if is_plain(points_coil_m, *winding.numbers):
         return _in_machine_code(points_coil_m, sided_loops_of(winding, rule), rule.steps)
     if mode is SumMode.PLAIN:
@@ -138,8 +140,8 @@ def sided_loops_of(winding: SidedWinding, rule: Rule) -> SidedLoops:
         outwards_m if winding.is_rounded else torch.zeros_like(outwards_m)
     )
     weight = axial.weights[..., :, None] * radial.weights[..., None, :]
-    across = (value[..., None, :] for value in (half_x_m, half_y_m, corner_m))
-    return SidedLoops(height_m[..., :, None], *across, weight)
+    x_m, y_m, radius_m = (value[..., None, :] for value in (half_x_m, half_y_m, corner_m))
+    return SidedLoops(height_m[..., :, None], x_m, y_m, radius_m, weight)
 
 
 def full_sided_rule(winding: SidedWinding, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:

@@ -21,6 +21,8 @@ from estimator.rig.parameters import Parameter
 MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
 MOST_TURNS = 200_000  # of one winding
 
+ROUNDING = 1e-12  # of lengths that are the same but for their units
+
 POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
 POSE_QUANTITIES = (
     ("x", "length"),
@@ -119,6 +121,17 @@ class Coil(Body):
     is_superconducting: bool = False
 
 
+@dataclass(frozen=True)
+class SidedCoil(Body):
+    """A multi-layer winding with straight sides: rectangular loops, or racetracks, whose corners are arcs.
+
+    Attributes:
+        is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
+    """
+
+    is_rounded: bool = False
+
+
 class Region(StrEnum):
     """Where the field of a coil without a winding is described, about the origin of its frame."""
 
@@ -149,7 +162,8 @@ class HarmonicCoil(Body):
         }
 
 
-AnyCoil = Coil | HarmonicCoil
+WoundCoil = Coil | SidedCoil
+AnyCoil = WoundCoil | HarmonicCoil
 
 
 class Sensor(Body):
@@ -197,9 +211,14 @@ class Rig:
         return tuple(p for p in self.parameters.values() if p.is_free)
 
     @property
-    def wound(self) -> tuple[Coil, ...]:
+    def wound(self) -> tuple[WoundCoil, ...]:
         """The coils whose winding is described."""
-        return tuple(coil for coil in self.coils if isinstance(coil, Coil))
+        return tuple(coil for coil in self.coils if isinstance(coil, Coil | SidedCoil))
+
+    @property
+    def round(self) -> tuple[Coil, ...]:
+        """Those of them whose loops are circles."""
+        return tuple(coil for coil in self.wound if isinstance(coil, Coil))
 
     @property
     def unwound(self) -> tuple[HarmonicCoil, ...]:
@@ -294,13 +313,10 @@ class Rig:
             elif parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
                 yield name, "must be > 0", f"{value:g} {parameter.unit}"
         for coil in self.wound:
-            radius_m = values[f"{coil.name}.radius_m"]
-            thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
-            if radius_m <= thickness_m:
-                rule = (
-                    f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
-                )
-                yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+            if isinstance(coil, SidedCoil):
+                yield from _broken_corners(coil, values)
+            else:
+                yield from _broken_bore(coil, values)
             turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
             if turns > MOST_TURNS:
                 rule = f"x radial_loops must be at most {MOST_TURNS}"
@@ -313,3 +329,21 @@ class Rig:
     def _nominal(self, name: str) -> float:
         parameter = self.parameters[name]
         return parameter.tie.factor * self._nominal(parameter.tie.to) if parameter.tie else parameter.value
+
+
+def _broken_bore(coil: Coil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
+    radius_m = values[f"{coil.name}.radius_m"]
+    thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
+    if radius_m <= thickness_m:
+        rule = f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
+        yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+
+
+def _broken_corners(coil: SidedCoil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
+    if not coil.is_rounded:
+        return
+    radius_m = values[f"{coil.name}.inner_corner_radius_m"]
+    shorter_m = min(values[f"{coil.name}.inner_side_{axis}_m"] for axis in "xy")
+    if radius_m > 0.5 * shorter_m * (1.0 + ROUNDING):
+        rule = f"must be at most half the shorter side, {500.0 * shorter_m:.6g} mm"
+        yield f"{coil.name}.inner_corner_radius_m", rule, f"{radius_m * 1e3:.6g} mm"

@@ -18,6 +18,7 @@ from estimator.rig.rig import (
     MotionKind,
     Mover,
     Sensor,
+    SidedCoil,
 )
 from estimator.rig_files.arm_tables import read_own_table
 from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
@@ -26,16 +27,21 @@ from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 WINDING = "winding"  # the model of a coil that names none
-OF_A_WINDING = (
-    "radius",
-    "wire_radius",
-    "axial_pitch",
-    "radial_pitch",
-    "axial_loops",
-    "radial_loops",
-    "field_sum",
-    "superconducting",
-)
+RECTANGULAR, RACETRACK = "rectangular", "racetrack"  # windings with straight sides
+OF_LOOPS = ("wire_radius", "axial_pitch", "radial_pitch", "axial_loops", "radial_loops")
+OF_A_ROUND_WINDING = ("radius", "field_sum", "superconducting")
+SIDES, CORNER = ("inner_side_x", "inner_side_y"), "inner_corner_radius"
+WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may not have, and why
+    MODEL: ((*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER), "which has no winding"),
+    RECTANGULAR: ((*OF_A_ROUND_WINDING, CORNER), "which has straight sides and sharp corners"),
+    RACETRACK: (OF_A_ROUND_WINDING, "which has straight sides"),
+    WINDING: ((*SIDES, CORNER), "whose loops are circles"),
+}
+
+
+def sides_of(coil: SidedCoil) -> tuple[str, ...]:
+    """Quantities of a winding with straight sides, beside those of its loops."""
+    return (*SIDES, CORNER) if coil.is_rounded else SIDES
 
 
 def read_mover(section: Section, name: str, numbers: Numbers) -> Mover:
@@ -74,7 +80,7 @@ def _clear_mover(section: Section, name: str, numbers: Numbers) -> Mover:
 
 
 def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    """Read a coil with its winding, or one without."""
+    """Read a coil with its winding of whatever shape, or one without."""
     numbers.unclear.add(name)
     with section.faults.noting():
         coil = _clear_coil(section, name, movers, numbers)
@@ -84,9 +90,43 @@ def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: N
 
 
 def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    if section.choice("model", (WINDING, MODEL), WINDING) == MODEL:
+    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, MODEL), WINDING)
+    _refuse_of_others(section, model)
+    if model == MODEL:
         return _harmonic_coil(section, name, movers, numbers)
+    if model != WINDING:
+        return _sided_coil(section, SidedCoil(name, None, model == RACETRACK), movers, numbers)
     read_scalar(section, name, "radius", "length", numbers, positive=True)
+    _read_loops(section, name, numbers)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
+    field_sum, is_superconducting = FieldSum.VECTORS, False
+    with section.faults.noting():
+        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
+    with section.faults.noting():
+        is_superconducting = section.flag("superconducting")
+    section.finish()
+    return Coil(name, carried_by, field_sum, is_superconducting)
+
+
+def _sided_coil(section: Section, coil: SidedCoil, movers: tuple[Mover, ...], numbers: Numbers) -> SidedCoil:
+    for quantity in sides_of(coil):
+        read_scalar(section, coil.name, quantity, "length", numbers, positive=True)
+    _read_loops(section, coil.name, numbers)
+    carried_by = _body_pose(section, coil.name, "coil", movers, numbers)
+    section.finish()
+    return replace(coil, carried_by=carried_by)
+
+
+def _refuse_of_others(section: Section, model: str) -> None:
+    """Refuse what only coils of another model have."""
+    keys, why = WRONG_PLACE[model]
+    for given in section:
+        if (given if given in keys else split_unit(given)[0]) in keys:
+            section.refuse(given, f"must not be given for a coil of model {model}, {why}", given)
+
+
+def _read_loops(section: Section, name: str, numbers: Numbers) -> None:
+    """Read how wires lie beside each other and how many they are, and the current gain."""
     follows_wire = {
         pitch: not section.has_quantity(pitch, "length") for pitch in ("axial_pitch", "radial_pitch")
     }
@@ -102,14 +142,6 @@ def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers:
     for count in ("axial_loops", "radial_loops"):
         read_pure(section, name, count, numbers, positive=True, is_count=True)
     read_pure(section, name, "current_gain", numbers, default=1.0)
-    carried_by = _body_pose(section, name, "coil", movers, numbers)
-    field_sum, is_superconducting = FieldSum.VECTORS, False
-    with section.faults.noting():
-        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
-    with section.faults.noting():
-        is_superconducting = section.flag("superconducting")
-    section.finish()
-    return Coil(name, carried_by, field_sum, is_superconducting)
 
 
 def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> HarmonicCoil:
@@ -118,12 +150,6 @@ def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbe
     read_harmonic(section, coil, numbers)
     read_pure(section, name, "current_gain", numbers, default=1.0)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
-    for key in OF_A_WINDING:
-        if any(given == key or split_unit(given)[0] == key for given in section):
-            given = next(g for g in section if g == key or split_unit(g)[0] == key)
-            section.refuse(
-                given, f"must not be given for a coil of model {MODEL}, which has no winding", given
-            )
     section.finish()
     return replace(coil, carried_by=carried_by)
 

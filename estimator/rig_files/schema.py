@@ -37,6 +37,8 @@ coils:
     {{carried_by: poses, radius_m: {{prior: {{uniform: {{lower: 0.04, upper: 0.06}}}}}}, axial_pitch_m: 0.001, radial_pitch_m: 0.001,
     axial_loops: 10, radial_loops: 2}}
   standing: {{radius_m: {{tied_to: shifted.radius_m}}, wire_radius_m: 0.0005, axial_loops: 10, radial_loops: 2}}
+  sided: {{model: racetrack, inner_side_x_m: 0.06, inner_side_y_m: 0.04, inner_corner_radius_m: 0.01, wire_radius_m: 0.0005,
+    axial_loops: 10, radial_loops: 2}}
   inside:
     {{model: harmonic, region: {Region.INTERIOR}, degree: {HIGHEST_DEGREE}, reference_radius_m: 0.04,
     amplitudes: {{sd_T_per_A: 1e-3, degree1_cos0_T_per_A: 0}}}}

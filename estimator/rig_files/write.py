@@ -18,6 +18,7 @@ from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, U
 from estimator.rig.rig import (
     POSE_QUANTITIES,
     AnyCoil,
+    Coil,
     DisplacementFrame,
     FieldSum,
     HarmonicCoil,
@@ -25,8 +26,11 @@ from estimator.rig.rig import (
     Mover,
     Rig,
     Sensor,
+    SidedCoil,
+    WoundCoil,
 )
 from estimator.rig_files.arm_tables import COLUMNS, key_of_table
+from estimator.rig_files.bodies import RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import MODEL, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
@@ -165,8 +169,7 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
     if isinstance(coil, HarmonicCoil):
         return _harmonic_coil(coil, rig)
-    entry = _body(coil.carried_by)
-    entry |= _number(f"{coil.name}.radius_m", "length", rig.parameters)
+    entry = _body(coil.carried_by) | _shape(coil, rig.parameters)
     if f"{coil.name}.wire_radius_m" in rig.parameters:
         entry |= _number(f"{coil.name}.wire_radius_m", "length", rig.parameters)
     for pitch in ("axial_pitch_m", "radial_pitch_m"):
@@ -177,9 +180,21 @@ def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
     for count in ("axial_loops", "radial_loops"):
         entry |= _number(f"{coil.name}.{count}", None, rig.parameters)
     entry |= _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
+    if isinstance(coil, SidedCoil):
+        return entry
     if coil.field_sum is not FieldSum.VECTORS:
         entry["field_sum"] = str(coil.field_sum)
     return entry | ({"superconducting": True} if coil.is_superconducting else {})
+
+
+def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """What a coil's loops are."""
+    if isinstance(coil, Coil):
+        return _number(f"{coil.name}.radius_m", "length", parameters)
+    entry: dict[str, Any] = {"model": RACETRACK if coil.is_rounded else RECTANGULAR}
+    for quantity in sides_of(coil):
+        entry |= _number(f"{coil.name}.{quantity}_m", "length", parameters)
+    return entry
 
 
 def _harmonic_coil(coil: HarmonicCoil, rig: Rig) -> dict[str, Any]:
