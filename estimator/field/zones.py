@@ -70,7 +70,7 @@ def zones_of(winding: AnyWinding, distance_m: Float[Tensor, " point"], tolerance
     return tuple(Zone(rule, (zone == i).nonzero().flatten()) for i, rule in enumerate(finest_first))
 
 
-def rules_by_level(winding: Winding, tolerance: float) -> tuple[int, tuple[Rule, ...]]:
+def rules_by_level(winding: AnyWinding, tolerance: float) -> tuple[int, tuple[Rule, ...]]:
     """Rules at all distances: that of a distance d stands at floor(ZONES_PER_OCTAVE log2 d), less the number of the first.
 
     Args:
