@@ -29,7 +29,7 @@ from estimator.field.quadrature import DiscreteRule, discrete_gauss
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import rules_by_level
 from estimator.frames import Transform, rotation_from_vector
-from estimator.geometry.motion import pose_of
+from estimator.geometry.motion import ends_of, pose_of
 from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
@@ -167,8 +167,9 @@ def poses_of(
     mover = rig.mover(body.carried_by)
     flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
     if mover.motion is not MotionKind.DISPLACEMENT:
-        base = pose_of(f"{mover.name}.world_from_base", values)
-        return _alone(base), _alone(flange_from_body @ since)
+        base_from_first, last_from_flange = ends_of(mover)
+        base = pose_of(f"{mover.name}.world_from_base", values) @ base_from_first
+        return _alone(base), _alone(last_from_flange @ flange_from_body @ since)
     base = pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse()
     return _alone(base @ _flange_from_report(mover)), _alone(
         _flange_from_report(mover).inverse() @ flange_from_body @ since

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
-from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
@@ -73,7 +73,7 @@ class Mover:
 
     `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
     controller reports in the base frame into the end-effector frame. `own_table` is the kinematics of this very arm: of `joints` all of it,
-    of the others what the maker measured at the factory, as differences from the nominal table.
+    of the others what the maker measured at the factory, as differences from the nominal table. `own_ends` lie before and after that table.
     """
 
     name: str
@@ -83,6 +83,7 @@ class Mover:
     own_table: DenavitHartenberg | None = field(
         default=None, repr=False
     )  # `Rig.hash` names it where there is one
+    own_ends: ArmEnds | None = field(default=None, repr=False)  # likewise
 
     @property
     def table(self) -> DenavitHartenberg | None:
@@ -236,6 +237,7 @@ class Rig:
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.acting))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
+        lines += [f"{mover.name} {mover.own_ends!r}" for mover in self.movers if mover.own_ends is not None]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:

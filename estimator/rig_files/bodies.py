@@ -74,9 +74,9 @@ def _clear_mover(section: Section, name: str, numbers: Numbers) -> Mover:
             reference.finish()
     else:
         read_pose(section.section("world_from_base"), f"{name}.world_from_base", numbers)
-    own_table = read_own_table(section, motion)
+    own_table, own_ends = read_own_table(section, motion)
     section.finish()
-    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]), own_table)
+    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]), own_table, own_ends)
 
 
 def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:

@@ -27,7 +27,7 @@ name: specimen
 movers:
   shifts: {{motion: displacement, displacement_frame: base, base_from_flange0: {{rx_rad: 0}}}}
   poses: {{motion: pose}}
-  turns: {{motion: joints, denavit_hartenberg: {{a_m: [0, -0.4, -0.4, 0, 0, 0]}}}}
+  turns: {{motion: joints, denavit_hartenberg: {{a_m: [0, -0.4, -0.4, 0, 0, 0], base_from_first: {{}}, last_from_flange: {{}}}}}}
   measured: {{motion: UR5e, factory_corrections: {{d_m: [0, 0, 0, 0, 0, 0]}}}}
 coils:
   shifted:

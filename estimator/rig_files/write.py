@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from estimator.rig.arms import DenavitHartenberg
+from estimator.rig.arms import ArmEnds, DenavitHartenberg
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
     POSE_QUANTITIES,
@@ -29,7 +29,7 @@ from estimator.rig.rig import (
     SidedCoil,
     WoundCoil,
 )
-from estimator.rig_files.arm_tables import COLUMNS, key_of_table
+from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import MODEL, amplitude_section
@@ -141,11 +141,16 @@ def _dumped(section: Mapping[str, Any]) -> str:
     return text
 
 
-def _own_table(table: DenavitHartenberg) -> _Line:
+def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> _Line:
     line = _Line()
     for (quantity, dimension), column in zip(COLUMNS, astuple(table), strict=True):
         unit = _unit(dimension, list(column))
         line[f"{quantity}_{unit}"] = [_in_unit(value, UNITS[unit].to_si) for value in column]
+    for end, pose in zip(ENDS, () if ends is None else astuple(ends), strict=False):
+        line[end] = _Line()
+        for (quantity, dimension), value in zip(POSE, pose, strict=True):
+            unit = _unit(dimension, [value])
+            line[end][f"{quantity}_{unit}"] = _in_unit(value, UNITS[unit].to_si)
     return line
 
 
@@ -153,7 +158,7 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     entry: dict[str, Any] = {"motion": str(mover.motion)}
     key = key_of_table(mover.motion)
     if key is not None and mover.own_table is not None:
-        entry[key] = _own_table(mover.own_table)
+        entry[key] = _own_table(mover.own_table, mover.own_ends)
     if mover.motion is not MotionKind.DISPLACEMENT:
         return entry | _pose_block(f"{mover.name}.world_from_base", parameters)
     if mover.displacement_frame is DisplacementFrame.BASE:
