@@ -198,6 +198,7 @@ def numbers_of(winding: AnyWinding) -> dict[str, Tensor]:
 def _inexpressible(rig: Rig, takes_sides: bool) -> list[str]:
     """Coils and effects that never have a place."""
     missing = [f"{coil.name} (a coil without a winding)" for coil in rig.unwound]
+    missing += [f"{coil.name} (leads)" for coil in rig.wound if coil.leads is not None]
     if not takes_sides:
         missing += [
             f"{c.name} (a winding with straight sides)" for c in rig.wound if isinstance(c, SidedCoil)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -13,6 +16,7 @@ from estimator.field.sided import (
     distance_to_sided,
     sided_field_per_ampere,
 )
+from estimator.field.straight import segment_field
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
     Rule,
@@ -21,7 +25,7 @@ from estimator.field.winding import (
     distance_to_winding,
     winding_field_per_ampere,
 )
-from estimator.rig.rig import Coil, FieldSum, WoundCoil
+from estimator.rig.rig import Coil, FieldSum, Leads, WoundCoil
 
 AnyWinding = Winding | SidedWinding
 
@@ -33,7 +37,7 @@ def coil_field_per_ampere(
     rule: Rule,
     mode: SumMode = SumMode.PLAIN,
 ) -> Float[Tensor, "*batch point 3"]:
-    """Field of one ampere in the coil frame, in T/A.
+    """Field of one ampere in the coil frame, in T/A, with that of its leads.
 
     Args:
         coil: `field_sum` of a round one selects the sum: the correct one, or the paper's as printed.
@@ -43,10 +47,29 @@ def coil_field_per_ampere(
         mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
     """
     if isinstance(winding, SidedWinding):
-        return sided_field_per_ampere(points_coil_m, winding, rule, mode)
-    if isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
-        return literal_field_per_ampere(points_coil_m, winding, rule)
-    return winding_field_per_ampere(points_coil_m, winding, rule, mode)
+        field = sided_field_per_ampere(points_coil_m, winding, rule, mode)
+    elif isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
+        field = literal_field_per_ampere(points_coil_m, winding, rule)
+    else:
+        field = winding_field_per_ampere(points_coil_m, winding, rule, mode)
+    return field if coil.leads is None else field + field_of_leads(points_coil_m, coil.leads)
+
+
+def field_of_leads(
+    points_coil_m: Float[Tensor, "*batch point 3"], leads: Leads
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of one ampere in the leads of a coil in its frame, in T/A; the source of the current closes the circuit elsewhere.
+
+    Args:
+        points_coil_m: Points in the coil frame, not on a lead.
+        leads: Where the current comes and goes.
+    """
+    total = torch.zeros_like(points_coil_m)
+    for path in (leads.towards, leads.away):
+        ends = torch.tensor(path, dtype=points_coil_m.dtype, device=points_coil_m.device).reshape(-1, 3)
+        for start_m, end_m in pairwise(ends):
+            total = total + segment_field(points_coil_m, start_m, end_m)
+    return total
 
 
 def distance_to_coil(

@@ -109,6 +109,21 @@ class Body:
     carried_by: str | None = None
 
 
+Path = tuple[tuple[float, float, float], ...]  # of a wire, from point to point, in m
+
+
+@dataclass(frozen=True)
+class Leads:
+    """Straight pieces of wire that bring the current to a winding and take it away, in the coil's frame.
+
+    Attributes:
+        towards, away: Points that the current passes, in its order.
+    """
+
+    towards: Path = ()
+    away: Path = ()
+
+
 @dataclass(frozen=True)
 class Coil(Body):
     """A circular multi-layer winding.
@@ -116,10 +131,12 @@ class Coil(Body):
     Attributes:
         field_sum: How its simulation adds loops.
         is_superconducting: Its wire may hold on to flux.
+        leads: Of its current, where they are described.
     """
 
     field_sum: FieldSum = FieldSum.VECTORS
     is_superconducting: bool = False
+    leads: Leads | None = field(default=None, repr=False)  # `Rig.hash` names them where they are
 
 
 @dataclass(frozen=True)
@@ -128,9 +145,11 @@ class SidedCoil(Body):
 
     Attributes:
         is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
+        leads: Of its current, where they are described.
     """
 
     is_rounded: bool = False
+    leads: Leads | None = field(default=None, repr=False)  # as of `Coil`
 
 
 class Region(StrEnum):
@@ -238,6 +257,7 @@ class Rig:
         lines += [repr(parameter) for parameter in self.parameters.values()]
         lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
         lines += [f"{mover.name} {mover.own_ends!r}" for mover in self.movers if mover.own_ends is not None]
+        lines += [f"{coil.name} {coil.leads!r}" for coil in self.wound if coil.leads is not None]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:

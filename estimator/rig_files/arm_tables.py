@@ -82,11 +82,12 @@ def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...
     key, unit = found
     values = section.value(key)
     is_list = isinstance(values, list) and len(values) == N_JOINTS
-    if not is_list or not all(_is_number(value) for value in values):
+    if not is_list or not all(is_number(value) for value in values):
         rule = f"must be a list of {N_JOINTS} numbers within {-LARGEST:g} and {LARGEST:g}, one for each joint"
         section.refuse(key, rule, repr(values))
     return tuple(float(value) * unit.to_si for value in values)
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Whether an entry of a list is a number that a rig file may hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST

@@ -15,12 +15,14 @@ from estimator.rig.rig import (
     DisplacementFrame,
     FieldSum,
     HarmonicCoil,
+    Leads,
     MotionKind,
     Mover,
+    Path,
     Sensor,
     SidedCoil,
 )
-from estimator.rig_files.arm_tables import read_own_table
+from estimator.rig_files.arm_tables import is_number, read_own_table
 from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
 from estimator.rig_files.numbers import Numbers, read_pose, read_pure, read_scalar
 from estimator.units import split_unit
@@ -30,9 +32,10 @@ WINDING = "winding"  # the model of a coil that names none
 RECTANGULAR, RACETRACK = "rectangular", "racetrack"  # windings with straight sides
 OF_LOOPS = ("wire_radius", "axial_pitch", "radial_pitch", "axial_loops", "radial_loops")
 OF_A_ROUND_WINDING = ("radius", "field_sum", "superconducting")
+LEADS = ("lead_in", "lead_out")  # in the order in which the current passes them
 SIDES, CORNER = ("inner_side_x", "inner_side_y"), "inner_corner_radius"
 WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may not have, and why
-    MODEL: ((*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER), "which has no winding"),
+    MODEL: ((*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER, *LEADS), "which has no winding"),
     RECTANGULAR: ((*OF_A_ROUND_WINDING, CORNER), "which has straight sides and sharp corners"),
     RACETRACK: (OF_A_ROUND_WINDING, "which has straight sides"),
     WINDING: ((*SIDES, CORNER), "whose loops are circles"),
@@ -104,8 +107,9 @@ def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers:
         field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
     with section.faults.noting():
         is_superconducting = section.flag("superconducting")
+    leads = _read_leads(section)
     section.finish()
-    return Coil(name, carried_by, field_sum, is_superconducting)
+    return Coil(name, carried_by, field_sum, is_superconducting, leads)
 
 
 def _sided_coil(section: Section, coil: SidedCoil, movers: tuple[Mover, ...], numbers: Numbers) -> SidedCoil:
@@ -113,8 +117,30 @@ def _sided_coil(section: Section, coil: SidedCoil, movers: tuple[Mover, ...], nu
         read_scalar(section, coil.name, quantity, "length", numbers, positive=True)
     _read_loops(section, coil.name, numbers)
     carried_by = _body_pose(section, coil.name, "coil", movers, numbers)
+    leads = _read_leads(section)
     section.finish()
-    return replace(coil, carried_by=carried_by)
+    return replace(coil, carried_by=carried_by, leads=leads)
+
+
+def _read_leads(section: Section) -> Leads | None:
+    paths = [_read_path(section, lead) for lead in LEADS]
+    return Leads(*(path or () for path in paths)) if any(paths) else None
+
+
+def _read_path(section: Section, lead: str) -> Path:
+    found = section.key_with_unit(lead, "length")
+    if found is None:
+        return ()
+    key, unit = found
+    points = section.value(key)
+    is_path = isinstance(points, list) and len(points) >= 2 and all(map(_is_point, points))
+    if not is_path:
+        section.refuse(key, "must be a list of two points or more, each of three numbers", repr(points))
+    return tuple((float(x) * unit.to_si, float(y) * unit.to_si, float(z) * unit.to_si) for x, y, z in points)
+
+
+def _is_point(point: object) -> bool:
+    return isinstance(point, list) and len(point) == 3 and all(map(is_number, point))
 
 
 def _refuse_of_others(section: Section, model: str) -> None:

@@ -22,6 +22,7 @@ from estimator.rig.rig import (
     DisplacementFrame,
     FieldSum,
     HarmonicCoil,
+    Leads,
     MotionKind,
     Mover,
     Rig,
@@ -30,7 +31,7 @@ from estimator.rig.rig import (
     WoundCoil,
 )
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
-from estimator.rig_files.bodies import RACETRACK, RECTANGULAR, sides_of
+from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import MODEL, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
@@ -185,11 +186,24 @@ def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
     for count in ("axial_loops", "radial_loops"):
         entry |= _number(f"{coil.name}.{count}", None, rig.parameters)
     entry |= _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
+    entry |= _leads(coil.leads)
     if isinstance(coil, SidedCoil):
         return entry
     if coil.field_sum is not FieldSum.VECTORS:
         entry["field_sum"] = str(coil.field_sum)
     return entry | ({"superconducting": True} if coil.is_superconducting else {})
+
+
+def _leads(leads: Leads | None) -> dict[str, Any]:
+    """Paths of the current, each in one unit."""
+    entry = {}
+    for lead, path in zip(LEADS, () if leads is None else (leads.towards, leads.away), strict=False):
+        unit = _unit("length", [number for point in path for number in point])
+        if path:
+            entry[f"{lead}_{unit}"] = [
+                [_in_unit(number, UNITS[unit].to_si) for number in point] for point in path
+            ]
+    return entry
 
 
 def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
