@@ -89,6 +89,7 @@ class Section:
     def __init__(self, node: yaml.MappingNode, path: str, file: str, faults: Faults | None = None) -> None:
         self.path, self.file, self.line = path, file, node.start_mark.line + 1
         self.faults = faults or Faults()
+        self.folder: Path | None = None  # of a file on disk, whose text may name others
         self._column = node.start_mark.column + 1
         self._entries: dict[str, yaml.Node] = {}
         self._lines: dict[str, int] = {}
@@ -134,7 +135,9 @@ class Section:
         """The top mapping of a YAML file; `faults` says what becomes of the faults in it."""
         try:
             with path.open("rb") as file:
-                return cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path), faults)
+                top = cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path), faults)
+                top.folder = path.parent
+                return top
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
 
@@ -260,7 +263,9 @@ class Section:
 
     def _below(self, node: yaml.MappingNode, key: str, path: str) -> Section:
         """A mapping below a key; a reader that watches what is asked makes another kind of section here."""
-        return Section(node, path, self.file, self.faults)
+        below = Section(node, path, self.file, self.faults)
+        below.folder = self.folder
+        return below
 
     def skip(self, *keys: str) -> None:
         """Count keys as read, of which nobody can say what they should hold."""

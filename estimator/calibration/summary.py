@@ -16,7 +16,7 @@ from estimator.inference.convergence import convergence
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Coil, Rig, SidedCoil
 from estimator.store.session import Session
 
 COVERAGE_DRAWS = 200
@@ -80,22 +80,26 @@ def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float
 
 
 def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Turns, length, thickness and rms loop radius of every coil with a free winding: the data determine these best."""
+    """Turns, length, thickness, and rms radius or sides of the mean loop, of every coil with a free winding: data determine these best."""
     derived = {}
     for coil in rig.wound:
+        own = ("radius_m",) if isinstance(coil, Coil) else ("inner_side_x_m", "inner_side_y_m")
         if any(
-            f"{coil.name}.{key}" in draws
-            for key in ("radius_m", "wire_radius_m", "axial_loops", "radial_loops")
+            f"{coil.name}.{key}" in draws for key in (*own, "wire_radius_m", "axial_loops", "radial_loops")
         ):
             shape = next(iter(draws.values())).shape
             winding = {
                 key: np.broadcast_to(_resolved(rig, f"{coil.name}.{key}", draws), shape)
-                for key in ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+                for key in (*own, "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
             }
             thickness = winding["radial_pitch_m"] * winding["radial_loops"]
             derived[f"{coil.name}.turns"] = winding["axial_loops"] * winding["radial_loops"]
             derived[f"{coil.name}.length_m"] = winding["axial_pitch_m"] * winding["axial_loops"]
             derived[f"{coil.name}.thickness_m"] = thickness
+            if isinstance(coil, SidedCoil):
+                for axis in "xy":
+                    derived[f"{coil.name}.mean_side_{axis}_m"] = winding[f"inner_side_{axis}_m"] + thickness
+                continue
             mean_radius = winding["radius_m"] - 0.5 * thickness
             # Variance of the radii of equally spaced layers, in squares of the pitch.
             variance = (winding["radial_loops"] ** 2 - 1.0) / 12.0

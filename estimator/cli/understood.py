@@ -10,7 +10,7 @@ from estimator.cli.words import duration_words, prior_words
 from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.rig.parameters import Parameter
-from estimator.rig.rig import Body, Coil, Mover, Rig
+from estimator.rig.rig import Body, Coil, Mover, Rig, SidedCoil
 from estimator.store.importers.csv_table import Table
 from estimator.units import UNITS
 
@@ -103,9 +103,15 @@ def plan_lines(plan: Plan, rig: Rig) -> list[str]:
 
 def _coil_words(coil: Body, values: Mapping[str, float]) -> str:
     name = coil.name
-    if not isinstance(coil, Coil):
+    if not isinstance(coil, Coil | SidedCoil):
         return "no winding, a sum of solid harmonics"
     loops = " x ".join(f"{values[f'{name}.{count}']:g}" for count in ("axial_loops", "radial_loops"))
+    if isinstance(coil, SidedCoil):
+        sides = " x ".join(_shown(values[f"{name}.inner_side_{axis}_m"], "m") for axis in "xy")
+        corners = "sharp corners"
+        if coil.is_rounded:
+            corners = f"corners of radius {_shown(values[f'{name}.inner_corner_radius_m'], 'm')}"
+        return f"winding about a bore of {sides} with {corners}, {loops} loops"
     return f"winding of radius {_shown(values[f'{name}.radius_m'], 'm')}, {loops} loops"
 
 

@@ -19,7 +19,7 @@ from estimator.errors import InvalidInput
 from estimator.field.grid_map import GridMap
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.bodies import WINDING_KEYS
+from estimator.model.bodies import SIDED_KEYS, WINDING_KEYS
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
@@ -232,7 +232,7 @@ def _within(
 def _fit_with_map(start: Fit, field_map: GridMap, coil: str) -> Fit:
     """The fit with the map, from the poses of another fit; the numbers of the winding have no say any more."""
     rig = start.rig.with_values({p.name: float(start.values[p.name]) for p in start.rig.free})
-    own = {f"{coil}.{key}" for key in (*WINDING_KEYS, "wire_radius_m")}
+    own = {f"{coil}.{key}" for key in (*WINDING_KEYS, *SIDED_KEYS, "wire_radius_m")}
     tied = {
         p.tie.to for p in rig.parameters.values() if p.tie and p.name not in own
     }  # another coil needs them

@@ -100,7 +100,7 @@ class Effect(ABC):
         starts_far_off: Fits with it start far from its null, and multiply what the coils do. Where a fit without it has bent the rig to
             follow, the linear model there says nothing of it.
         is_linear: The field stays proportional to the currents.
-        needs_winding: It says something of a winding, or has a place beside one; coils without one cannot have it.
+        needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -133,7 +133,7 @@ class Effect(ABC):
         if self.kind in (Kind.ROOM, Kind.RECORD):
             return (str(self.kind),)
         bodies: dict[Kind, tuple[Body | Mover, ...]] = {
-            Kind.COIL: rig.wound if self.needs_winding else rig.coils,
+            Kind.COIL: rig.round if self.needs_winding else rig.coils,
             Kind.SENSOR: rig.sensors,
             Kind.MOVER: rig.movers,
         }

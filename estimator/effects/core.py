@@ -90,7 +90,7 @@ class CoreRemanence(CoreMemory):
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Coils that may have a core."""
-        return tuple(coil.name for coil in rig.wound)
+        return tuple(coil.name for coil in rig.round)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Beside a core, where the current of the coil has turned back."""

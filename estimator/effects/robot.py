@@ -15,6 +15,7 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
+from estimator.geometry.motion import ends_of
 from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
@@ -126,9 +127,11 @@ class JointZeros(MotionEffect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Axis of every joint in the base frame, and a point on it."""
-        table = circumstances.rig.mover(mover).table
-        assert table is not None  # see `places`
-        joints = base_from_joints(table, circumstances.observations.motion[mover])[:N_JOINTS]
+        arm = circumstances.rig.mover(mover)
+        assert arm.table is not None  # see `places`
+        base_from_first, _ = ends_of(arm)
+        joints = base_from_joints(arm.table, circumstances.observations.motion[mover])[:N_JOINTS]
+        joints = tuple(base_from_first @ joint for joint in joints)
         lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
         return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
 

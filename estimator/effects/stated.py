@@ -28,7 +28,7 @@ from estimator.effects.stages import (
 from estimator.field.winding import Winding
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import LogNormal
-from estimator.rig.rig import Body, MotionKind, Rig
+from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
 
 SHIFT_KEYS, TURN_KEYS = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
 LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself
@@ -96,10 +96,11 @@ class CoilMisplaced(Misplaced):
     source: ClassVar[str] = "coils are bolted or clamped to about 1 mm and 1 degree"
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
-        """Nor a turn about the axis of a coil that is not displaced: its field stays the same."""
+        """Nor a turn about the axis of a round coil, or one without a winding, that is not displaced: nobody could tell."""
         rig = circumstances.rig
         coil = next(coil for coil in rig.coils if coil.name == place)
-        about_axis = frozenset() if is_displaced(rig, coil) else frozenset(("rz_rad",))
+        can_show = is_displaced(rig, coil) or isinstance(coil, SidedCoil)
+        about_axis = frozenset() if can_show else frozenset(("rz_rad",))
         return super().unseen(circumstances, place) | about_axis
 
 

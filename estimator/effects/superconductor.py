@@ -54,7 +54,7 @@ class FilamentMagnetisation(WindingMagnetisation):
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Coils that the rig file calls superconducting."""
-        return tuple(coil.name for coil in rig.wound if coil.is_superconducting)
+        return tuple(coil.name for coil in rig.round if coil.is_superconducting)
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """Without any current nothing is screened."""

@@ -15,13 +15,12 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import SourceEffect, WindingEffect
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
+from estimator.field.straight import MU0_OVER_4PI, segment_field
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
 from estimator.rig.parameters import LogNormal
-from estimator.units import MU0_T_M_PER_A
 
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
 LAYER_NODES = 8  # along the missing part of a layer
-MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)
 
 
 class PitchEffect(WindingEffect):
@@ -226,19 +225,8 @@ class LeadWire(SourceEffect):
         corners = (near + front, far + front, far + back, near + back)
         total = torch.zeros_like(points_coil_m)
         for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
-            total = total + _segment(points_coil_m, start, end)
+            total = total + segment_field(points_coil_m, start, end)
         return total
-
-
-def _segment(points_m: Tensor, start_m: Tensor, end_m: Tensor) -> Tensor:
-    """Field of a straight wire with one ampere, smooth where it has no length (Hanson and Hirshman, Phys. Plasmas 9, 4410, 2002)."""
-    a, b = points_m - start_m[..., None, :], points_m - end_m[..., None, :]
-    r, s = a.norm(dim=-1, keepdim=True), b.norm(dim=-1, keepdim=True)
-    along = (end_m - start_m)[..., None, :]
-    length2 = (along**2).sum(-1, keepdim=True)
-    cross = torch.linalg.cross(*torch.broadcast_tensors(along, a))
-    field: Tensor = cross * 2.0 * (r + s) / (r * s * ((r + s) ** 2 - length2))
-    return MU0_OVER_4PI * field
 
 
 def _rod_per_moment(

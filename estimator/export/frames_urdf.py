@@ -21,6 +21,7 @@ from estimator.export.calibrated import Calibrated
 from estimator.export.labels import identifier, origin_of
 from estimator.export.plain_model import poses_of
 from estimator.frames import Transform
+from estimator.geometry.motion import ends_of
 from estimator.model.room_field import at_one_moment
 from estimator.rig.rig import Body, MotionKind, Mover
 
@@ -141,6 +142,12 @@ def joints_of(calibrated: Calibrated) -> list[Joint]:
             joints.append(Joint(f"world_to_{body.name}", FIXED, "world", body.name, base))
             continue
         mover = rig.mover(body.carried_by)
+        if mover.own_ends is not None:
+            base_from_first, last_from_flange = ends_of(mover)
+            base, flange_from_body = (
+                base @ base_from_first.inverse(),
+                last_from_flange.inverse() @ flange_from_body,
+            )
         prefix = (
             f"{mover.name}_at_rest_{body.name}"
             if mover.motion is MotionKind.DISPLACEMENT
@@ -160,7 +167,8 @@ def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Itera
     if table is None:
         yield Joint(f"{base_link}_to_{flange}", FLOATING, base_link, flange, Transform.identity())
         return
-    parent, so_far = base_link, Transform.identity()
+    so_far, last_from_flange = ends_of(mover)
+    parent = base_link
     z, x = torch.eye(3, dtype=torch.float64)[[2, 0]]
     columns = zip(table.theta_rad, table.a_m, table.d_m, table.alpha_rad, strict=True)
     for i, (theta_rad, a_m, d_m, alpha_rad) in enumerate(columns):
@@ -171,7 +179,7 @@ def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Itera
             link,
             Transform.from_pose(d_m * z, 0.0 * z) @ Transform.from_pose(a_m * x, alpha_rad * x),
         )
-    yield Joint(f"{parent}_to_{flange}", FIXED, parent, flange, so_far)
+    yield Joint(f"{parent}_to_{flange}", FIXED, parent, flange, so_far @ last_from_flange)
 
 
 def rpy_rad(pose: Transform) -> list[float]:

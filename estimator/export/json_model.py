@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,16 @@ from estimator.code_version import code_version
 from estimator.export.calibrated import Calibrated
 from estimator.export.labels import points_about
 from estimator.export.linearised import WINDING_NUMBERS, Linearised, linearised
-from estimator.export.plain_model import PlainCoil, PlainMover, plain_model
+from estimator.export.plain_model import PlainCoil, PlainMover, numbers_of, plain_model
+from estimator.field.coil import AnyWinding
+from estimator.field.sided import SidedWinding
+from estimator.field.winding import Winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.units import MU0_T_M_PER_A
 
 SCHEMA_VERSION = 1
+SIDED_NUMBERS = tuple(item.name for item in fields(SidedWinding) if item.name != "is_rounded")
 CONVENTIONS = {
     "units": "SI; keys end in their unit, and a key without one holds pure numbers",
     "frames": "a_from_b takes coordinates of b to a: rotate (rows of the matrix), then add translation_m",
@@ -27,6 +32,8 @@ CONVENTIONS = {
     " per ampere",
     "loops": "a loop of radius radius_m - radial_pitch_m * (radial_loops / 2 - radial node) at z = axial_pitch_m *"
     " (axial node - axial_loops / 2) of the coil frame counts axial weight * radial weight times",
+    "sides": "a coil with corners winds around a bore of side_x_m times side_y_m instead; a loop lies radial_pitch_m * (radial_loops / 2 +"
+    " radial node) outside it all around, and round corners have corner_radius_m more than that",
     "rules": f"at a distance d from the cross-section of the winding, level floor({ZONES_PER_OCTAVE} * log2(d)) - first_level, held"
     " between 0 and the last, tells the number of the rule",
     "directions": "how all numbers move along independent standard normal directions of the posterior, to first order; base and flange are"
@@ -40,7 +47,7 @@ def json_model(calibrated: Calibrated) -> str:
     Raises:
         InvalidInput: The rig has something that the file cannot express.
     """
-    model = plain_model(calibrated.rig, calibrated.best_values(), "json")
+    model = plain_model(calibrated.rig, calibrated.best_values(), "json", takes_sides=True)
     regions_m = [points_about(calibrated, coil) for coil in calibrated.rig.wound]
     document = {
         "format": "coilcal calibration",
@@ -77,21 +84,31 @@ def calibration_schema() -> dict[str, Any]:
         **{f"{way}_{what}": _list(number) for way in ("axial", "radial") for what in ("nodes", "weights")},
     )
     table = _object(**{key: _list(number, 6) for key in ("theta_rad", "a_m", "d_m", "alpha_rad")})
-    coil = _object(
-        name=text,
-        mover={"type": ["string", "null"]},
-        **{key: {"type": "number", "exclusiveMinimum": 0} for key in WINDING_NUMBERS},
-        world_from_base=pose,
-        flange_from_coil=pose,
-        first_level=whole,
-        rule_of_level=_list(whole),
-        rules=_list(rule),
-        measured_low_m=_or_null(three),
-        measured_high_m=_or_null(three),
+    positive, from_zero = ({"type": "number", key: 0} for key in ("exclusiveMinimum", "minimum"))
+    shapes = (
+        dict.fromkeys(WINDING_NUMBERS, positive),
+        {
+            "corners": {"enum": ["sharp", "round"]},
+            **dict.fromkeys(SIDED_NUMBERS, positive),
+            "corner_radius_m": from_zero,
+        },
     )
-    change = _object(
-        winding=_list(number, len(WINDING_NUMBERS)), base=_list(number, 6), flange=_list(number, 6)
-    )
+    coils = [
+        _object(
+            name=text,
+            mover={"type": ["string", "null"]},
+            **shape,
+            world_from_base=pose,
+            flange_from_coil=pose,
+            first_level=whole,
+            rule_of_level=_list(whole),
+            rules=_list(rule),
+            measured_low_m=_or_null(three),
+            measured_high_m=_or_null(three),
+        )
+        for shape in shapes
+    ]
+    change = _object(winding=_list(number), base=_list(number, 6), flange=_list(number, 6))
     direction = _object(
         coils=_list(change),
         delivered_A_per_A=_list(_list(number)),
@@ -109,7 +126,7 @@ def calibration_schema() -> dict[str, Any]:
         "origin": {"type": "object", "additionalProperties": {"type": ["string", "null"]}},
         "parameters": {"type": "object", "additionalProperties": _object(value=number, unit=text, **free)},
         "mu0_T_m_per_A": number,
-        "coils": _list(coil),
+        "coils": _list({"anyOf": coils}),
         "movers": _list(_object(name=text, columns=_list(text, 6), denavit_hartenberg=_or_null(table))),
         "delivered_A_per_A": _list(_list(number)),
         "offset_A": _list(number),
@@ -156,7 +173,8 @@ def _coil(coil: PlainCoil, region_m: Tensor, movers: tuple[PlainMover, ...]) -> 
     return {
         "name": coil.name,
         "mover": movers[coil.mover].name if coil.mover >= 0 else None,
-        **{key: float(getattr(coil.winding, key)) for key in WINDING_NUMBERS},
+        **_corners(coil.winding),
+        **{key: float(number) for key, number in numbers_of(coil.winding).items()},
         "world_from_base": _pose(coil.world_from_base),
         "flange_from_coil": _pose(coil.flange_from_coil),
         "first_level": coil.first_level,
@@ -165,6 +183,12 @@ def _coil(coil: PlainCoil, region_m: Tensor, movers: tuple[PlainMover, ...]) -> 
         "measured_low_m": region_m.amin(0).tolist() if len(region_m) else None,
         "measured_high_m": region_m.amax(0).tolist() if len(region_m) else None,
     }
+
+
+def _corners(winding: AnyWinding) -> dict[str, str]:
+    if isinstance(winding, Winding):
+        return {}
+    return {"corners": "round" if winding.is_rounded else "sharp"}
 
 
 def _mover(mover: PlainMover) -> dict[str, Any]:

@@ -16,14 +16,14 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.export.calibrated import Calibrated
-from estimator.export.plain_model import background_of, poses_of, supply_of
+from estimator.export.plain_model import background_of, numbers_of, poses_of, supply_of
 from estimator.field.winding import Winding
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.coordinates import Coordinates, Values
-from estimator.rig.rig import Coil, Rig
+from estimator.rig.rig import Rig, WoundCoil
 
 WINDING_NUMBERS = tuple(item.name for item in fields(Winding))
 _Numbers = Callable[[Rig, Sources, Values], Tensor]
@@ -35,12 +35,12 @@ class CoilChange:
     """How the numbers of a coil move, one row for each direction of the posterior.
 
     Attributes:
-        winding: Its five numbers, in the order of `Winding`.
+        winding: Its numbers, in the order of `Winding` or `SidedWinding`.
         base, flange: Shift and small rotation of `world_from_base` and `flange_from_coil` in the axes of world and flange, the rotation
             about the origin of the inner frame.
     """
 
-    winding: Float[Tensor, "direction 5"]
+    winding: Float[Tensor, "direction number"]
     base: Float[Tensor, "direction 6"]
     flange: Float[Tensor, "direction 6"]
 
@@ -86,7 +86,7 @@ def linearised(calibrated: Calibrated) -> Linearised:
         jacobian = jacobian_of(lambda vector: function(rig, sources, coordinates.values(vector)), at_best)
         return (jacobian @ directions).movedim(-1, 0)
 
-    def moved_coil(coil: Coil) -> CoilChange:
+    def moved_coil(coil: WoundCoil) -> CoilChange:
         def base(rig: Rig, sources: Sources, values: Values) -> Tensor:
             return _flat(poses_of(rig, coil, sources, values)[0])
 
@@ -121,9 +121,8 @@ def _directions(vectors: Float[Tensor, "draw coordinate"]) -> Float[Tensor, "coo
     return directions
 
 
-def _winding(rig: Rig, coil: Coil, values: Values) -> Float[Tensor, " 5"]:
-    winding = winding_of(rig, coil, values)
-    return torch.stack([getattr(winding, name) for name in WINDING_NUMBERS])
+def _winding(rig: Rig, coil: WoundCoil, values: Values) -> Float[Tensor, " number"]:
+    return torch.stack(list(numbers_of(winding_of(rig, coil, values)).values()))
 
 
 def _flat(pose: Transform) -> Float[Tensor, " 12"]:

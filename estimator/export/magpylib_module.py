@@ -9,13 +9,16 @@ import torch
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.labels import origin_of, plain_words, regions_of
-from estimator.export.linearised import WINDING_NUMBERS
-from estimator.export.plain_model import plain_model
+from estimator.export.plain_model import numbers_of, plain_model
+from estimator.rig.rig import SidedCoil
+
+CHORDS_PER_ARC = 90
+CHORDS = f" Arcs are {CHORDS_PER_ARC} chords each."
 
 MODULE = '''"""Calibrated magnet "{title}" as a magpylib collection.
 
 `magnet({currents}).getB(points_m)` is the field in tesla in the world frame of the rig file, for commanded currents of {names} in ampere.
-Every loop of a winding is a circle, so that the field is that of the loops, which `coilcal predict` sums to 1e-6.
+Every loop of a winding is a circle or a closed line, so that the field is that of the loops, which `coilcal predict` sums to 1e-6.{chords}
 Poses are those at: {poses}.
 {regions}
 {origin}
@@ -32,7 +35,7 @@ BACKGROUND_T = np.array({background})
 
 
 def magnet(currents_A):
-    """The collection at these commanded currents: one collection of circles for each coil, and the uniform field of the room."""
+    """The collection at these commanded currents: one collection of loops for each coil, and the uniform field of the room."""
     delivered_A = DELIVERED_A_PER_A @ np.asarray(currents_A, dtype=float) + OFFSET_A
     return magpylib.Collection([winding(*each) for each in zip(COILS, delivered_A)] + [room()])
 
@@ -40,15 +43,24 @@ def magnet(currents_A):
 def winding(coil, current_A):
     """The loops of a coil in their places."""
     axial = coil["axial_pitch_m"] * (np.arange(round(coil["axial_loops"])) - coil["axial_loops"] + 0.5)
-    radial = coil["radius_m"] - coil["radial_pitch_m"] * (np.arange(round(coil["radial_loops"])) + 0.5)
-    loops = [
-        magpylib.current.Circle(diameter=2.0 * radius_m, current=current_A, position=(0.0, 0.0, height_m))
-        for height_m in axial
-        for radius_m in radial
-    ]
+    outwards = coil["radial_pitch_m"] * (np.arange(round(coil["radial_loops"])) + 0.5)
+    loops = [loop(coil, out_m, current_A).move((0.0, 0.0, height_m)) for height_m in axial for out_m in outwards]
     collection = magpylib.Collection(loops, style_label=coil["name"])
     collection.rotate(Rotation.from_matrix(coil["rotation"]), anchor=(0.0, 0.0, 0.0))
     return collection.move(coil["translation_m"])
+
+
+def loop(coil, out_m, current_A):
+    """A round loop below the outer radius, or one with straight sides and arcs of chords outside the bore."""
+    if "radius_m" in coil:
+        return magpylib.current.Circle(diameter=2.0 * (coil["radius_m"] - out_m), current=current_A)
+    radius_m = coil["corner_radius_m"] + out_m if coil["is_rounded"] else 0.0
+    middle_x, middle_y = (0.5 * coil["side_" + axis + "_m"] + out_m - radius_m for axis in "xy")
+    corners = []
+    for quarter, (right, back) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        angles = 0.5 * np.pi * (quarter + np.linspace(0.0, 1.0, {per_arc} + 1 if coil["is_rounded"] else 1))
+        corners += [(right * middle_x + radius_m * np.cos(a), back * middle_y + radius_m * np.sin(a), 0.0) for a in angles]
+    return magpylib.current.Polyline(vertices=[*corners, corners[0]], current=current_A)
 
 
 def room():
@@ -69,14 +81,14 @@ def magpylib_module(calibrated: Calibrated, motion: Motion) -> str:
         calibrated: A calibration.
         motion: Six numbers of each mover; a mover that reports displacements defaults to zeros.
     Raises:
-        InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that circles cannot express.
+        InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that loops cannot express.
     """
     values = calibrated.best_values()
-    model = plain_model(calibrated.rig, values, "magpylib")
+    model = plain_model(calibrated.rig, values, "magpylib", takes_sides=True)
     sources = calibrated.room(torch.zeros(1, 3, dtype=torch.float64), motion).sources
     coils = []
     for coil, plain in zip(calibrated.rig.wound, model.coils, strict=True):
-        numbers = {key: float(getattr(plain.winding, key)) for key in WINDING_NUMBERS}
+        numbers = {key: float(number) for key, number in numbers_of(plain.winding).items()}
         for key in ("axial_loops", "radial_loops"):
             if not numbers[key].is_integer():
                 raise InvalidInput(
@@ -84,9 +96,16 @@ def magpylib_module(calibrated: Calibrated, motion: Motion) -> str:
                 )
         pose = sources.world_from_body(coil, "coil", torch.zeros(1, dtype=torch.int64), values)
         rotation, translation_m = pose.rotation.reshape(3, 3).tolist(), pose.translation_m.reshape(3).tolist()
-        coils.append({"name": coil.name, **numbers, "rotation": rotation, "translation_m": translation_m})
+        corners = {"is_rounded": int(coil.is_rounded)} if isinstance(coil, SidedCoil) else {}
+        coils.append(
+            {"name": coil.name, **corners, **numbers, "rotation": rotation, "translation_m": translation_m}
+        )
     poses = ", ".join(f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in motion.items())
     return MODULE.format(
+        chords=CHORDS
+        if any(isinstance(coil, SidedCoil) and coil.is_rounded for coil in calibrated.rig.wound)
+        else "",
+        per_arc=CHORDS_PER_ARC,
         title=plain_words(model.name),
         currents=[1.0] * len(coils),
         names=", ".join(coil.name for coil in model.coils),

@@ -5,7 +5,7 @@ A rig may have effects that such a list has no place for, like iron in the room.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float
@@ -24,17 +24,27 @@ from estimator.effects.stages import (
 )
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.field.coil import AnyWinding
 from estimator.field.quadrature import DiscreteRule, discrete_gauss
-from estimator.field.winding import DEFAULT_TOLERANCE, Winding
+from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import rules_by_level
 from estimator.frames import Transform, rotation_from_vector
-from estimator.geometry.motion import pose_of
+from estimator.geometry.motion import ends_of, pose_of
 from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.arms import DenavitHartenberg
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Body, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Rig
+from estimator.rig.rig import (
+    Body,
+    DisplacementFrame,
+    FieldSum,
+    MotionKind,
+    Mover,
+    Rig,
+    SidedCoil,
+    WoundCoil,
+)
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear
 PROBE_POINTS_M = (
@@ -51,7 +61,7 @@ class NodeRule:
 
     Attributes:
         axial, radial: Nodes in pitches about the middle of the winding, and weights.
-        steps: AGM steps of each loop.
+        steps: AGM steps of each round loop, points along each arc of others.
     """
 
     axial: DiscreteRule
@@ -65,7 +75,7 @@ class PlainCoil:
 
     Attributes:
         name: As in the rig.
-        winding: Its geometry, no batch.
+        winding: Its geometry, no batch; with straight sides only where `plain_model` was told so.
         mover: Number of the mover that carries it; -1 where none does.
         world_from_base, flange_from_coil: Poses; the second one is no motion where nothing carries the coil.
         first_level: Level of distance to which the first entry of `rule_of_level` belongs.
@@ -74,7 +84,7 @@ class PlainCoil:
     """
 
     name: str
-    winding: Winding
+    winding: AnyWinding
     mover: int
     world_from_base: Transform
     flange_from_coil: Transform
@@ -117,18 +127,19 @@ class PlainModel:
     background_T: Float[Tensor, " 3"]
 
 
-def plain_model(rig: Rig, values: Values, to: str) -> PlainModel:
+def plain_model(rig: Rig, values: Values, to: str, takes_sides: bool = False) -> PlainModel:
     """The model of a rig in plain numbers, which predicts what `RoomField` predicts.
 
     Args:
         rig: Coils, movers and effects.
         values: Every number of the rig, no batch.
         to: What is exported to, for the message.
+        takes_sides: It can express windings with straight sides, not only round ones.
     Raises:
         InvalidInput: The rig has something that the numbers cannot express; the message names it.
     """
     sources = at_one_moment(rig)
-    missing = [*_inexpressible(rig), *_bent(rig, sources, values), *_uneven(rig, values)]
+    missing = [*_inexpressible(rig, takes_sides), *_bent(rig, sources, values), *_uneven(rig, values)]
     if missing:
         raise InvalidInput(
             f"export to {to} must express the whole model; it has no place for {', '.join(missing)} of rig {rig.name!r} "
@@ -156,8 +167,9 @@ def poses_of(
     mover = rig.mover(body.carried_by)
     flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
     if mover.motion is not MotionKind.DISPLACEMENT:
-        base = pose_of(f"{mover.name}.world_from_base", values)
-        return _alone(base), _alone(flange_from_body @ since)
+        base_from_first, last_from_flange = ends_of(mover)
+        base = pose_of(f"{mover.name}.world_from_base", values) @ base_from_first
+        return _alone(base), _alone(last_from_flange @ flange_from_body @ since)
     base = pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse()
     return _alone(base @ _flange_from_report(mover)), _alone(
         _flange_from_report(mover).inverse() @ flange_from_body @ since
@@ -177,11 +189,22 @@ def background_of(rig: Rig, sources: Sources, values: Values) -> Float[Tensor, "
     return _background(rig, sources, values)[0]
 
 
-def _inexpressible(rig: Rig) -> list[str]:
+def numbers_of(winding: AnyWinding) -> dict[str, Tensor]:
+    """The numbers of a winding by their names."""
+    names = (item.name for item in fields(winding))
+    return {name: getattr(winding, name) for name in names if name != "is_rounded"}
+
+
+def _inexpressible(rig: Rig, takes_sides: bool) -> list[str]:
     """Coils and effects that never have a place."""
     missing = [f"{coil.name} (a coil without a winding)" for coil in rig.unwound]
+    missing += [f"{coil.name} (leads)" for coil in rig.wound if coil.leads is not None]
+    if not takes_sides:
+        missing += [
+            f"{c.name} (a winding with straight sides)" for c in rig.wound if isinstance(c, SidedCoil)
+        ]
     missing += [
-        f"{c.name} (field_sum of the paper)" for c in rig.wound if c.field_sum is not FieldSum.VECTORS
+        f"{c.name} (field_sum of the paper)" for c in rig.round if c.field_sum is not FieldSum.VECTORS
     ]
     carriers = {coil.carried_by for coil in rig.coils}
     coil_names = {coil.name for coil in rig.coils}
@@ -231,7 +254,7 @@ def _background(
     return total_T
 
 
-def _coil(rig: Rig, coil: Coil, sources: Sources, values: Values, carriers: list[Mover]) -> PlainCoil:
+def _coil(rig: Rig, coil: WoundCoil, sources: Sources, values: Values, carriers: list[Mover]) -> PlainCoil:
     winding = winding_of(rig, coil, values)
     first_level, rules = rules_by_level(winding, DEFAULT_TOLERANCE)
     distinct = list(dict.fromkeys(rules))

@@ -43,10 +43,25 @@ def first_order_field(
         moved_numbers = [number + delta for number, delta in zip(fixed_numbers, step[3:], strict=True)]
         return field(fixed_points_m + step[:3], moved_numbers)
 
-    no_step = torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype)
+    no_step = torch.zeros(3 + len(numbers), dtype=points_coil_m.dtype, device=points_coil_m.device)
     value, jacobian = value_and_jacobian(field_at_step, no_step)
+    return carrying_slopes(value, jacobian, points_coil_m, numbers)
+
+
+def carrying_slopes(
+    value: Float[Tensor, "*batch point component"],
+    slopes: Float[Tensor, "*batch point component slope"],
+    points_coil_m: Float[Tensor, "*#batch point 3"],
+    numbers: Sequence[Float[Tensor, "*#batch"]],
+) -> Float[Tensor, "*batch point component"]:
+    """A value that has given derivatives in the coordinates of its point, then in some numbers.
+
+    Args:
+        value, slopes: Without derivatives of their own.
+        points_coil_m, numbers: As in `first_order_field`.
+    """
     # Each difference below is zero and carries the derivative.
-    total: Tensor = value + (jacobian[..., :3] @ (points_coil_m - fixed_points_m)[..., None])[..., 0]
-    for i, (number, fixed_number) in enumerate(zip(numbers, fixed_numbers, strict=True)):
-        total = total + jacobian[..., 3 + i] * (number - fixed_number)[..., None, None]
+    total: Tensor = value + (slopes[..., :3] @ (points_coil_m - points_coil_m.detach())[..., None])[..., 0]
+    for i, number in enumerate(numbers):
+        total = total + slopes[..., 3 + i] * (number - number.detach())[..., None, None]
     return total

@@ -8,6 +8,7 @@ in the middle of its cell. The paper's square packing is axial_pitch = radial_pi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -85,7 +86,10 @@ class Winding:
 
 @dataclass(frozen=True)
 class Rule:
-    """A quadrature rule: axial and radial nodes that stand for the loops, and AGM steps of each."""
+    """A quadrature rule: axial and radial nodes that stand for the loops.
+
+    `steps` is the effort for each: AGM steps of a round loop, points along each arc of one with straight sides.
+    """
 
     axial_nodes: int
     radial_nodes: int
@@ -191,19 +195,15 @@ def choose_rule(
             error = (winding_field_per_ampere(nearest, rounded, rule) - reference).norm(dim=-1)
             return bool((error <= tolerance / 3.0 * norm).all())
 
-        axial = next(
-            (
-                n
-                for n in NODE_LADDER
-                if n < full.axial_nodes and is_accurate(Rule(n, full.radial_nodes, full.steps))
-            ),
-            full.axial_nodes,
-        )
-        radial = next(
-            (n for n in NODE_LADDER if n < full.radial_nodes and is_accurate(Rule(axial, n, full.steps))),
-            full.radial_nodes,
-        )
-    return Rule(axial, radial, full.steps)
+        return smallest_rule(full, is_accurate)
+
+
+def smallest_rule(full: Rule, is_accurate: Callable[[Rule], bool]) -> Rule:
+    """The rule with the fewest nodes, first along the axis and then across the layers, that does for the full sum."""
+    along = (Rule(n, full.radial_nodes, full.steps) for n in NODE_LADDER if n < full.axial_nodes)
+    shorter = next(filter(is_accurate, along), full)
+    across = (Rule(shorter.axial_nodes, n, full.steps) for n in NODE_LADDER if n < full.radial_nodes)
+    return next(filter(is_accurate, across), shorter)
 
 
 def distance_to_winding(

@@ -14,7 +14,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.field.winding import Rule, Winding, choose_rule
+from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
+from estimator.field.sided import SidedWinding
+from estimator.field.winding import Rule, Winding
 
 ZONES_PER_OCTAVE = 2  # of the distance; one would take twice the loops at the far end of each zone
 POINTS_PER_EDGE = 6  # of the contour on which the rule of a zone is found; eight edges have the 48 points that `choose_rule` looks at
@@ -22,6 +24,18 @@ NEAREST_CELLS, FARTHEST_RADII = (
     0.05,
     16.0,
 )  # nearer is summed in full; farther needs no more than at this distance
+EDGES = (
+    (1.0, 0.0),
+    (1.0, 0.5),
+    (1.0, 1.0),
+    (0.5, 1.0),
+    (0.0, 1.0),
+)  # where the contour of straight sides is followed
+DIAGONAL = math.sqrt(0.5)
+AWAY = (  # in which directions from the middle of the section: along its sides and from its corners
+    *((1.0, 0.0), (DIAGONAL, DIAGONAL), (0.0, 1.0), (-DIAGONAL, DIAGONAL)),
+    *((-1.0, 0.0), (-DIAGONAL, -DIAGONAL), (0.0, -1.0), (DIAGONAL, -DIAGONAL)),
+)
 
 
 @dataclass(frozen=True)
@@ -37,26 +51,26 @@ class Zone:
     points: Int[Tensor, " point"]
 
 
-def zones_of(winding: Winding, distance_m: Float[Tensor, " point"], tolerance: float) -> tuple[Zone, ...]:
+def zones_of(winding: AnyWinding, distance_m: Float[Tensor, " point"], tolerance: float) -> tuple[Zone, ...]:
     """Points about a winding by the rule that they need, finest rule first.
 
     Args:
         winding: One winding (no batch).
-        distance_m: Distance of each point from the cross-section, from `distance_to_winding`; points inside it go with the farthest.
+        distance_m: Distance of each point from the cross-section, from `distance_to_coil`; points inside it go with the farthest.
         tolerance: Largest error relative to |B|; 0 asks for the full sum.
     """
-    numbers = tuple(float(number) for number in astuple(winding))
-    nearest_m, farthest_m = _ends_m(numbers)
+    shape = _shape(winding)
+    nearest_m, farthest_m = _ends_m(winding)
     distance_m = torch.where(distance_m > 0.0, distance_m, math.inf).clamp(nearest_m, farthest_m)
     level = torch.floor(ZONES_PER_OCTAVE * torch.log2(distance_m)).to(torch.int64)
-    rules = {int(number): _rule_at(numbers, int(number), tolerance) for number in level.unique()}
+    rules = {int(number): _rule_at(shape, int(number), tolerance) for number in level.unique()}
     finest_first = sorted(set(rules.values()), key=lambda r: (-r.axial_nodes * r.radial_nodes, -r.steps))
     number_of = {number: finest_first.index(rule) for number, rule in rules.items()}
     zone = torch.tensor([number_of[number] for number in level.tolist()])
     return tuple(Zone(rule, (zone == i).nonzero().flatten()) for i, rule in enumerate(finest_first))
 
 
-def rules_by_level(winding: Winding, tolerance: float) -> tuple[int, tuple[Rule, ...]]:
+def rules_by_level(winding: AnyWinding, tolerance: float) -> tuple[int, tuple[Rule, ...]]:
     """Rules at all distances: that of a distance d stands at floor(ZONES_PER_OCTAVE log2 d), less the number of the first.
 
     Args:
@@ -68,22 +82,62 @@ def rules_by_level(winding: Winding, tolerance: float) -> tuple[int, tuple[Rule,
         >>> first, rules[0], rules[-1]
         (-29, Rule(axial_nodes=10, radial_nodes=10, steps=6), Rule(axial_nodes=2, radial_nodes=2, steps=3))
     """
-    numbers = tuple(float(number) for number in astuple(winding))
-    nearest_m, farthest_m = _ends_m(numbers)
+    shape = _shape(winding)
+    nearest_m, farthest_m = _ends_m(winding)
     first, last = (math.floor(ZONES_PER_OCTAVE * math.log2(end_m)) for end_m in (nearest_m, farthest_m))
-    return first, tuple(_rule_at(numbers, level, tolerance) for level in range(first, last + 1))
+    return first, tuple(_rule_at(shape, level, tolerance) for level in range(first, last + 1))
 
 
-def _ends_m(numbers: tuple[float, ...]) -> tuple[float, float]:
+def _ends_m(winding: AnyWinding) -> tuple[float, float]:
     """Distances between which rules differ."""
-    return NEAREST_CELLS * min(numbers[3:]), FARTHEST_RADII * numbers[0]
+    if isinstance(winding, SidedWinding):
+        half_m = 0.5 * float(torch.maximum(winding.side_x_m, winding.side_y_m)) + float(winding.thickness_m)
+    else:
+        half_m = float(winding.radius_m)
+    cell_m = float(torch.minimum(winding.axial_pitch_m, winding.radial_pitch_m))
+    return NEAREST_CELLS * cell_m, FARTHEST_RADII * half_m
+
+
+Shape = tuple[
+    bool | None, tuple[float, ...]
+]  # whether corners are round, None of a round winding; its numbers
+
+
+def _shape(winding: AnyWinding) -> Shape:
+    """What tells one winding from another, without tensors."""
+    if isinstance(winding, SidedWinding):
+        return winding.is_rounded, tuple(float(number) for number in winding.numbers)
+    return None, tuple(float(number) for number in astuple(winding))
 
 
 @lru_cache(maxsize=4096)
-def _rule_at(numbers: tuple[float, ...], level: int, tolerance: float) -> Rule:
+def _rule_at(shape: Shape, level: int, tolerance: float) -> Rule:
     """The rule for all points of a zone, found at the contour of points at its near end, where its error is largest."""
-    winding = Winding(*(torch.tensor(number, dtype=torch.float64) for number in numbers))
-    return choose_rule(winding, _contour_m(winding, 2.0 ** (level / ZONES_PER_OCTAVE)), tolerance)
+    is_rounded, numbers = shape[0], [torch.tensor(number, dtype=torch.float64) for number in shape[1]]
+    distance_m = 2.0 ** (level / ZONES_PER_OCTAVE)
+    if is_rounded is None:
+        winding = Winding(*numbers)
+        return rule_of_coil(winding, _contour_m(winding, distance_m), tolerance)
+    sided = SidedWinding(is_rounded, *numbers)
+    return rule_of_coil(sided, _contour_of_sides_m(sided, distance_m), tolerance)
+
+
+def _contour_of_sides_m(winding: SidedWinding, distance_m: float) -> Float[Tensor, "point 3"]:
+    """Points at one distance from a winding with straight sides, around its section in the middle of a side, in a corner, and between."""
+    half_m = torch.stack((winding.side_x_m, winding.side_y_m)) / 2.0
+    across = torch.tensor(EDGES, dtype=torch.float64)
+    outwards = (across == 1.0).to(torch.float64)
+    outwards = outwards / outwards.norm(dim=1, keepdim=True)
+    corner_m = (1.0 - math.sqrt(0.5)) * winding.corner_radius_m * (across == 1.0).all(1)[:, None]
+    middle_m = across * half_m - corner_m + 0.5 * winding.thickness_m * outwards
+    away = torch.tensor(AWAY, dtype=torch.float64)
+    sizes_m = torch.stack((winding.thickness_m, winding.length_m))
+    beside_m, height_m = (0.5 * sizes_m * away.sign() + distance_m * away).unbind(-1)
+    height_m = height_m - 0.5 * winding.length_m
+    flat_m = middle_m[:, None] + beside_m[:, None] * outwards[:, None]
+    points_m = torch.cat((flat_m, height_m.expand(len(EDGES), -1)[..., None]), dim=-1).flatten(0, 1)
+    is_there = distance_to_coil(points_m, winding) > 0.5 * distance_m
+    return points_m[is_there]
 
 
 def _contour_m(winding: Winding, distance_m: float) -> Float[Tensor, "point 3"]:

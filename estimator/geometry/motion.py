@@ -25,7 +25,8 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
         (docs/explanation/field-model.md).
     """
     if mover.table is not None:
-        return base_from_flange(mover.table, motion)
+        base_from_first, last_from_flange = ends_of(mover)
+        return base_from_first @ base_from_flange(mover.table, motion) @ last_from_flange
     pose = Transform.from_pose(motion[:, :3], motion[:, 3:])
     if mover.motion is MotionKind.DISPLACEMENT and mover.displacement_frame is DisplacementFrame.BASE:
         base_from_flange0 = rotation_from_vector(
@@ -34,6 +35,17 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
         rotation = base_from_flange0.mT @ pose.rotation @ base_from_flange0
         return Transform(rotation, pose.translation_m @ base_from_flange0)
     return pose
+
+
+def ends_of(mover: Mover) -> tuple[Transform, Transform]:
+    """What lies before and after the table of an arm; no motion where nothing does."""
+    if mover.own_ends is None:
+        return Transform.identity(), Transform.identity()
+    before, after = (
+        torch.tensor(pose, dtype=torch.float64)
+        for pose in (mover.own_ends.base_from_first, mover.own_ends.last_from_flange)
+    )
+    return Transform.from_pose(before[:3], before[3:]), Transform.from_pose(after[:3], after[3:])
 
 
 def flange_to_reach(mover: Mover, motion: Float[Tensor, "pose 6"], reference: Transform) -> Transform:

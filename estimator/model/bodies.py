@@ -6,6 +6,7 @@ Effects of robot, mounts and windings act here, whoever asks for a pose or a win
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import overload
 
 import torch
 from torch import Tensor
@@ -14,13 +15,18 @@ from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect, WindingEffect
 from estimator.effects.use import uses_of
+from estimator.field.coil import AnyWinding
+from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
 from estimator.frames import Transform
 from estimator.geometry.motion import world_from_body as nominal_world_from_body
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Body, Coil, Rig
+from estimator.rig.rig import Body, Coil, Rig, SidedCoil, WoundCoil
 
-WINDING_KEYS = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+OF_LOOPS = ("axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+WINDING_KEYS = ("radius_m", *OF_LOOPS)
+CORNER = "inner_corner_radius_m"
+SIDED_KEYS = ("inner_side_x_m", "inner_side_y_m", CORNER, *OF_LOOPS)
 
 
 def columns_of(rig: Rig, circumstances: Circumstances) -> dict[str, Tensor]:
@@ -72,8 +78,21 @@ def mount_of(
     return total
 
 
-def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding:
+@overload
+def winding_of(rig: Rig, coil: Coil, values: Values) -> Winding: ...
+@overload
+def winding_of(rig: Rig, coil: SidedCoil, values: Values) -> SidedWinding: ...
+@overload
+def winding_of(rig: Rig, coil: WoundCoil, values: Values) -> AnyWinding: ...
+
+
+def winding_of(rig: Rig, coil: WoundCoil, values: Values) -> AnyWinding:
     """The coil's winding at these values."""
+    if isinstance(coil, SidedCoil):
+        keys = tuple(key for key in SIDED_KEYS if coil.is_rounded or key != CORNER)
+        of = {key: values[f"{coil.name}.{key}"] for key in keys}
+        of.setdefault(CORNER, torch.zeros_like(of[SIDED_KEYS[0]]))
+        return SidedWinding(coil.is_rounded, *torch.broadcast_tensors(*(of[key] for key in SIDED_KEYS)))
     numbers = (values[f"{coil.name}.{key}"] for key in WINDING_KEYS)
     winding = Winding(*torch.broadcast_tensors(*numbers))
     for use in uses_of(rig, WindingEffect, coil.name):

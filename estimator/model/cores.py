@@ -33,7 +33,7 @@ from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, Rig
+from estimator.rig.rig import Coil, HarmonicCoil, Rig, WoundCoil
 
 MOST_AXIAL_NODES, MOST_RADIAL_NODES, STEPS = 12, 3, 7  # of a winding as its core sees it: error 1e-4
 
@@ -111,9 +111,9 @@ class Cores:
         """
         names = [coil.name for coil in rig.coils]
         members = tuple(
-            CoreInRoom(rig.wound[k], names.index(use.place), use.effect.core(use.theta(values)), pose)
+            CoreInRoom(rig.round[k], names.index(use.place), use.effect.core(use.theta(values)), pose)
             for use in uses_of(rig, CoreMagnetisation)
-            for k, pose in [(use.index(rig.wound), world_from_coil[use.place])]
+            for k, pose in [(use.index(rig.round), world_from_coil[use.place])]
         )
         mode = SumMode.FIRST_ORDER if is_first_order else SumMode.PLAIN
         drives, rows = [], []
@@ -121,7 +121,7 @@ class Cores:
             zero = torch.zeros(PATTERNS, dtype=core.core.radius_m.dtype)
             by_coil = [
                 _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
-                if isinstance(coil, Coil)
+                if not isinstance(coil, HarmonicCoil)
                 else zero
                 for coil in rig.coils
             ]
@@ -171,7 +171,7 @@ class Cores:
 
 
 def _drive(
-    rig: Rig, values: Values, core: CoreInRoom, source: Coil, world_from_source: Transform, mode: SumMode
+    rig: Rig, values: Values, core: CoreInRoom, source: WoundCoil, world_from_source: Transform, mode: SumMode
 ) -> Float[Tensor, "*batch #row pattern"]:
     """mu0 H of one ampere in a coil for each pattern of a core.
 
@@ -186,7 +186,9 @@ def _drive(
         STEPS,
     )
     if source is core.coil:
-        surface_m = torch.minimum(core.core.radius_m, 0.9 * _bore_m(winding))[..., None]
+        surface_m = torch.minimum(core.core.radius_m, 0.9 * _bore_m(winding_of(rig, core.coil, values)))[
+            ..., None
+        ]
         heights_m = core.core.heights_m
         surface_m, heights_m = torch.broadcast_tensors(surface_m, heights_m)
         points_m = torch.stack((surface_m, torch.zeros_like(heights_m), heights_m), dim=-1)

@@ -27,9 +27,10 @@ from estimator.effects.stages import (
 )
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule, Winding, choose_rule, distance_to_winding
+from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
@@ -37,7 +38,7 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Coil, HarmonicCoil, Region, Rig
+from estimator.rig.rig import AnyCoil, HarmonicCoil, Region, Rig, WoundCoil
 
 MOST_RADII = 3.0  # farther out a term of degree 8 is beyond 2000 times its amplitude, whose prior then says nothing: likely another unit
 
@@ -149,11 +150,11 @@ class MeasurementModel:
                 continue
             winding = winding_of(self.rig, coil, values)
             if is_idle:
-                points_m = points_m[distance_to_winding(points_m, winding) > 0.0]
+                points_m = points_m[distance_to_coil(points_m, winding) > 0.0]
             else:
                 self._refuse_inside(coil, rows, points_m, winding)
             if len(points_m):
-                rules[coil.name] = choose_rule(winding, points_m, tolerance)
+                rules[coil.name] = rule_of_coil(winding, points_m, tolerance)
         return self.with_rules(rules)
 
     def clearance_m(self) -> Float[Tensor, " reading"]:
@@ -161,7 +162,7 @@ class MeasurementModel:
         values, rows = nominal_tensors(self.rig), torch.arange(len(self.sensor))
         distances_m = [torch.full((1,), torch.inf, dtype=torch.float64)]
         distances_m += [
-            distance_to_winding(
+            distance_to_coil(
                 self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
             )
             for coil in self.rig.wound
@@ -264,8 +265,8 @@ class MeasurementModel:
         world_from_coil = self.sources.world_from_body(coil, "coil", rows, values)
         return world_from_coil.inverse() @ self.world_from_sensor(rows, values)
 
-    def _refuse_inside(self, coil: Coil, rows: Tensor, points_m: Tensor, winding: Winding) -> None:
-        inside = distance_to_winding(points_m, winding) <= 0.0
+    def _refuse_inside(self, coil: WoundCoil, rows: Tensor, points_m: Tensor, winding: AnyWinding) -> None:
+        inside = distance_to_coil(points_m, winding) <= 0.0
         self._refuse(f"outside the winding of {coil.name}", rows, inside)
 
     def _refuse_outside(self, coil: HarmonicCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:

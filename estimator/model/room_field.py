@@ -14,7 +14,8 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule, choose_rule, distance_to_winding
+from estimator.field.coil import distance_to_coil, rule_of_coil
+from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
@@ -23,7 +24,7 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import FieldSum, HarmonicCoil, Rig
+from estimator.rig.rig import Coil, FieldSum, HarmonicCoil, Rig
 
 
 class RoomField:
@@ -76,12 +77,14 @@ class RoomField:
                 inside |= is_among_sources(coil, points_coil_m, values)
                 continue
             winding = winding_of(rig, coil, values)
-            distance_m = distance_to_winding(points_coil_m.detach(), winding)
+            distance_m = distance_to_coil(points_coil_m.detach(), winding)
             inside |= distance_m <= 0.0
             if not (distance_m > 0.0).any():
                 continue
-            if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:  # zones are made for the correct sum
-                rules[coil.name] = choose_rule(winding, points_coil_m[distance_m > 0.0], tolerance)
+            if (
+                isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS
+            ):  # zones are made for the correct sum
+                rules[coil.name] = rule_of_coil(winding, points_coil_m[distance_m > 0.0], tolerance)
                 continue
             zones[coil.name] = zones_of(winding, distance_m, tolerance)
             rules[coil.name] = zones[coil.name][0].rule

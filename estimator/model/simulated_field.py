@@ -176,7 +176,7 @@ def flange(pose: Flange) -> Transform:
 def _reporting_poses(mover: Mover) -> Mover:
     if mover.motion is MotionKind.DISPLACEMENT:
         return replace(mover, displacement_frame=DisplacementFrame.END_EFFECTOR)
-    return replace(mover, motion=MotionKind.POSE, own_table=None)
+    return replace(mover, motion=MotionKind.POSE, own_table=None, own_ends=None)
 
 
 def _typical(rig: Rig) -> Observations:

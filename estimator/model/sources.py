@@ -190,7 +190,7 @@ class Sources:
         delivered_A: Float[Tensor, "*#batch #reading coil"],
     ) -> Float[Tensor, "*batch reading 3"]:
         """Field of a magnetised winding in the frames of the points."""
-        coil = self.rig.wound[use.index(self.rig.wound)]
+        coil = self.rig.round[use.index(self.rig.round)]
         world_from_coil = self.world_from_body(coil, "coil", self._every_row, values)
         coil_from_point = world_from_coil.inverse() @ world_from_point
         rings, patterns = use.effect.rings(self.rig, coil)
@@ -263,7 +263,7 @@ class Sources:
         self, coil: AnyCoil, points_coil_m: Float[Tensor, "*#batch row 3"], values: Values
     ) -> Float[Tensor, "*batch row 3"]:
         """Field of one ampere in a coil's winding in the coil frame, by the rule of each point."""
-        assert isinstance(coil, Coil)  # the others have no winding
+        assert not isinstance(coil, HarmonicCoil)  # which has no winding
         winding, zones = winding_of(self.rig, coil, values), self.zones[coil.name]
         parts = [
             coil_field_per_ampere(coil, points_coil_m[..., zone.points, :], winding, zone.rule, self.mode)

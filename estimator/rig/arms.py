@@ -34,6 +34,17 @@ class DenavitHartenberg:
         return DenavitHartenberg(*columns)
 
 
+@dataclass(frozen=True)
+class ArmEnds:
+    """What lies before and after the table of an arm, as positions and rotation vectors (m, rad).
+
+    `base_from_first` leads to a frame whose z axis is that of the first joint, `last_from_flange` from the frame after the last row.
+    """
+
+    base_from_first: tuple[float, ...] = (0.0,) * 6
+    last_from_flange: tuple[float, ...] = (0.0,) * 6
+
+
 def _universal_robot(a_m: tuple[float, float], d_m: tuple[float, float, float, float]) -> DenavitHartenberg:
     """The table of an arm of Universal Robots: lengths of upper arm and forearm, then of base and wrists 1, 2 and 3."""
     none = 0.0

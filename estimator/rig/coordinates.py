@@ -1,9 +1,9 @@
 """The transform between the vector that a fit or a sampler moves and the parameters of a rig.
 
 In these coordinates a coil's posterior is close to normal (docs/decisions/0007). Positive numbers are logarithms. The
-rms radius of the loops replaces the external radius, and the position of the winding's middle that of its front face. Turns, length and
-thickness, which the data determine separately, replace wire radius and loop counts. With `integer_counts` the free loop counts are whole
-numbers, unchanged in the last columns.
+rms radius of the loops replaces the external radius, sides and corner radius of the mean loop those of the bore, and the position of the
+winding's middle that of its front face. Turns, length and thickness, which the data determine separately, replace wire radius and loop
+counts. With `integer_counts` the free loop counts are whole numbers, unchanged in the last columns.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from estimator.frames import rotation_from_vector
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
+# Of the winding's thickness, by which the mean loop is larger than the bore.
+SHARE_OF_THICKNESS = {"inner_side_x_m": 1.0, "inner_side_y_m": 1.0, "inner_corner_radius_m": 0.5}
 Values = Mapping[str, Tensor]
 _Resolve = Callable[[str], Tensor]
 
@@ -53,7 +55,10 @@ class Coordinates:
         self.parameters: tuple[Parameter, ...] = (*(p for p in free if p not in counts), *counts)
         self.n_counts = len(counts)
         self._column = {parameter.name: i for i, parameter in enumerate(self.parameters)}
-        self._is_log = [p.is_positive and p not in counts and not self._is_radius(p) for p in self.parameters]
+        self._is_log = [
+            p.is_positive and p not in counts and not self._is_radius(p) and not self._is_of_bore(p)
+            for p in self.parameters
+        ]
         self._axis = self._nominal_axes()
         self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
         self._mix = self._natural_mix()
@@ -83,6 +88,10 @@ class Coordinates:
             coil, _, quantity = parameter.name.partition(".")
             if self._is_radius(parameter):
                 words.append(f"{coil} rms radius")
+            elif self._is_of_bore(parameter):
+                words.append(
+                    f"{coil} {quantity[len('inner_') : -len('_m')].replace('_', ' ')} of the mean loop"
+                )
             elif parameter.name in self._axis:
                 words.append(f"{parameter.name} of the winding's middle")
             elif self._mix[i].sum() > 1.5:
@@ -125,6 +134,8 @@ class Coordinates:
                 coil = parameter.name.partition(".")[0]
                 half_m, variance_m2 = _layers(coil, complete.__getitem__)
                 value = torch.sqrt((value - half_m) ** 2 + variance_m2)
+            elif self._is_of_bore(parameter):
+                value = value + _to_mean_loop(parameter.name, complete.__getitem__)
             elif parameter.name in self._axis:
                 value = value - self._to_front(parameter.name, complete.__getitem__)
             columns.append(torch.log(value) if is_log else value)
@@ -200,6 +211,8 @@ class Coordinates:
         if self._is_radius(parameter):
             half_m, variance_m2 = _layers(name.partition(".")[0], resolve)
             return half_m + torch.sqrt(value**2 - variance_m2)
+        if self._is_of_bore(parameter):
+            return value - _to_mean_loop(name, resolve)
         if name in self._axis:
             return value + self._to_front(name, resolve)
         return torch.exp(value) if self._is_log[column] else value
@@ -211,6 +224,10 @@ class Coordinates:
     def _is_radius(self, parameter: Parameter) -> bool:
         coil, _, quantity = parameter.name.partition(".")
         return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
+
+    @staticmethod
+    def _is_of_bore(parameter: Parameter) -> bool:
+        return parameter.name.partition(".")[2] in SHARE_OF_THICKNESS
 
     def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
         """Shift from the winding's middle to its front face, along the nominal axis; tilts add a nearly linear term."""
@@ -260,6 +277,13 @@ class Coordinates:
                 mix[radial] = 0.0
                 mix[radial, [wire, axial]] = 1.0
         return mix
+
+
+def _to_mean_loop(name: str, resolve: _Resolve) -> Tensor:
+    """How much larger a side, or corner radius, of the mean loop is than that of the bore."""
+    coil, _, quantity = name.partition(".")
+    thickness_m = resolve(f"{coil}.radial_pitch_m") * resolve(f"{coil}.radial_loops")
+    return SHARE_OF_THICKNESS[quantity] * thickness_m
 
 
 def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:

@@ -14,12 +14,14 @@ from enum import StrEnum
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
-from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
 MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
 MOST_TURNS = 200_000  # of one winding
+
+ROUNDING = 1e-12  # of lengths that are the same but for their units
 
 POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
 POSE_QUANTITIES = (
@@ -71,7 +73,7 @@ class Mover:
 
     `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
     controller reports in the base frame into the end-effector frame. `own_table` is the kinematics of this very arm: of `joints` all of it,
-    of the others what the maker measured at the factory, as differences from the nominal table.
+    of the others what the maker measured at the factory, as differences from the nominal table. `own_ends` lie before and after that table.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Mover:
     own_table: DenavitHartenberg | None = field(
         default=None, repr=False
     )  # `Rig.hash` names it where there is one
+    own_ends: ArmEnds | None = field(default=None, repr=False)  # likewise
 
     @property
     def table(self) -> DenavitHartenberg | None:
@@ -106,6 +109,21 @@ class Body:
     carried_by: str | None = None
 
 
+Path = tuple[tuple[float, float, float], ...]  # of a wire, from point to point, in m
+
+
+@dataclass(frozen=True)
+class Leads:
+    """Straight pieces of wire that bring the current to a winding and take it away, in the coil's frame.
+
+    Attributes:
+        towards, away: Points that the current passes, in its order.
+    """
+
+    towards: Path = ()
+    away: Path = ()
+
+
 @dataclass(frozen=True)
 class Coil(Body):
     """A circular multi-layer winding.
@@ -113,10 +131,25 @@ class Coil(Body):
     Attributes:
         field_sum: How its simulation adds loops.
         is_superconducting: Its wire may hold on to flux.
+        leads: Of its current, where they are described.
     """
 
     field_sum: FieldSum = FieldSum.VECTORS
     is_superconducting: bool = False
+    leads: Leads | None = field(default=None, repr=False)  # `Rig.hash` names them where they are
+
+
+@dataclass(frozen=True)
+class SidedCoil(Body):
+    """A multi-layer winding with straight sides: rectangular loops, or racetracks, whose corners are arcs.
+
+    Attributes:
+        is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
+        leads: Of its current, where they are described.
+    """
+
+    is_rounded: bool = False
+    leads: Leads | None = field(default=None, repr=False)  # as of `Coil`
 
 
 class Region(StrEnum):
@@ -149,7 +182,8 @@ class HarmonicCoil(Body):
         }
 
 
-AnyCoil = Coil | HarmonicCoil
+WoundCoil = Coil | SidedCoil
+AnyCoil = WoundCoil | HarmonicCoil
 
 
 class Sensor(Body):
@@ -197,9 +231,14 @@ class Rig:
         return tuple(p for p in self.parameters.values() if p.is_free)
 
     @property
-    def wound(self) -> tuple[Coil, ...]:
+    def wound(self) -> tuple[WoundCoil, ...]:
         """The coils whose winding is described."""
-        return tuple(coil for coil in self.coils if isinstance(coil, Coil))
+        return tuple(coil for coil in self.coils if isinstance(coil, Coil | SidedCoil))
+
+    @property
+    def round(self) -> tuple[Coil, ...]:
+        """Those of them whose loops are circles."""
+        return tuple(coil for coil in self.wound if isinstance(coil, Coil))
 
     @property
     def unwound(self) -> tuple[HarmonicCoil, ...]:
@@ -217,6 +256,8 @@ class Rig:
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.acting))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
         lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
+        lines += [f"{mover.name} {mover.own_ends!r}" for mover in self.movers if mover.own_ends is not None]
+        lines += [f"{coil.name} {coil.leads!r}" for coil in self.wound if coil.leads is not None]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:
@@ -294,13 +335,10 @@ class Rig:
             elif parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
                 yield name, "must be > 0", f"{value:g} {parameter.unit}"
         for coil in self.wound:
-            radius_m = values[f"{coil.name}.radius_m"]
-            thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
-            if radius_m <= thickness_m:
-                rule = (
-                    f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
-                )
-                yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+            if isinstance(coil, SidedCoil):
+                yield from _broken_corners(coil, values)
+            else:
+                yield from _broken_bore(coil, values)
             turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
             if turns > MOST_TURNS:
                 rule = f"x radial_loops must be at most {MOST_TURNS}"
@@ -313,3 +351,21 @@ class Rig:
     def _nominal(self, name: str) -> float:
         parameter = self.parameters[name]
         return parameter.tie.factor * self._nominal(parameter.tie.to) if parameter.tie else parameter.value
+
+
+def _broken_bore(coil: Coil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
+    radius_m = values[f"{coil.name}.radius_m"]
+    thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
+    if radius_m <= thickness_m:
+        rule = f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
+        yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
+
+
+def _broken_corners(coil: SidedCoil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
+    if not coil.is_rounded:
+        return
+    radius_m = values[f"{coil.name}.inner_corner_radius_m"]
+    shorter_m = min(values[f"{coil.name}.inner_side_{axis}_m"] for axis in "xy")
+    if radius_m > 0.5 * shorter_m * (1.0 + ROUNDING):
+        rule = f"must be at most half the shorter side, {500.0 * shorter_m:.6g} mm"
+        yield f"{coil.name}.inner_corner_radius_m", rule, f"{radius_m * 1e3:.6g} mm"

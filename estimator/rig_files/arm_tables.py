@@ -1,12 +1,16 @@
-"""Kinematics of one arm in a rig file: `denavit_hartenberg` of an arm of any maker, `factory_corrections` of one of Universal Robots."""
+"""Kinematics of one arm in a rig file: `denavit_hartenberg` or `urdf` of any arm, `factory_corrections` of one of Universal Robots."""
 
 from __future__ import annotations
 
-from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.errors import InvalidInput
+from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
 from estimator.rig.rig import MotionKind
+from estimator.rig_files.urdf import arm_from_urdf
 from estimator.yaml_section import LARGEST, Section
 
-TABLE, CORRECTIONS = "denavit_hartenberg", "factory_corrections"
+TABLE, CORRECTIONS, URDF = "denavit_hartenberg", "factory_corrections", "urdf"
+ENDS = ("base_from_first", "last_from_flange")
+POSE = (("x", "length"), ("y", "length"), ("z", "length"), ("rx", "angle"), ("ry", "angle"), ("rz", "angle"))
 COLUMNS = (("theta", "angle"), ("a", "length"), ("d", "length"), ("alpha", "angle"))
 N_JOINTS = 6
 
@@ -18,23 +22,57 @@ def key_of_table(motion: MotionKind) -> str | None:
     return CORRECTIONS if str(motion) in ARMS else None
 
 
-def read_own_table(section: Section, motion: MotionKind) -> DenavitHartenberg | None:
+def read_own_table(section: Section, motion: MotionKind) -> tuple[DenavitHartenberg | None, ArmEnds | None]:
     """Read a mover's own kinematics; columns that are left out are zero.
+
+    A URDF is read here and now; the rig keeps its table.
 
     Raises:
         InvalidInput: An arm of another maker has no table, or a column does not hold a number for each of its six joints.
     """
     key = key_of_table(motion)
     if key is None:
-        return None
+        return None, None
+    if motion is MotionKind.JOINTS and URDF in section:
+        if key in section:
+            section.refuse(URDF, f"must not be given beside {TABLE}", "both")
+        return _from_urdf(section)
     if key not in section:
         if motion is MotionKind.JOINTS:
-            section.refuse("motion", f"joints needs the table {TABLE} {{theta, a, d, alpha}}", "none")
-        return None
+            words = f"joints needs the table {TABLE} {{theta, a, d, alpha}}, or {URDF} {{file, base, flange}}"
+            section.refuse("motion", words, "none")
+        return None, None
     below = section.section(key)
     columns = [_column(below, quantity, dimension) for quantity, dimension in COLUMNS]
+    has_ends = motion is MotionKind.JOINTS and bool([end for end in ENDS if end in below])
+    ends = ArmEnds(*(_end(below.section(end)) for end in ENDS)) if has_ends else None
     below.finish()
-    return DenavitHartenberg(*columns)
+    return DenavitHartenberg(*columns), ends
+
+
+def _end(section: Section) -> tuple[float, ...]:
+    found = (section.quantity(quantity, dimension) for quantity, dimension in POSE)
+    numbers = tuple(0.0 if entry is None else entry[1] for entry in found)
+    section.finish()
+    return numbers
+
+
+def _from_urdf(section: Section) -> tuple[DenavitHartenberg, ArmEnds]:
+    below = section.section(URDF)
+    file, base, flange = (str(below.required(key)) for key in ("file", "base", "flange"))
+    below.finish()
+    if section.folder is None:
+        section.refuse(
+            URDF,
+            "must stand in a rig file on disk, beside its URDF; a session or calibration holds the table",
+            file,
+        )
+    try:
+        return arm_from_urdf(section.folder / file, base, flange)
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"{section.path_of(URDF)}: {error} ({section.where(URDF)})", section.place(URDF)
+        ) from None
 
 
 def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...]:
@@ -44,11 +82,12 @@ def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...
     key, unit = found
     values = section.value(key)
     is_list = isinstance(values, list) and len(values) == N_JOINTS
-    if not is_list or not all(_is_number(value) for value in values):
+    if not is_list or not all(is_number(value) for value in values):
         rule = f"must be a list of {N_JOINTS} numbers within {-LARGEST:g} and {LARGEST:g}, one for each joint"
         section.refuse(key, rule, repr(values))
     return tuple(float(value) * unit.to_si for value in values)
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Whether an entry of a list is a number that a rig file may hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST

@@ -16,27 +16,36 @@ from estimator.rig.rig import (
     DisplacementFrame,
     FieldSum,
     HarmonicCoil,
+    Leads,
     MotionKind,
     Mover,
+    Path,
     Sensor,
+    SidedCoil,
 )
-from estimator.rig_files.arm_tables import read_own_table
+from estimator.rig_files.arm_tables import is_number, read_own_table
 from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
 from estimator.rig_files.numbers import Numbers, read_pose, read_pure, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 WINDING = "winding"  # the model of a coil that names none
-OF_A_WINDING = (
-    "radius",
-    "wire_radius",
-    "axial_pitch",
-    "radial_pitch",
-    "axial_loops",
-    "radial_loops",
-    "field_sum",
-    "superconducting",
-)
+RECTANGULAR, RACETRACK = "rectangular", "racetrack"  # windings with straight sides
+OF_LOOPS = ("wire_radius", "axial_pitch", "radial_pitch", "axial_loops", "radial_loops")
+OF_A_ROUND_WINDING = ("radius", "field_sum", "superconducting")
+LEADS = ("lead_in", "lead_out")  # in the order in which the current passes them
+SIDES, CORNER = ("inner_side_x", "inner_side_y"), "inner_corner_radius"
+WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may not have, and why
+    MODEL: ((*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER, *LEADS), "which has no winding"),
+    RECTANGULAR: ((*OF_A_ROUND_WINDING, CORNER), "which has straight sides and sharp corners"),
+    RACETRACK: (OF_A_ROUND_WINDING, "which has straight sides"),
+    WINDING: ((*SIDES, CORNER), "whose loops are circles"),
+}
+
+
+def sides_of(coil: SidedCoil) -> tuple[str, ...]:
+    """Quantities of a winding with straight sides, beside those of its loops."""
+    return (*SIDES, CORNER) if coil.is_rounded else SIDES
 
 
 def read_mover(section: Section, name: str, numbers: Numbers) -> Mover:
@@ -69,13 +78,13 @@ def _clear_mover(section: Section, name: str, numbers: Numbers) -> Mover:
             reference.finish()
     else:
         read_pose(section.section("world_from_base"), f"{name}.world_from_base", numbers)
-    own_table = read_own_table(section, motion)
+    own_table, own_ends = read_own_table(section, motion)
     section.finish()
-    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]), own_table)
+    return Mover(name, motion, frame, (rotation[0], rotation[1], rotation[2]), own_table, own_ends)
 
 
 def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    """Read a coil with its winding, or one without."""
+    """Read a coil with its winding of whatever shape, or one without."""
     numbers.unclear.add(name)
     with section.faults.noting():
         coil = _clear_coil(section, name, movers, numbers)
@@ -85,9 +94,66 @@ def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: N
 
 
 def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    if section.choice("model", (WINDING, MODEL), WINDING) == MODEL:
+    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, MODEL), WINDING)
+    _refuse_of_others(section, model)
+    if model == MODEL:
         return _harmonic_coil(section, name, movers, numbers)
+    if model != WINDING:
+        return _sided_coil(section, SidedCoil(name, None, model == RACETRACK), movers, numbers)
     read_scalar(section, name, "radius", "length", numbers, positive=True)
+    _read_loops(section, name, numbers)
+    carried_by = _body_pose(section, name, "coil", movers, numbers)
+    field_sum, is_superconducting = FieldSum.VECTORS, False
+    with section.faults.noting():
+        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
+    with section.faults.noting():
+        is_superconducting = section.flag("superconducting")
+    leads = _read_leads(section)
+    section.finish()
+    return Coil(name, carried_by, field_sum, is_superconducting, leads)
+
+
+def _sided_coil(section: Section, coil: SidedCoil, movers: tuple[Mover, ...], numbers: Numbers) -> SidedCoil:
+    for quantity in sides_of(coil):
+        read_scalar(section, coil.name, quantity, "length", numbers, positive=True)
+    _read_loops(section, coil.name, numbers)
+    carried_by = _body_pose(section, coil.name, "coil", movers, numbers)
+    leads = _read_leads(section)
+    section.finish()
+    return replace(coil, carried_by=carried_by, leads=leads)
+
+
+def _read_leads(section: Section) -> Leads | None:
+    paths = [_read_path(section, lead) for lead in LEADS]
+    return Leads(*(path or () for path in paths)) if any(paths) else None
+
+
+def _read_path(section: Section, lead: str) -> Path:
+    found = section.key_with_unit(lead, "length")
+    if found is None:
+        return ()
+    key, unit = found
+    points = section.value(key)
+    is_path = isinstance(points, list) and len(points) >= 2 and all(map(_is_point, points))
+    if not is_path:
+        section.refuse(key, "must be a list of two points or more, each of three numbers", repr(points))
+    return tuple((float(x) * unit.to_si, float(y) * unit.to_si, float(z) * unit.to_si) for x, y, z in points)
+
+
+def _is_point(point: object) -> bool:
+    return isinstance(point, list) and len(point) == 3 and all(map(is_number, point))
+
+
+def _refuse_of_others(section: Section, model: str) -> None:
+    """Refuse what only coils of another model have."""
+    keys, why = WRONG_PLACE[model]
+    for given in section:
+        if (given if given in keys else split_unit(given)[0]) in keys:
+            section.refuse(given, f"must not be given for a coil of model {model}, {why}", given)
+
+
+def _read_loops(section: Section, name: str, numbers: Numbers) -> None:
+    """Read how wires lie beside each other and how many they are, and the current gain."""
     follows_wire = {
         pitch: not section.has_quantity(pitch, "length") for pitch in ("axial_pitch", "radial_pitch")
     }
@@ -103,14 +169,6 @@ def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers:
     for count in ("axial_loops", "radial_loops"):
         read_pure(section, name, count, numbers, positive=True, is_count=True)
     read_pure(section, name, "current_gain", numbers, default=1.0)
-    carried_by = _body_pose(section, name, "coil", movers, numbers)
-    field_sum, is_superconducting = FieldSum.VECTORS, False
-    with section.faults.noting():
-        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
-    with section.faults.noting():
-        is_superconducting = section.flag("superconducting")
-    section.finish()
-    return Coil(name, carried_by, field_sum, is_superconducting)
 
 
 def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> HarmonicCoil:
@@ -119,12 +177,6 @@ def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbe
     read_harmonic(section, coil, numbers)
     read_pure(section, name, "current_gain", numbers, default=1.0)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
-    for key in OF_A_WINDING:
-        if any(given == key or split_unit(given)[0] == key for given in section):
-            given = next(g for g in section if g == key or split_unit(g)[0] == key)
-            section.refuse(
-                given, f"must not be given for a coil of model {MODEL}, which has no winding", given
-            )
     section.finish()
     return replace(coil, carried_by=carried_by)
 

@@ -14,6 +14,7 @@ from estimator.effects.circumstances import Extent
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.rig import Region
 from estimator.rig_files.read import NAME, SCHEMA_VERSION, read_rig
+from estimator.units import split_unit
 from estimator.yaml_section import Loader, Section
 
 NAMED = ("movers", "coils", "sensors")  # what stands below has names of the user's
@@ -21,22 +22,26 @@ FREE_NUMBER = "number"
 BY_UNIT = ("corrections", "devices")  # checked by their own readers
 
 # Every kind of mover, coil, sensor, number and prior, so that the reader takes each of its branches once.
+TABLE = ", ".join(f"{column}: [0, 0, 0, 0, 0, 0]" for column in ("theta_rad", "a_m", "d_m", "alpha_rad"))
 SPECIMEN = f"""
 schema_version: {SCHEMA_VERSION}
 name: specimen
 movers:
   shifts: {{motion: displacement, displacement_frame: base, base_from_flange0: {{rx_rad: 0}}}}
   poses: {{motion: pose}}
-  turns: {{motion: joints, denavit_hartenberg: {{a_m: [0, -0.4, -0.4, 0, 0, 0]}}}}
-  measured: {{motion: UR5e, factory_corrections: {{d_m: [0, 0, 0, 0, 0, 0]}}}}
+  turns: {{motion: joints, denavit_hartenberg: {{{TABLE}, base_from_first: {{}}, last_from_flange: {{}}}}}}
+  measured: {{motion: UR5e, factory_corrections: {{{TABLE}}}}}
 coils:
   shifted:
     {{carried_by: shifts, radius_m: {{value: 0.05, prior: {{normal: {{mean: 0.05, sd: 0.01}}}}}},
-    wire_radius_m: 0.0005, axial_loops: 10, radial_loops: 2, current_gain: 1}}
+    wire_radius_m: 0.0005, axial_loops: 10, radial_loops: 2, current_gain: 1,
+    lead_in_m: [[0.3, 0, 0], [0.05, 0, 0]], lead_out_m: [[0.05, 0, 0], [0.3, 0, 0]]}}
   carried:
     {{carried_by: poses, radius_m: {{prior: {{uniform: {{lower: 0.04, upper: 0.06}}}}}}, axial_pitch_m: 0.001, radial_pitch_m: 0.001,
     axial_loops: 10, radial_loops: 2}}
   standing: {{radius_m: {{tied_to: shifted.radius_m}}, wire_radius_m: 0.0005, axial_loops: 10, radial_loops: 2}}
+  sided: {{model: racetrack, inner_side_x_m: 0.06, inner_side_y_m: 0.04, inner_corner_radius_m: 0.01, wire_radius_m: 0.0005,
+    axial_loops: 10, radial_loops: 2}}
   inside:
     {{model: harmonic, region: {Region.INTERIOR}, degree: {HIGHEST_DEGREE}, reference_radius_m: 0.04,
     amplitudes: {{sd_T_per_A: 1e-3, degree1_cos0_T_per_A: 0}}}}
@@ -132,6 +137,10 @@ class _Asked(Section):
         value = super().value(key, default)
         if isinstance(value, str):
             self._note(key, {"type": "string"})
+        if isinstance(value, list):  # in whatever unit
+            stem, unit = split_unit(key)
+            for symbol in self.symbols(unit.dimension) if unit else ():
+                self.book[self.pattern][f"{stem}_{symbol}"] = {"type": "array"}
         return value
 
     def is_section(self, key: str) -> bool:

@@ -13,20 +13,25 @@ from typing import Any
 
 import yaml
 
-from estimator.rig.arms import DenavitHartenberg
+from estimator.rig.arms import ArmEnds, DenavitHartenberg
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import (
     POSE_QUANTITIES,
     AnyCoil,
+    Coil,
     DisplacementFrame,
     FieldSum,
     HarmonicCoil,
+    Leads,
     MotionKind,
     Mover,
     Rig,
     Sensor,
+    SidedCoil,
+    WoundCoil,
 )
-from estimator.rig_files.arm_tables import COLUMNS, key_of_table
+from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
+from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import MODEL, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
@@ -137,11 +142,16 @@ def _dumped(section: Mapping[str, Any]) -> str:
     return text
 
 
-def _own_table(table: DenavitHartenberg) -> _Line:
+def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> _Line:
     line = _Line()
     for (quantity, dimension), column in zip(COLUMNS, astuple(table), strict=True):
         unit = _unit(dimension, list(column))
         line[f"{quantity}_{unit}"] = [_in_unit(value, UNITS[unit].to_si) for value in column]
+    for end, pose in zip(ENDS, () if ends is None else astuple(ends), strict=False):
+        line[end] = _Line()
+        for (quantity, dimension), value in zip(POSE, pose, strict=True):
+            unit = _unit(dimension, [value])
+            line[end][f"{quantity}_{unit}"] = _in_unit(value, UNITS[unit].to_si)
     return line
 
 
@@ -149,7 +159,7 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     entry: dict[str, Any] = {"motion": str(mover.motion)}
     key = key_of_table(mover.motion)
     if key is not None and mover.own_table is not None:
-        entry[key] = _own_table(mover.own_table)
+        entry[key] = _own_table(mover.own_table, mover.own_ends)
     if mover.motion is not MotionKind.DISPLACEMENT:
         return entry | _pose_block(f"{mover.name}.world_from_base", parameters)
     if mover.displacement_frame is DisplacementFrame.BASE:
@@ -165,8 +175,7 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
     if isinstance(coil, HarmonicCoil):
         return _harmonic_coil(coil, rig)
-    entry = _body(coil.carried_by)
-    entry |= _number(f"{coil.name}.radius_m", "length", rig.parameters)
+    entry = _body(coil.carried_by) | _shape(coil, rig.parameters)
     if f"{coil.name}.wire_radius_m" in rig.parameters:
         entry |= _number(f"{coil.name}.wire_radius_m", "length", rig.parameters)
     for pitch in ("axial_pitch_m", "radial_pitch_m"):
@@ -177,9 +186,34 @@ def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
     for count in ("axial_loops", "radial_loops"):
         entry |= _number(f"{coil.name}.{count}", None, rig.parameters)
     entry |= _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
+    entry |= _leads(coil.leads)
+    if isinstance(coil, SidedCoil):
+        return entry
     if coil.field_sum is not FieldSum.VECTORS:
         entry["field_sum"] = str(coil.field_sum)
     return entry | ({"superconducting": True} if coil.is_superconducting else {})
+
+
+def _leads(leads: Leads | None) -> dict[str, Any]:
+    """Paths of the current, each in one unit."""
+    entry = {}
+    for lead, path in zip(LEADS, () if leads is None else (leads.towards, leads.away), strict=False):
+        unit = _unit("length", [number for point in path for number in point])
+        if path:
+            entry[f"{lead}_{unit}"] = [
+                [_in_unit(number, UNITS[unit].to_si) for number in point] for point in path
+            ]
+    return entry
+
+
+def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """What a coil's loops are."""
+    if isinstance(coil, Coil):
+        return _number(f"{coil.name}.radius_m", "length", parameters)
+    entry: dict[str, Any] = {"model": RACETRACK if coil.is_rounded else RECTANGULAR}
+    for quantity in sides_of(coil):
+        entry |= _number(f"{coil.name}.{quantity}_m", "length", parameters)
+    return entry
 
 
 def _harmonic_coil(coil: HarmonicCoil, rig: Rig) -> dict[str, Any]:

@@ -163,7 +163,7 @@ REFUSALS = {
     "joint angles without kinematics": (
         "motion: UR3e",
         "motion: joints",
-        "movers.arm2.motion joints needs the table denavit_hartenberg {theta, a, d, alpha}; received none",
+        "movers.arm2.motion joints needs the table denavit_hartenberg {theta, a, d, alpha}, or urdf {file, base, flange}; received none",
         5,
     ),
     "five joints": (

@@ -55,7 +55,7 @@ def test_every_rig_file_loads_and_starts_inside_its_priors(name: str) -> None:
     assert torch.isfinite(coordinates.log_prior(coordinates.vector({})))
     assert coordinates.n == len(rig.free) > 0
     values = rig.nominal_values()
-    for coil in rig.wound:
+    for coil in rig.round:
         turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
         assert 10 < turns < 20_000
         assert 0.02 < values[f"{coil.name}.radius_m"] < 0.5
