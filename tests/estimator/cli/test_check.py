@@ -65,12 +65,20 @@ def test_mistakes_of_both_files_are_told_at_once(workspace: Path, run: Run, tmp_
     ]
     assert faults[0]["message"] == "coils.coil1.radial_loops is missing; the closest is radial_lops"
     assert faults[2]["message"] == "sensors.hall.gian is not a known key; the closest is gain"
-    assert "the closest is coil1_current" in faults[3]["message"]
+    assert "the closest is coil1_current_A" in faults[3]["message"]
     told = run("check", rig, readings)
     assert told.exit_code == 2
     assert f"{rig}, line 17, column 5: sensors.hall.noise_uT must be > 0; received -5\n" in told.stdout
     assert told.stdout.endswith("7 mistakes\n")
     assert "nothing is wrong" not in told.stdout
+
+
+def test_columns_that_the_rig_knows_are_listed_once(workspace: Path, run: Run, tmp_path: Path) -> None:
+    rows = (workspace / "readings.csv").read_text(encoding="utf-8").replace("arm1_", "slide_")
+    (tmp_path / "readings.csv").write_text(rows, encoding="utf-8")
+    told = run("check", workspace / "rig.yaml", tmp_path / "readings.csv").stdout
+    assert told.count("is not known to the rig") >= 3
+    assert told.count("known are") == 1
 
 
 def test_readings_wait_where_nobody_can_say_what_columns_there_are(

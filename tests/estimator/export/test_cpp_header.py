@@ -60,7 +60,12 @@ STANDING_PROGRAM = """
 #include "magnet.hpp"
 #include <cstdio>
 int main() {
-  const coilcal_standing::Magnet magnet;
+  coilcal_standing::Magnet magnet;
+  try {
+    magnet.move(0, {});
+    return 1;
+  } catch (const std::out_of_range&) {
+  }
   std::printf("%.17g ", magnet.field_T({0.0, 0.0, 0.02}, {2.0})[2]);
   std::printf("%.17g", magnet.standard_deviation_T({0.0, 0.0, 0.02}, {2.0})[2]);
 }

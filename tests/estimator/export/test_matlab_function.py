@@ -24,6 +24,12 @@ motion = dlmread("motion.txt");
 [b, g, a] = magnet(points_m, [3 -2 5], motion);
 n = size(points_m, 1);
 printed = [b, reshape(permute(g, [1 3 2]), n, 9), reshape(permute(a, [1 3 2]), n, 24), magnet(points_m, [0 0 0])];
+try
+  magnet(points_m, [0 0 0], zeros(1, 6));
+  error("not refused");
+catch refusal
+  assert(strcmp(refusal.message, "motion must be 2 x 6: a row for each mover that carries a coil; received 1 x 6"), refusal.message);
+end
 printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
 """
 
