@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimator.calibration.calibrate import Stage
 from estimator.diagnosis.progress import OnProgress, unwatched
@@ -23,9 +23,9 @@ class Watcher:
         on_sampling: With each stage of sampling a new version.
     """
 
-    on_words: Callable[[str], None] = _unheard
-    on_progress: OnProgress = unwatched
-    on_sampling: Callable[[Stage], None] = _unheard
+    on_words: Callable[[str], None] = field(default_factory=lambda: _unheard)
+    on_progress: OnProgress = field(default_factory=lambda: unwatched)
+    on_sampling: Callable[[Stage], None] = field(default_factory=lambda: _unheard)
 
 
 UNHEARD = Watcher()
