@@ -41,7 +41,7 @@ class CountReporter:
         """Show that `done` of `total` are done, such as `predicting points`."""
         if what != self._what:
             self._what, self._time_left = what, TimeLeft()
-        words = f"{what}: {done} of {total}{self._time_left.words(done, total)}"
+        words = f"{what}: {done} of {total}{self._time_left.words(float(done), float(total))}"
         now_s = time.monotonic()
         if self._bar is not None:
             is_long = now_s - self._begin_s >= FIRST_AFTER_S

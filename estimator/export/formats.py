@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from estimator.errors import InvalidInput, reason
 
 if TYPE_CHECKING:
-    from estimator.export.calibrated import Calibrated, Motion
+    from estimator.export.calibrated import Motion
+    from estimator.export.magnet import Magnet
     from estimator.export.request import Grid, Request
 
 __all__ = ["FORMATS", "Format", "default_path", "export"]
@@ -39,19 +40,19 @@ class Format:
 def _json(request: Request) -> None:
     from estimator.export.json_model import json_model
 
-    _text(request, json_model(request.calibrated))
+    _text(request, json_model(request.magnet))
 
 
 def _cpp(request: Request) -> None:
     from estimator.export.cpp_header import cpp_header
 
-    _text(request, cpp_header(request.calibrated))
+    _text(request, cpp_header(request.magnet))
 
 
 def _matlab(request: Request) -> None:
     from estimator.export.matlab_function import matlab_function
 
-    _text(request, matlab_function(request.calibrated, request.path.stem))
+    _text(request, matlab_function(request.magnet, request.path.stem))
 
 
 def _arviz(request: Request) -> None:
@@ -63,7 +64,7 @@ def _arviz(request: Request) -> None:
 def _magpylib(request: Request) -> None:
     from estimator.export.magpylib_module import magpylib_module
 
-    _text(request, magpylib_module(request.calibrated, request.motion))
+    _text(request, magpylib_module(request.magnet, request.motion))
 
 
 def _csv(request: Request) -> None:
@@ -110,7 +111,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def export(
-    calibrated: Calibrated,
+    magnet: Magnet,
     to: str,
     path: Path | str | None = None,
     *,
@@ -118,10 +119,10 @@ def export(
     currents_A: Mapping[str, float] | None = None,
     motion: Motion | None = None,
 ) -> Path:
-    """Write a calibration in a format for other programs.
+    """Write a calibration, or several as one magnet, in a format for other programs.
 
     Args:
-        calibrated: A calibration.
+        magnet: The coils.
         to: A name in `FORMATS`.
         path: File to write; one named after the rig, in the current folder, where none is given.
         grid, currents_A, motion: As in `Request`, for formats that take them.
@@ -137,17 +138,17 @@ def export(
     for name, given in (("grid", grid), ("currents", currents_A), ("motion", motion)):
         if given and name not in chosen.takes:
             raise InvalidInput(f"export to {to} must have no {name}, for which it leaves room; received some")
-    path = default_path(calibrated, to) if path is None else Path(path)
+    path = default_path(magnet, to) if path is None else Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        chosen.write(Request(calibrated, path, grid, currents_A or {}, motion or {}))
+        chosen.write(Request(to, magnet, path, grid, currents_A or {}, motion or {}))
     except OSError as error:
         raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
     return path
 
 
-def default_path(calibrated: Calibrated, to: str) -> Path:
+def default_path(magnet: Magnet, to: str) -> Path:
     """The file that is written where none is named."""
     from estimator.export.labels import identifier
 
-    return Path(f"coilcal_{identifier(calibrated.rig.name)}{FORMATS[to].ending}")
+    return Path(f"coilcal_{identifier(magnet.name)}{FORMATS[to].ending}")

@@ -8,7 +8,6 @@ import math
 
 import torch
 
-from estimator.errors import InvalidInput
 from estimator.export.request import Request
 
 ENTRIES = (
@@ -32,15 +31,12 @@ def grid_csv(request: Request) -> str:
     Raises:
         InvalidInput: No grid, no currents, or what `Calibration.field` refuses.
     """
-    points_m = request.points("csv").points_m
-    if not request.currents_A:
-        raise InvalidInput("export to csv must have currents, such as --current coil1=1; received none")
+    points_m = request.points().points_m
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(HEADER)
     for block_m in points_m.split(BLOCK):
-        field_T = request.calibrated.field(block_m, request.currents_A, request.motion)
-        gradient = request.calibrated.gradient(block_m, request.currents_A, request.motion)
+        field_T, gradient = request.field_and_gradient(block_m)
         entries = torch.stack([gradient[:, i, j] for i, j in ENTRIES], dim=1)
         for row in torch.cat((block_m, field_T, entries), dim=1).tolist():
             writer.writerow([repr(number) if math.isfinite(number) else "" for number in row])

@@ -117,8 +117,8 @@ coils:
     # Half the distance of neighbouring turns, insulation included; a length. Free it: windings are never quite tight.
     wire_radius_mm: {_normal(s.wire_radius_mm, RELATIVE_SD * s.wire_radius_mm)}
     # Turns along the axis, and layers; pure numbers, must be given. Write plain numbers if you counted them.
-    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1)}
-    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1)}
+    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1.0)}
+    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1.0)}
     # axial_pitch_mm, radial_pitch_mm: distance of turns and of layers; where left out, twice the wire radius.
     # current_gain: delivered over commanded current, 1 where left out. Free it only as narrowly as your ammeter is good:
     #   more current looks like more turns.

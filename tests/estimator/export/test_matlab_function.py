@@ -13,6 +13,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
+from estimator.export.magnet import Magnet
 from estimator.export.matlab_function import matlab_function
 from estimator.system.actuation import independent_entries
 from tests.estimator.export.compared import assert_close
@@ -68,6 +69,6 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
 
 def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration) -> None:
     with pytest.raises(InvalidInput, match="received '3coils'"):
-        matlab_function(magnet, "3coils")
+        matlab_function(Magnet.of(magnet), "3coils")
     with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):
-        matlab_function(magnet, "pose_of")
+        matlab_function(Magnet.of(magnet), "pose_of")
