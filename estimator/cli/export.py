@@ -17,8 +17,9 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
 @click.command(
     "export",
     cls=CoilcalCommand,
-    help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Several are written as one magnet: each with the coils that were on in it, "
-    "all in the same world frame. Formats:\n\n\b\n" + TABLE,
+    help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Several are "
+    "written as one magnet: each with the coils that were on in it, all in the same world frame. Formats:\n\n\b\n"
+    + TABLE,
 )
 @click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Format.")
