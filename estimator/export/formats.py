@@ -73,6 +73,18 @@ def _csv(request: Request) -> None:
     _text(request, grid_csv(request))
 
 
+def _vtk(request: Request) -> None:
+    from estimator.export.vtk_grid import vtk_grid
+
+    _text(request, vtk_grid(request))
+
+
+def _openpmd(request: Request) -> None:
+    from estimator.export.openpmd_grid import write_openpmd
+
+    write_openpmd(request)
+
+
 def _mag_manip(request: Request) -> None:
     from estimator.export.mag_manip import vfield_yaml
 
@@ -104,6 +116,15 @@ FORMATS: Mapping[str, Format] = {
     "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
     "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
     "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
+    "vtk": Format(
+        ".vtr", "field and gradient on a grid of VTK, for ParaView", _vtk, ("grid", "currents", "motion")
+    ),
+    "openpmd": Format(
+        ".h5",
+        "field and gradient on a grid after openPMD 1.1.0, in HDF5",
+        _openpmd,
+        ("grid", "currents", "motion"),
+    ),
     "urdf": Format(".urdf", "calibrated frames as a URDF", _urdf),
     "tf": Format(".launch.py", "ROS 2 launch file of the calibrated transforms", _tf),
     "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),

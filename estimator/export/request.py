@@ -13,7 +13,10 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated, Motion
+from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
+
+BLOCK = 10_000  # points evaluated at once
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,24 @@ class Request:
                 f"export to {self.to} must have a grid, such as --grid x_mm=-50:50:11; received none"
             )
         return self.grid
+
+    @property
+    def words(self) -> str:
+        """Magnet, currents and poses in one line."""
+        currents = ", ".join(f"{name} {value:g} A" for name, value in self.currents_A.items())
+        poses = ", ".join(
+            f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in self.motion.items()
+        )
+        return f"calibrated magnet {plain_words(self.magnet.name)} at {currents}; movers at {poses or 'rest'}"
+
+    def on_grid(
+        self,
+    ) -> tuple[Grid, Float[np.ndarray, "x y z 3"], Float[np.ndarray, "x y z 3 3"]]:
+        """Grid, field and gradient dB_i / dx_j at its points, as `field_and_gradient`."""
+        grid = self.points()
+        blocks = [self.field_and_gradient(block_m) for block_m in grid.points_m.split(BLOCK)]
+        field_T, gradient = (torch.cat(parts).numpy() for parts in zip(*blocks, strict=True))
+        return grid, field_T.reshape(*grid.shape, 3), gradient.reshape(*grid.shape, 3, 3)
 
     def field_and_gradient(
         self, points_m: Float[Tensor, "point 3"]
