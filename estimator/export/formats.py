@@ -85,6 +85,12 @@ def _openpmd(request: Request) -> None:
     write_openpmd(request)
 
 
+def _torch(request: Request) -> None:
+    from estimator.export.torch_program import write_program
+
+    write_program(request.magnet, request.path)
+
+
 def _mag_manip(request: Request) -> None:
     from estimator.export.mag_manip import vfield_yaml
 
@@ -113,6 +119,7 @@ FORMATS: Mapping[str, Format] = {
     "json": Format(".json", "every number of the model, with units", _json),
     "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
     "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
+    "torch": Format(".pt2", "program of torch.export", _torch),
     "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
     "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
     "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
