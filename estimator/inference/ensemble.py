@@ -11,16 +11,13 @@ import torch
 from emcee.backends import Backend
 
 from estimator.errors import InvalidInput
+from estimator.inference.adaptation import adapted
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.moves import (
-    LatticeDifferenceMove,
-    MixtureProposal,
-    autoregressive_move,
-    independence_move,
-)
+from estimator.inference.moves import LatticeDifferenceMove, autoregressive_move, independence_move
+from estimator.inference.proposal import MixtureProposal
 from estimator.rig.coordinates import Coordinates
 
 INDEPENDENCE_SHARE, AUTOREGRESSIVE_SHARE = 0.7, 0.15  # the rest is differential evolution
@@ -112,12 +109,13 @@ def sample(
 ) -> Samples:
     """Sample the posterior until effective sample size and R-hat reach their targets.
 
-    Walkers start from draws of the Laplace mixture; the first tenth of the steps is dropped. A backend that already holds steps is
+    The proposal is the Laplace mixture, fitted further to the posterior by weighted draws where it is far from it. Walkers start from its
+    draws; the first tenth of the steps is dropped. A backend that already holds steps is
     continued.
 
     Args:
         posterior: Density over coordinates with whole-numbered counts in the last columns.
-        mixture: Laplace mixture, the proposal of the independence move.
+        mixture: Laplace mixture, where the proposal of the independence move begins.
         settings: Targets and limits.
         backend: emcee backend; in memory by default.
         on_progress: Called after every look at the diagnostics.
@@ -131,7 +129,7 @@ def sample(
         with torch.no_grad():
             return posterior(torch.from_numpy(vectors)).numpy()
 
-    proposal = MixtureProposal(mixture)
+    proposal = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
     moves = [
         (independence_move(proposal), INDEPENDENCE_SHARE),
         (autoregressive_move(proposal), AUTOREGRESSIVE_SHARE),
@@ -179,7 +177,7 @@ def _initial_state(
     settings: SamplerSettings,
     backend: Backend,
 ) -> emcee.State:
-    """Last sample of a backend that holds steps; otherwise draws of the mixture that lie inside the prior."""
+    """Last sample of a backend that holds steps; otherwise draws of the proposal that lie inside the prior."""
     if backend.iteration > 0:
         return backend.get_last_sample()
     random = np.random.RandomState(settings.seed)
@@ -190,7 +188,7 @@ def _initial_state(
         if len(walkers) >= settings.n_walkers:
             break
     if not len(walkers):
-        raise RuntimeError("no draw of the Laplace mixture lies inside the prior")
+        raise RuntimeError("no draw of the proposal lies inside the prior")
     walkers = np.resize(walkers, (settings.n_walkers, walkers.shape[1]))
     return emcee.State(walkers, random_state=random.get_state())
 

@@ -62,16 +62,16 @@ def test_chain_has_the_law_of_the_posterior(samples, counts_problem, exact_count
     assert samples.acceptance > 0.5
 
 
-def test_a_wrong_proposal_costs_time_and_not_correctness(samples, counts_problem, mixture, exact_counts):
+def test_a_wrong_proposal_is_put_right_before_sampling(samples, counts_problem, mixture, exact_counts):
     """Every maximum off by a standard deviation in each principal direction, and every covariance doubled."""
     shift = torch.linalg.cholesky(mixture.covariance).sum(-1)
     wrong = replace(mixture, mean=mixture.mean + shift, covariance=2.0 * mixture.covariance)
     settings = SamplerSettings(n_walkers=16, target_ess=800.0, largest_rhat=1.03, seed=1)
-    slow = sample(counts_problem.whole, wrong, settings)
-    assert slow.is_converged
-    assert_law(slow, counts_problem, exact_counts)
-    efficiency = [run.convergence.smallest_ess / run.log_prob.size for run in (slow, samples)]
-    assert efficiency[0] < 0.6 * efficiency[1]
+    adapted = sample(counts_problem.whole, wrong, settings)
+    assert adapted.is_converged
+    assert_law(adapted, counts_problem, exact_counts)
+    efficiency = [run.convergence.smallest_ess / run.log_prob.size for run in (adapted, samples)]
+    assert efficiency[0] > 0.7 * efficiency[1]
 
 
 def test_sampling_stops_at_the_first_look_that_meets_its_targets(samples):

@@ -10,16 +10,11 @@ import pytest
 import torch
 from scipy import stats
 
+from estimator.inference.bend import Bend
 from estimator.inference.convergence import convergence
 from estimator.inference.lattice import CountMixture
-from estimator.inference.moves import (
-    DEGREES_OF_FREEDOM,
-    FLOOR,
-    LatticeDifferenceMove,
-    MixtureProposal,
-    autoregressive_move,
-    independence_move,
-)
+from estimator.inference.moves import LatticeDifferenceMove, autoregressive_move, independence_move
+from estimator.inference.proposal import DEGREES_OF_FREEDOM, FLOOR, MixtureProposal, WhiteShape
 
 pytestmark = pytest.mark.whole
 
@@ -42,9 +37,22 @@ WRONG = mixture(
 )
 
 
-@pytest.fixture(params=[RIGHT, WRONG], ids=["right", "wrong"])
+BENT = MixtureProposal(
+    RIGHT,
+    Bend(
+        np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.2, 0.0], [0.0, 0.0]]]),
+        np.tril(np.full((2, 2), 0.1), -1),
+        np.array([0.1, -0.2]),
+    ),
+    WhiteShape(
+        np.array([0.7, 0.3]), np.array([[0.0, 0.1], [0.5, -0.4]]), np.stack((np.eye(2), 1.5 * np.eye(2)))
+    ),
+)
+
+
+@pytest.fixture(params=["right", "wrong", "bent"])
 def proposal(request) -> MixtureProposal:
-    return MixtureProposal(request.param)
+    return {"right": MixtureProposal(RIGHT), "wrong": MixtureProposal(WRONG), "bent": BENT}[request.param]
 
 
 def target_log_prob(vectors: np.ndarray) -> np.ndarray:
@@ -61,9 +69,10 @@ def target_draws(size: int, random: np.random.RandomState, row: np.ndarray | Non
     return np.concatenate((continuous, COUNTS[row]), axis=1)
 
 
-def test_density_is_the_mixture_of_students_t_that_its_arguments_say(proposal):
+@pytest.mark.parametrize("claimed", [RIGHT, WRONG], ids=["right", "wrong"])
+def test_density_is_the_mixture_of_students_t_that_its_arguments_say(claimed):
+    proposal = MixtureProposal(claimed)
     vectors = target_draws(40, np.random.RandomState(0))
-    claimed = RIGHT if np.allclose(proposal.mean, MEAN) else WRONG
     weight = (1.0 - FLOOR) * claimed.weight.numpy() + FLOOR / 3.0
     rows = [COUNTS.tolist().index(counts) for counts in vectors[:, 2:].tolist()]
     expected = [
@@ -107,13 +116,18 @@ def test_no_pair_of_counts_starves_in_the_proposal():
         assert share == pytest.approx(FLOOR / 3.0, rel=0.2)
 
 
-def test_whitening_is_undone_by_colouring_and_gives_unit_spread():
+def test_whitened_draws_of_the_right_law_have_unit_spread():
     proposal = MixtureProposal(RIGHT)
     draws = target_draws(6000, np.random.RandomState(3))
     rows = proposal.rows(draws)
-    white = proposal.whiten(rows, draws)
-    np.testing.assert_allclose(np.cov(white.T), np.eye(2), atol=0.06)
-    np.testing.assert_allclose(proposal.mean[rows] + proposal.colour(rows, white), draws[:, :2], rtol=1e-12)
+    np.testing.assert_allclose(np.cov(proposal.white(rows, draws).T), np.eye(2), atol=0.06)
+
+
+def test_straightened_coordinates_lead_back_to_the_vectors(proposal):
+    draws = target_draws(100, np.random.RandomState(3))
+    rows = proposal.rows(draws)
+    straight = proposal.straight(rows, draws)
+    np.testing.assert_allclose(proposal.from_straight(rows, straight), draws[:, :2], rtol=1e-10, atol=1e-12)
 
 
 def test_factor_of_the_independence_move_is_the_ratio_of_densities(proposal):
@@ -124,16 +138,15 @@ def test_factor_of_the_independence_move_is_the_ratio_of_densities(proposal):
     assert np.ptp(factor) > 0.5
 
 
-def test_factor_of_the_autoregressive_move_is_the_ratio_of_laplace_normals_and_counts_stay(proposal):
+def test_factor_of_the_autoregressive_move_is_the_ratio_of_normals_in_straightened_coordinates_and_counts_stay(
+    proposal,
+):
     old = target_draws(50, np.random.RandomState(4))
     new, factor = autoregressive_move(proposal).get_proposal(old, np.random.RandomState(5))
     np.testing.assert_array_equal(new[:, 2:], old[:, 2:])
-    covariance = proposal.factor @ proposal.factor.swapaxes(1, 2)
-    log_normal = [
-        [stats.multivariate_normal(proposal.mean[row], covariance[row]).logpdf(vector[:2]) for vector in pair]
-        for row, *pair in zip(proposal.rows(old), old, new, strict=True)
-    ]
-    np.testing.assert_allclose(factor, -np.diff(log_normal)[:, 0], rtol=1e-9, atol=1e-12)
+    normal = stats.multivariate_normal(np.zeros(2))
+    of_new, of_old = (normal.logpdf(proposal.straight(proposal.rows(old), vectors)) for vectors in (new, old))
+    np.testing.assert_allclose(factor, of_old - of_new, rtol=1e-9, atol=1e-12)
     assert np.ptp(factor) > 0.5
 
 

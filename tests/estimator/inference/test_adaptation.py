@@ -1,0 +1,101 @@
+"""Adaptive importance sampling: a proposal that is fitted to a density with a bent or heavy tail covers it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.inference.adaptation import ENOUGH, adapted, efficiency_of, fitted_shape
+from estimator.inference.bend import Bend
+from estimator.inference.lattice import CountMixture
+from estimator.inference.proposal import MixtureProposal, WhiteShape
+
+pytestmark = pytest.mark.whole
+
+N = 4
+LAPLACE = CountMixture(
+    torch.tensor([[7.0], [8.0]], dtype=torch.float64),
+    torch.tensor([0.5, 0.5], dtype=torch.float64),
+    torch.zeros(2, N, dtype=torch.float64),
+    torch.eye(N, dtype=torch.float64).expand(2, N, N),
+)
+CURVATURE = 1.5
+
+
+def log_banana(vectors: np.ndarray) -> np.ndarray:
+    """A normal law whose last coordinate is bent along the first; 8 loops are four times as probable as 7."""
+    straight = vectors[:, :N].copy()
+    straight[:, -1] -= CURVATURE * straight[:, 0] ** 2
+    return -0.5 * (straight**2).sum(1) + np.where(vectors[:, N] == 8.0, np.log(0.8), np.log(0.2))
+
+
+def efficiency(proposal: MixtureProposal, log_prob=log_banana) -> float:
+    """By draws of the proposal itself, which took no part in its fit."""
+    draws = proposal.draw(20_000, np.random.RandomState(99))
+    log_density = proposal.log_density(draws)
+    return efficiency_of(log_density, log_prob(draws), log_density)
+
+
+def test_bent_posterior_is_straightened():
+    laplace = MixtureProposal(LAPLACE)
+    fitted = adapted(laplace, log_banana, np.random.RandomState(0))
+    assert efficiency(laplace) < 0.2
+    assert efficiency(fitted) > 0.75
+    assert fitted.bend.curvature[-1, 0, 0] == pytest.approx(CURVATURE, rel=0.1)
+    assert fitted.weight[1] > fitted.weight[0]
+
+
+def test_good_proposal_is_left_as_it_is():
+    laplace = MixtureProposal(LAPLACE)
+    normal = adapted(laplace, lambda v: -0.5 * (v[:, :N] ** 2).sum(1), np.random.RandomState(0))
+    assert normal is laplace
+
+
+def test_proposal_is_never_worse_than_the_one_it_began_with():
+    """A density that no component can follow: a thin ring."""
+
+    def log_ring(vectors: np.ndarray) -> np.ndarray:
+        return -200.0 * (np.linalg.norm(vectors[:, :N], axis=1) - 3.0) ** 2
+
+    laplace = MixtureProposal(LAPLACE)
+    fitted = adapted(laplace, log_ring, np.random.RandomState(1))
+    assert efficiency(fitted, log_ring) > 0.8 * efficiency(laplace, log_ring)
+
+
+def test_density_that_is_zero_everywhere_leaves_the_proposal():
+    laplace = MixtureProposal(LAPLACE)
+    assert adapted(laplace, lambda v: np.full(len(v), -np.inf), np.random.RandomState(0)) is laplace
+
+
+def test_efficiency_is_that_of_the_textbook():
+    """A normal law of half the spread of its proposal: 1 / integral p^2 / q = sqrt(7) / 4."""
+    points, spacing = np.linspace(-30.0, 30.0, 200_001, retstep=True)
+    log_proposal, log_target = -0.125 * points**2 - np.log(2.0), -0.5 * points**2
+    log_uniform = np.full_like(points, -np.log(60.0 + spacing))
+    assert efficiency_of(log_proposal - 0.5 * np.log(2.0 * np.pi), log_target, log_uniform) == pytest.approx(
+        np.sqrt(7.0) / 4.0, rel=1e-3
+    )
+    assert ENOUGH < 1.0
+
+
+def test_shape_follows_two_clusters_and_keeps_the_standard_component():
+    random = np.random.RandomState(2)
+    points = np.concatenate(
+        (random.standard_normal((900, 2)), [6.0, -3.0] + 0.3 * random.standard_normal((100, 2)))
+    )
+    shape = fitted_shape(points, np.full(1000, 1e-3), random)
+    near = np.linalg.norm(shape.mean - [6.0, -3.0], axis=1) < 1.0
+    assert 0.05 < shape.weight[near].sum() < 0.15
+    assert shape.weight.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(shape.mean[-1], 0.0)
+    np.testing.assert_array_equal(shape.factor[-1], np.eye(2))
+
+
+def test_few_points_in_many_dimensions_leave_a_shape_with_a_density():
+    random = np.random.RandomState(3)
+    points = random.standard_normal((5, 12))
+    shape = fitted_shape(points, np.full(5, 0.2), random)
+    bend = Bend.fitted(points, np.full(5, 0.2))
+    assert isinstance(shape, WhiteShape)
+    assert np.isfinite(shape.log_densities(bend.straightened(points))).all()
