@@ -90,7 +90,7 @@ def test_however_it_is_packed_the_map_is_the_same(
     read = read_map(write(tmp_path / f"map{suffix}", mode, is_compressed), current_A=2.0)
     np.testing.assert_array_equal(read.values, FIELD_T / 2.0)
     for found, given in zip(read.axes_m, AXES_M, strict=True):
-        np.testing.assert_allclose(found, given, rtol=1e-12)
+        np.testing.assert_allclose(found, given, rtol=1e-12, atol=1e-15)
 
 
 def test_what_it_cannot_be_is_said(tmp_path: Path) -> None:
