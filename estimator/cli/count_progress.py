@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from typing import TYPE_CHECKING
 
 from estimator.cli.output import is_quiet, tell_progress
 from estimator.cli.time_left import TimeLeft
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 FIRST_AFTER_S = 2.0  # what is done sooner needs no words
 LINE_EVERY_S = 10.0  # in a pipe
@@ -24,6 +25,10 @@ class CountReporter:
         self._time_left, self._what = TimeLeft(), ""
         self._bar: Progress | None = None
         if sys.stderr.isatty() and not is_quiet():
+            # A pipe needs no library for bars.
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
             columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn())
             self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self._task = self._bar.add_task("", total=None, visible=False)
