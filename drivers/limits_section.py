@@ -66,16 +66,18 @@ def thermometer_inputs(mapping: Any) -> Mapping[str, Any]:
 def current_limits(settings: Settings) -> CurrentLimits:
     """Limits of one coil and its supply."""
     has_temperature = settings.has_quantity("highest_temperature", "temperature")
-    return CurrentLimits(
-        lowest_A=settings.quantity("lowest", "current", 0.0),
-        highest_A=settings.quantity("highest", "current"),
-        slew_A_per_s=settings.quantity("slew", "slew"),
-        continuous_A=settings.quantity("continuous", "current"),
-        thermal_time_constant_s=settings.quantity("thermal_time_constant", "time"),
-        highest_temperature_K=(
-            settings.quantity("highest_temperature", "temperature") if has_temperature else None
-        ),
-    )
+    numbers = {
+        "lowest_A": settings.quantity("lowest", "current", 0.0),
+        "highest_A": settings.quantity("highest", "current"),
+        "slew_A_per_s": settings.quantity("slew", "slew"),
+        "continuous_A": settings.quantity("continuous", "current"),
+        "thermal_time_constant_s": settings.quantity("thermal_time_constant", "time"),
+    }
+    highest_K = settings.quantity("highest_temperature", "temperature") if has_temperature else None
+    if settings.is_sound:
+        with settings.noting(), settings.of_this():
+            return CurrentLimits(**numbers, highest_temperature_K=highest_K)
+    return CurrentLimits(0.0, 1.0, 1.0, 1.0, 1.0)  # stands for limits that could not be read
 
 
 def arm_limits(settings: Settings) -> ArmLimits:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
@@ -28,17 +29,33 @@ _ZEROS = {"temperature": ICE_POINT_K}
 class Settings:
     """Settings of one device; each key must be read before `finish`.
 
+    The first fault is raised. Where faults are collected, they are noted instead, and something harmless stands for what cannot be read.
+
+    Attributes:
+        location: Key of the device, for messages.
+        noted: Faults so far; None where the first is raised.
+
     Examples:
         >>> settings = Settings({"range_mT": 350, "sensor": "lakeshore_f71"}, "devices.hall")
         >>> settings.quantity("range", "field"), settings.choice("sensor", ("lakeshore_f71", "lakeshore_460"))
         (0.35, 'lakeshore_f71')
         >>> settings.finish()
+        >>> faults = []
+        >>> settings = Settings({"rang_mT": 350, "rate_Hz": "fast"}, "devices.hall", faults)
+        >>> settings.quantity("range", "field"), settings.quantity("rate", "frequency")
+        (1.0, 1.0)
+        >>> settings.finish()
+        >>> [str(fault) for fault in faults]  # doctest: +NORMALIZE_WHITESPACE
+        ['devices.hall.range_T must be given once, as range_T or range_mT or range_uT or range_G; received nothing',
+         "devices.hall.rate_Hz must hold finite numbers; received 'fast'",
+         'devices.hall.rang_mT is not a known key; the closest is range_mT']
     """
 
-    def __init__(self, mapping: object, location: str) -> None:
+    def __init__(self, mapping: object, location: str, noted: list[Refused] | None = None) -> None:
         if not isinstance(mapping, Mapping):
             raise Refused(f"{location} must hold keys and values; received {mapping!r}")
-        self.location = location
+        self.location, self.noted = location, noted
+        self._n_before = len(noted or ())
         self._mapping: Mapping[Any, Any] = mapping
         self._unread = list(mapping)
         self._known: set[str] = set()  # keys that were asked for, whether they are there or not
@@ -46,6 +63,23 @@ class Settings:
     def __contains__(self, key: str) -> bool:
         self._known.add(key)
         return key in self._mapping
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether no fault was noted so far."""
+        return len(self.noted or ()) == self._n_before
+
+    def noting(self) -> AbstractContextManager[None, bool]:
+        """Note a fault that is raised inside and go on behind it, where faults are collected."""
+        return noting(self.noted)
+
+    @contextmanager
+    def of_this(self) -> Iterator[None]:
+        """Say of a fault that is raised inside that it is one of this device; skip nothing else."""
+        try:
+            yield
+        except Refused as fault:
+            raise Refused(f"{self.location}: {fault}") from fault
 
     def refuse(self, key: str, rule: str) -> NoReturn:
         """Raise `Refused` with key, rule and value."""
@@ -61,42 +95,52 @@ class Settings:
 
     def text(self, key: str) -> str:
         """A text that is not empty."""
-        value = self.value(key)
-        if not isinstance(value, str) or not value:
-            self.refuse(key, "must be a text")
-        return value
+        with self.noting():
+            value = self.value(key)
+            if not isinstance(value, str) or not value:
+                self.refuse(key, "must be a text")
+            return value
+        return "x"
 
     def choice(self, key: str, choices: Sequence[str]) -> str:
-        """One of `choices`."""
+        """One of `choices`; what else there must be depends on it, so a fault of it is always raised."""
         value = self.value(key)
         if value not in choices:
-            self.refuse(key, f"must be one of {', '.join(choices)}")
+            close = get_close_matches(str(value), choices, n=1)
+            hint = f" (the closest is {close[0]})" if close else ""
+            self.refuse(key, f"must be one of {', '.join(choices)}{hint}")
         return str(value)
 
     def whole_number(self, key: str, default: int | None = None) -> int:
         """A whole number; required unless there is a default."""
         if default is not None and key not in self:
             return default
-        value = self.value(key)
-        if isinstance(value, bool) or not isinstance(value, int):
-            self.refuse(key, "must be a whole number")
-        return value
+        with self.noting():
+            value = self.value(key)
+            if isinstance(value, bool) or not isinstance(value, int):
+                self.refuse(key, "must be a whole number")
+            return value
+        return 1
 
     def flag(self, key: str) -> bool:
         """True or false; false if not given."""
         if key not in self:
             return False
-        value = self.value(key)
-        if not isinstance(value, bool):
-            self.refuse(key, "must be true or false")
-        return value
+        with self.noting():
+            value = self.value(key)
+            if not isinstance(value, bool):
+                self.refuse(key, "must be true or false")
+            return value
+        return False
 
     def texts(self, key: str) -> dict[str, str]:
         """Texts by name, at least one."""
-        value = self.value(key)
-        if not isinstance(value, Mapping) or not value:
-            self.refuse(key, "must hold a text for each name")
-        return {str(name): str(text) for name, text in value.items()}
+        with self.noting():
+            value = self.value(key)
+            if not isinstance(value, Mapping) or not value:
+                self.refuse(key, "must hold a text for each name")
+            return {str(name): str(text) for name, text in value.items()}
+        return {}
 
     def has_quantity(self, quantity: str, dimension: str) -> bool:
         """Whether the quantity is given, in any unit."""
@@ -106,24 +150,28 @@ class Settings:
         """A quantity in SI; required unless there is a default."""
         if default is not None and not self.has_quantity(quantity, dimension):
             return default
-        key, factor = self._key(quantity, dimension)
-        return _ZEROS.get(dimension, 0.0) + factor * self._number(key, self.value(key))
+        with self.noting():
+            key, factor = self._key(quantity, dimension)
+            return _ZEROS.get(dimension, 0.0) + factor * self._number(key, self.value(key))
+        return 1.0
 
     def quantities(self, quantity: str, dimension: str, length: int) -> tuple[float, ...]:
         """A list of `length` numbers with one unit, in SI."""
-        key, factor = self._key(quantity, dimension)
-        values = self.value(key)
-        if not isinstance(values, list | tuple) or len(values) != length:
-            self.refuse(key, f"must be a list of {length} numbers")
-        return tuple(factor * self._number(key, value) for value in values)
+        with self.noting():
+            key, factor = self._key(quantity, dimension)
+            values = self.value(key)
+            if not isinstance(values, list | tuple) or len(values) != length:
+                self.refuse(key, f"must be a list of {length} numbers")
+            return tuple(factor * self._number(key, value) for value in values)
+        return (1.0,) * length
 
     def finish(self) -> None:
         """Refuse keys that were not read."""
-        if self._unread:
-            key = str(self._unread[0])
+        for key in map(str, self._unread):
             close = get_close_matches(key, sorted(self._known.difference(map(str, self._mapping))), n=1)
             hint = f"; the closest is {close[0]}" if close else ""
-            raise Refused(f"{self.location}.{key} is not a known key{hint}")
+            with self.noting():
+                raise Refused(f"{self.location}.{key} is not a known key{hint}")
 
     def _key(self, quantity: str, dimension: str) -> tuple[str, float]:
         """Key of a quantity and the factor of its unit."""
@@ -140,3 +188,22 @@ class Settings:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             self.refuse(key, "must hold finite numbers")
         return float(value)
+
+
+def noting(noted: list[Refused] | None) -> AbstractContextManager[None, bool]:
+    """Note a fault that is raised inside and go on behind it; without a list it is raised."""
+    return _Noting(noted)
+
+
+class _Noting(AbstractContextManager[None, bool]):
+    def __init__(self, noted: list[Refused] | None) -> None:
+        self._noted = noted
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, fault: BaseException | None, traceback: object) -> bool:
+        if self._noted is None or not isinstance(fault, Refused):
+            return False
+        self._noted.append(fault)
+        return True

@@ -89,6 +89,18 @@ def decode_rate_answer(answer: bytes, code: int) -> None:
         raise DeviceFault(f"3MH6 must confirm rate code {code:02X}; received {answer!r}")
 
 
+def check_stream(rate_Hz: int, range_number: int) -> None:
+    """Refuse a rate or a range that the instrument has not got.
+
+    Raises:
+        Refused: Which one, and those that there are.
+    """
+    if rate_Hz not in RATE_CODES:
+        raise Refused(f"sensor.rate_Hz must be one of {', '.join(map(str, RATE_CODES))}; received {rate_Hz}")
+    if range_number not in {1, 2, 3, 4}:
+        raise Refused(f"sensor.range_number must be 1, 2, 3 or 4; received {range_number}")
+
+
 class Senis3MH6(HallSensor):
     """A `FieldSensor` and `Thermometer` that streams; a lost packet shows as bytes that fit into no packet."""
 
@@ -110,12 +122,7 @@ class Senis3MH6(HallSensor):
             full_scale_T: Limit of that range, which depends on the probe; a reading beyond it is flagged.
             tesla_per_unit: Unit of the packets. The public drivers do not state it; the display shows millitesla.
         """
-        if rate_Hz not in RATE_CODES:
-            raise Refused(
-                f"sensor.rate_Hz must be one of {', '.join(map(str, RATE_CODES))}; received {rate_Hz}"
-            )
-        if range_number not in {1, 2, 3, 4}:
-            raise Refused(f"sensor.range_number must be 1, 2, 3 or 4; received {range_number}")
+        check_stream(rate_Hz, range_number)
         super().__init__(port, quieten=b"S")
         self._rate_Hz, self._range_number = rate_Hz, range_number
         self._full_scale_T, self._tesla_per_unit = full_scale_T, tesla_per_unit

@@ -54,6 +54,17 @@ def decode_kelvin(line: str) -> float:
     return math.nan if int(status) & _NO_NUMBER_BITS else kelvin
 
 
+def check_inputs(inputs: Mapping[str, str]) -> None:
+    """Refuse an input that the monitor has not got.
+
+    Raises:
+        Refused: Which one, and those that there are.
+    """
+    for target, name in inputs.items():
+        if not _INPUT.fullmatch(name):
+            raise Refused(f"thermometer.inputs.{target} must be A, B, C1 to C5 or D1 to D5; received {name}")
+
+
 class LakeShore224(OnChannel):
     """A `TemperatureMonitor`; types and curves of the inputs are chosen at its panel.
 
@@ -68,11 +79,7 @@ class LakeShore224(OnChannel):
             port: Connection to the monitor.
             inputs: Input of each thermometer (A, B, C1 to C5, D1 to D5), by the coil or sensor that it is fixed to.
         """
-        for target, name in inputs.items():
-            if not _INPUT.fullmatch(name):
-                raise Refused(
-                    f"thermometer.inputs.{target} must be A, B, C1 to C5 or D1 to D5; received {name}"
-                )
+        check_inputs(inputs)
         super().__init__(port, landmark=identity_landmark(b"\n", b"\r\n"))
         self.thermometers = {target: MonitorInput(self, name) for target, name in inputs.items()}
 

@@ -20,6 +20,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.export import formats
+from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
@@ -189,6 +190,10 @@ class Calibration:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
 
+    def magnet(self) -> Magnet:
+        """What exports write: the coils."""
+        return Magnet.of(self)
+
     def export(
         self,
         to: str,
@@ -208,7 +213,7 @@ class Calibration:
         Raises:
             InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
         """
-        return formats.export(self, to, path, grid=grid, currents_A=currents_A, motion=motion)
+        return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
 
     def save(self, folder: Path | str) -> None:
         """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete."""

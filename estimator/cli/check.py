@@ -25,14 +25,20 @@ PLANS = (".yaml", ".yml")
 @click.argument("path", metavar="[FILE]", required=False, type=click.Path(path_type=Path))
 @json_option
 def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
-    """Say all that is wrong with the rig file RIG and with FILE, a readings CSV or a plan (.yaml).
+    """Say all that is wrong with the rig file RIG, its instruments' settings included, and with FILE.
+
+    FILE is a readings CSV, a plan (.yaml), or a file of instruments (.yaml) as `coilcal rig-simulator` writes it. No instrument is opened.
 
     Where nothing is wrong, say what they hold. Exit code 2 where something is.
     """
+    from estimator.cli.device_faults import device_faults
     from estimator.cli.understood import rig_lines, rig_record
+    from estimator.errors import in_order
     from estimator.rig_files.read import rig_and_faults
 
     rig, faults = rig_and_faults(rig_path)
+    if rig is not None:
+        faults = in_order([*faults, *device_faults(rig_path, rig.devices)])
     lines, record = [], {}
     if rig is not None and not faults:
         lines, record = [f"{rig_path}: {rig_lines(rig)[0]}", *rig_lines(rig)[1:]], {"rig": rig_record(rig)}
@@ -49,10 +55,15 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
 
 def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
     """What a plan or a readings CSV holds, as lines and as a record, and its faults."""
+    from estimator.cli.device_faults import devices_and_faults, is_devices_file
     from estimator.cli.understood import plan_lines, plan_record, readings_lines, readings_record
     from estimator.readings.plan import plan_and_faults
     from estimator.store.importers.readings_csv import readings_and_faults
 
+    if path.suffix in PLANS and is_devices_file(path):
+        devices, faults = devices_and_faults(path, rig)
+        words = [] if faults else [f"{path}: instruments of {', '.join(devices)}"]
+        return words, {} if faults else {"devices": dict(devices)}, faults
     if path.suffix in PLANS:
         plan, faults = plan_and_faults(path, rig)
         if plan is None:

@@ -78,6 +78,7 @@ def design_command(
     all places so far. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that they are expected
     to add.
     """
+    from estimator.cli.count_progress import CountReporter
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
@@ -86,15 +87,17 @@ def design_command(
     if out is not None:
         refuse_existing(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
-    proposal = design(
-        load_session(session_path),
-        split=split,
-        shrink=shrink,
-        correction=correction,
-        degree=degree,
-        n_readings=n_readings,
-        rig=rig,
-    )
+    with CountReporter() as reporter:
+        proposal = design(
+            load_session(session_path),
+            split=split,
+            shrink=shrink,
+            correction=correction,
+            degree=degree,
+            n_readings=n_readings,
+            rig=rig,
+            on_count=reporter,
+        )
     if out is not None:
         write_text(out, proposal.plan)
     result = {**proposal.to_json(), "plan": None if out is None else str(out)}

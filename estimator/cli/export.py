@@ -17,10 +17,11 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
 @click.command(
     "export",
     cls=CoilcalCommand,
-    help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Formats:\n\n\b\n"
+    help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Several are "
+    "written as one magnet: each with the coils that were on in it, all in the same world frame. Formats:\n\n\b\n"
     + TABLE,
 )
-@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Format.")
 @click.option(
     "--out",
@@ -51,7 +52,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
 @overwrite_option
 @json_option
 def export_command(
-    folder: Path,
+    folders: tuple[Path, ...],
     to: str,
     out: Path | None,
     axes: tuple[str, ...],
@@ -66,14 +67,16 @@ def export_command(
     from estimator.calibration.result import Calibration
     from estimator.export.formats import default_path
     from estimator.export.request import Grid
+    from estimator.system.system import System
 
-    calibration = Calibration.load(folder)
-    path = default_path(calibration, to) if out is None else out
+    loaded = [Calibration.load(folder) for folder in folders]
+    calibrated = loaded[0] if len(loaded) == 1 else System.of(*loaded)
+    path = default_path(calibrated.magnet(), to) if out is None else out
     refuse_existing(path, overwrite)
     grid = Grid(*grid_axes(axes).values()) if axes else None
     motion = {
         name: torch.tensor(values, dtype=torch.float64)
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
-    calibration.export(to, path, grid=grid, currents_A=named_number(currents, "--current"), motion=motion)
+    calibrated.export(to, path, grid=grid, currents_A=named_number(currents, "--current"), motion=motion)
     show({"file": str(path), "format": to}, f"{FORMATS[to].words} written to {path}", as_json)

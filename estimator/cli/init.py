@@ -27,7 +27,7 @@ QUESTIONS: dict[str, tuple[type | tuple[str, ...], Any, str]] = {
     "distance_mm": (
         float,
         40.0,
-        "Distance in mm, along the axis, of the sensor from the middle of the coil where they are nearest",
+        "Distance in mm, along the axis, of the sensor from the front face of the coil where they are nearest",
     ),
     "reach_mm": (float, 40.0, "How far the robot or stage goes to each side, and away, in mm"),
     "noise_uT": (float, 20.0, "Scatter of one reading of the sensor in uT"),

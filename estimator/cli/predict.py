@@ -13,7 +13,7 @@ from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 
-BLOCK = 10_000  # points predicted at once, with all draws of the posterior
+BLOCK = 2_000  # points predicted at once, with all draws of the posterior
 HEADER = (
     ["x_m", "y_m", "z_m"]
     + [f"B{axis}_T" for axis in "xyz"]
@@ -71,6 +71,7 @@ def predict_command(
     import torch
 
     from estimator.calibration.result import Calibration
+    from estimator.cli.count_progress import CountReporter
     from estimator.store.files import write_text
 
     refuse_existing(out, overwrite)
@@ -84,10 +85,13 @@ def predict_command(
         name: torch.tensor(values, dtype=torch.float64)
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
-    blocks = points_m.split(BLOCK)
-    field = torch.cat([calibration.field(block, currents_A, motion) for block in blocks])
-    intervals = [calibration.field_interval(block, currents_A, level, motion) for block in blocks]
-    lower, upper = (torch.cat(ends) for ends in zip(*intervals, strict=True))
+    done = []
+    with CountReporter() as reporter:
+        for n, block in enumerate(points_m.split(BLOCK)):
+            reporter("predicting points", n * BLOCK, len(points_m))
+            best = calibration.field(block, currents_A, motion)
+            done.append((best, *calibration.field_interval(block, currents_A, level, motion)))
+    field, lower, upper = (torch.cat(blocks) for blocks in zip(*done, strict=True))
     is_inside = torch.isnan(field).any(dim=1)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")

@@ -93,9 +93,11 @@ def recalibrate_command(
     Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
     calibration did not converge.
     """
+    from estimator.cli.search_progress import SearchReporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.recalibration.alerts import calls_for_action, senders
     from estimator.recalibration.recalibrate import recalibrate, roll_back
+    from estimator.recalibration.watcher import Watcher
     from estimator.rig_files.read import load_rig
 
     if rollback is not None:
@@ -109,12 +111,15 @@ def recalibrate_command(
     if rig_path is None or inbox is None:
         raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")
     rig, alert_senders = load_rig(rig_path), senders(alert_command, alert_webhook)
-    settings = SamplerSettings(target_ess=ess)
+    settings, reporter = SamplerSettings(target_ess=ess), SearchReporter()
 
     def tell(entry: Entry) -> None:
         """Print an entry of the log, and alert of it if somebody has to act."""
         if not as_json:
-            click.echo(f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}")
+            with reporter.aside():
+                click.echo(
+                    f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}"
+                )
         if calls_for_action(entry):
             _alert({"registry": str(registry), **asdict(entry)}, alert_senders)
 
@@ -130,16 +135,18 @@ def recalibrate_command(
 
     def judge_inbox() -> list[Entry]:
         """Judge the new sessions; those of --again only in the first run that succeeds."""
-        added = recalibrate(
-            rig,
-            inbox,
-            registry,
-            seed=seed,
-            settings=settings,
-            again=tuple(judge_again),
-            on_entry=tell,
-            on_waiting=report_waiting,
-        )
+        with reporter:
+            added = recalibrate(
+                rig,
+                inbox,
+                registry,
+                seed=seed,
+                settings=settings,
+                again=tuple(judge_again),
+                on_entry=tell,
+                on_waiting=report_waiting,
+                watcher=Watcher(reporter.stage, reporter.progress, reporter.sampling),
+            )
         judge_again.clear()
         return added
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from estimator.calibration.calibrate import Stage
 from estimator.cli.output import is_quiet, tell_progress
+from estimator.cli.time_left import TimeLeft
 from estimator.cli.words import duration_words
 from estimator.diagnosis.progress import Progress
 
@@ -21,6 +25,7 @@ class SearchReporter:
 
     def __init__(self) -> None:
         self._printed_s = time.monotonic()
+        self._time_left = TimeLeft()
         self._bar: Bar | None = None
         if sys.stderr.isatty() and not is_quiet():
             columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn())
@@ -36,6 +41,18 @@ class SearchReporter:
         if self._bar is not None:
             self._bar.stop()
 
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Leave the terminal to what is printed during the block."""
+        if self._bar is None:
+            yield
+            return
+        self._bar.stop()
+        try:
+            yield
+        finally:
+            self._bar.start()
+
     def stage(self, words: str) -> None:
         """Show a message that stays."""
         self._printed_s = time.monotonic()
@@ -45,6 +62,22 @@ class SearchReporter:
             return
         self._bar.console.print(f"coilcal: {words}", markup=False, highlight=False, soft_wrap=True)
         self._bar.update(self._task, description=words, total=None)
+
+    def sampling(self, stage: Stage) -> None:
+        """Show how far the sampling of a posterior is; in a pipe only now and then."""
+        sampling = stage.sampling
+        if sampling is None:
+            if self._bar is not None:
+                self._bar.update(self._task, description=stage.name, total=None)
+            return
+        done, target = min(sampling.smallest_ess, sampling.target_ess), sampling.target_ess
+        words = (
+            f"{stage.name}: effective samples {done:.0f} of {target:.0f}{self._time_left.words(done, target)}"
+        )
+        if self._bar is not None:
+            self._bar.update(self._task, description=words, total=target, completed=done)
+        elif time.monotonic() - self._printed_s >= LINE_EVERY_S:
+            self.stage(words)
 
     def progress(self, progress: Progress) -> None:
         """Show how far a series of fits is; in a pipe only now and then."""

@@ -1,4 +1,4 @@
-"""Field maps of other programs as CSV: full grids with a header, or what COMSOL exports."""
+"""Field maps of other programs: full grids as CSV with a header, what COMSOL exports, or grids of VTK."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.comparison.vtk_maps import SUFFIXES, read_vtk
 from estimator.errors import InvalidInput, reason
 from estimator.field.grid_map import GridMap
 from estimator.units import UNITS
@@ -33,8 +34,8 @@ class Column:
 def read_map(path: Path, current_A: float) -> GridMap:
     """The map per ampere.
 
-    Columns are x, y, z and Bx, By, Bz with a unit each, as `x_mm` or `mf.Bx (T)`. A coordinate without one has that of COMSOL's line
-    `% Length unit`.
+    A grid of VTK (`.vti`, `.vtr`) has point data `B` in tesla at coordinates in metres. In a CSV, columns are x, y, z and Bx, By, Bz with
+    a unit each, as `x_mm` or `mf.Bx (T)`. A coordinate without one has that of COMSOL's line `% Length unit`.
 
     Args:
         path: The file.
@@ -45,6 +46,8 @@ def read_map(path: Path, current_A: float) -> GridMap:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise InvalidInput(f"field map must have at most {MOST_BYTES} bytes; {path} has more")
+        if path.suffix in SUFFIXES:
+            return _of_vtk(path, current_A)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(
@@ -57,6 +60,14 @@ def read_map(path: Path, current_A: float) -> GridMap:
     columns = _columns(_cells(header), LENGTH_UNIT.search(text), path)
     numbers = _numbers(rows, columns, path)
     return _on_grid(numbers[:, :3], numbers[:, 3:] / current_A, path)
+
+
+def _of_vtk(path: Path, current_A: float) -> GridMap:
+    points_m, field_T = read_vtk(path, path.read_bytes())
+    n_missing = int((~np.isfinite(field_T)).any(1).sum())
+    if n_missing:
+        raise InvalidInput(f"field map must be finite; {n_missing} points are not ({path})")
+    return _on_grid(points_m, field_T / current_A, path)
 
 
 def _cells(line: str) -> list[str]:

@@ -25,10 +25,16 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
+OnCount = Callable[[str, int, int], None]
+"""Called with what is being done, how many of it are done, and how many there are."""
 
 
 def unwatched(progress: Progress) -> None:
     """For a search that nobody watches."""
+
+
+def uncounted(what: str, done: int, total: int) -> None:
+    """For work that nobody watches."""
 
 
 class Pace:

@@ -5,30 +5,28 @@ from __future__ import annotations
 import jinja2
 from torch import Tensor
 
-from estimator.export.calibrated import Calibrated
-from estimator.export.labels import identifier, origin_of, plain_words, regions_of
-from estimator.export.linearised import linearised
-from estimator.export.plain_model import plain_model
+from estimator.export.labels import identifier, plain_words
+from estimator.export.magnet import Magnet
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.units import MU0_T_M_PER_A
 
 
-def cpp_header(calibrated: Calibrated) -> str:
+def cpp_header(magnet: Magnet) -> str:
     """The text of the header.
 
     Raises:
         InvalidInput: The rig has something that the header cannot express.
     """
-    model = plain_model(calibrated.rig, calibrated.best_values(), "cpp")
+    model = magnet.model("cpp")
     return _template().render(
         model=model,
-        changes=linearised(calibrated),
+        changes=magnet.changes,
         title=plain_words(model.name),
         name=identifier(model.name),
-        regions=regions_of(calibrated),
-        origin=origin_of(calibrated),
+        regions=magnet.regions,
+        origin=magnet.origin,
         coil_names=", ".join(coil.name for coil in model.coils),
         mover_names=", ".join(mover.name for mover in model.movers) or "none",
         currents=", ".join(["1.0"] * len(model.coils)),

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from estimator.errors import InvalidInput, reason
 
 if TYPE_CHECKING:
-    from estimator.export.calibrated import Calibrated, Motion
+    from estimator.export.calibrated import Motion
+    from estimator.export.magnet import Magnet
     from estimator.export.request import Grid, Request
 
 __all__ = ["FORMATS", "Format", "default_path", "export"]
@@ -39,19 +40,19 @@ class Format:
 def _json(request: Request) -> None:
     from estimator.export.json_model import json_model
 
-    _text(request, json_model(request.calibrated))
+    _text(request, json_model(request.magnet))
 
 
 def _cpp(request: Request) -> None:
     from estimator.export.cpp_header import cpp_header
 
-    _text(request, cpp_header(request.calibrated))
+    _text(request, cpp_header(request.magnet))
 
 
 def _matlab(request: Request) -> None:
     from estimator.export.matlab_function import matlab_function
 
-    _text(request, matlab_function(request.calibrated, request.path.stem))
+    _text(request, matlab_function(request.magnet, request.path.stem))
 
 
 def _arviz(request: Request) -> None:
@@ -63,13 +64,31 @@ def _arviz(request: Request) -> None:
 def _magpylib(request: Request) -> None:
     from estimator.export.magpylib_module import magpylib_module
 
-    _text(request, magpylib_module(request.calibrated, request.motion))
+    _text(request, magpylib_module(request.magnet, request.motion))
 
 
 def _csv(request: Request) -> None:
     from estimator.export.grid_csv import grid_csv
 
     _text(request, grid_csv(request))
+
+
+def _vtk(request: Request) -> None:
+    from estimator.export.vtk_grid import vtk_grid
+
+    _text(request, vtk_grid(request))
+
+
+def _openpmd(request: Request) -> None:
+    from estimator.export.openpmd_grid import write_openpmd
+
+    write_openpmd(request)
+
+
+def _torch(request: Request) -> None:
+    from estimator.export.torch_program import write_program
+
+    write_program(request.magnet, request.path)
 
 
 def _mag_manip(request: Request) -> None:
@@ -100,9 +119,19 @@ FORMATS: Mapping[str, Format] = {
     "json": Format(".json", "every number of the model, with units", _json),
     "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
     "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
+    "torch": Format(".pt2", "program of torch.export", _torch),
     "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
     "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
     "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
+    "vtk": Format(
+        ".vtr", "field and gradient on a grid of VTK, for ParaView", _vtk, ("grid", "currents", "motion")
+    ),
+    "openpmd": Format(
+        ".h5",
+        "field and gradient on a grid after openPMD 1.1.0, in HDF5",
+        _openpmd,
+        ("grid", "currents", "motion"),
+    ),
     "urdf": Format(".urdf", "calibrated frames as a URDF", _urdf),
     "tf": Format(".launch.py", "ROS 2 launch file of the calibrated transforms", _tf),
     "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
@@ -110,7 +139,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def export(
-    calibrated: Calibrated,
+    magnet: Magnet,
     to: str,
     path: Path | str | None = None,
     *,
@@ -118,10 +147,10 @@ def export(
     currents_A: Mapping[str, float] | None = None,
     motion: Motion | None = None,
 ) -> Path:
-    """Write a calibration in a format for other programs.
+    """Write a calibration, or several as one magnet, in a format for other programs.
 
     Args:
-        calibrated: A calibration.
+        magnet: The coils.
         to: A name in `FORMATS`.
         path: File to write; one named after the rig, in the current folder, where none is given.
         grid, currents_A, motion: As in `Request`, for formats that take them.
@@ -137,17 +166,17 @@ def export(
     for name, given in (("grid", grid), ("currents", currents_A), ("motion", motion)):
         if given and name not in chosen.takes:
             raise InvalidInput(f"export to {to} must have no {name}, for which it leaves room; received some")
-    path = default_path(calibrated, to) if path is None else Path(path)
+    path = default_path(magnet, to) if path is None else Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        chosen.write(Request(calibrated, path, grid, currents_A or {}, motion or {}))
+        chosen.write(Request(to, magnet, path, grid, currents_A or {}, motion or {}))
     except OSError as error:
         raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
     return path
 
 
-def default_path(calibrated: Calibrated, to: str) -> Path:
+def default_path(magnet: Magnet, to: str) -> Path:
     """The file that is written where none is named."""
     from estimator.export.labels import identifier
 
-    return Path(f"coilcal_{identifier(calibrated.rig.name)}{FORMATS[to].ending}")
+    return Path(f"coilcal_{identifier(magnet.name)}{FORMATS[to].ending}")

@@ -6,9 +6,8 @@ import csv
 import io
 import math
 
-import torch
+import numpy as np
 
-from estimator.errors import InvalidInput
 from estimator.export.request import Request
 
 ENTRIES = (
@@ -23,7 +22,6 @@ HEADER = (
     *(f"B{axis}_T" for axis in "xyz"),
     *(f"dB{'xyz'[i]}_d{'xyz'[j]}_T_per_m" for i, j in ENTRIES),
 )
-BLOCK = 10_000  # points evaluated at once
 
 
 def grid_csv(request: Request) -> str:
@@ -32,16 +30,11 @@ def grid_csv(request: Request) -> str:
     Raises:
         InvalidInput: No grid, no currents, or what `Calibration.field` refuses.
     """
-    points_m = request.points("csv").points_m
-    if not request.currents_A:
-        raise InvalidInput("export to csv must have currents, such as --current coil1=1; received none")
+    grid, field_T, gradient = request.on_grid()
+    entries = np.stack([gradient[..., i, j] for i, j in ENTRIES], axis=-1).reshape(-1, len(ENTRIES))
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(HEADER)
-    for block_m in points_m.split(BLOCK):
-        field_T = request.calibrated.field(block_m, request.currents_A, request.motion)
-        gradient = request.calibrated.gradient(block_m, request.currents_A, request.motion)
-        entries = torch.stack([gradient[:, i, j] for i, j in ENTRIES], dim=1)
-        for row in torch.cat((block_m, field_T, entries), dim=1).tolist():
-            writer.writerow([repr(number) if math.isfinite(number) else "" for number in row])
+    for row in np.concatenate((grid.points_m.numpy(), field_T.reshape(-1, 3), entries), axis=1).tolist():
+        writer.writerow([repr(number) if math.isfinite(number) else "" for number in row])
     return buffer.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -11,9 +12,9 @@ from torch import Tensor
 
 from estimator.code_version import code_version
 from estimator.export.calibrated import Calibrated
-from estimator.export.labels import points_about
-from estimator.export.linearised import WINDING_NUMBERS, Linearised, linearised
-from estimator.export.plain_model import PlainCoil, PlainMover, numbers_of, plain_model
+from estimator.export.linearised import WINDING_NUMBERS, Linearised
+from estimator.export.magnet import Magnet
+from estimator.export.plain_model import PlainCoil, PlainMover, numbers_of
 from estimator.field.coil import AnyWinding
 from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
@@ -41,21 +42,21 @@ CONVENTIONS = {
 }
 
 
-def json_model(calibrated: Calibrated) -> str:
+def json_model(magnet: Magnet) -> str:
     """The text of the file.
 
     Raises:
         InvalidInput: The rig has something that the file cannot express.
     """
-    model = plain_model(calibrated.rig, calibrated.best_values(), "json", takes_sides=True)
-    regions_m = [points_about(calibrated, coil) for coil in calibrated.rig.wound]
+    model = magnet.model("json", takes_sides=True)
+    regions_m = [magnet.region_m(coil.name) for coil in model.coils]
     document = {
         "format": "coilcal calibration",
         "schema_version": SCHEMA_VERSION,
         "name": model.name,
         "conventions": CONVENTIONS,
-        "origin": _origin(calibrated),
-        "parameters": _parameters(calibrated),
+        "origin": _merged(magnet, _origin),
+        "parameters": _merged(magnet, _parameters),
         "mu0_T_m_per_A": MU0_T_M_PER_A,
         "coils": [
             _coil(coil, region_m, model.movers) for coil, region_m in zip(model.coils, regions_m, strict=True)
@@ -64,7 +65,7 @@ def json_model(calibrated: Calibrated) -> str:
         "delivered_A_per_A": model.delivered_A_per_A.tolist(),
         "offset_A": model.offset_A.tolist(),
         "background_T": model.background_T.tolist(),
-        "directions": _directions(linearised(calibrated)),
+        "directions": _directions(magnet.changes),
     }
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
@@ -138,6 +139,18 @@ def calibration_schema() -> dict[str, Any]:
         "title": "calibrated magnet, as coilcal export --to json writes it",
         **_object(**properties),
     }
+
+
+def _merged(magnet: Magnet, entries_of: Callable[[Calibrated], Mapping[str, Any]]) -> dict[str, Any]:
+    """Entries of all calibrations; a key that several have is told apart by the coils of each."""
+    each = [(part, entries_of(part)) for part in magnet.parts]
+    merged = {}
+    for part, entries in each:
+        coils = ", ".join(coil.name for coil in part.rig.coils)
+        for key, entry in entries.items():
+            is_shared = sum(key in others for _, others in each) > 1
+            merged[f"{key} ({coils})" if is_shared else key] = entry
+    return merged
 
 
 def _origin(calibrated: Calibrated) -> dict[str, str | None]:

@@ -8,7 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.export.request import Grid, Request
+from estimator.export.calibrated import Calibrated, Motion
+from estimator.export.request import Grid, Request, motion_of
 
 LEAST_POINTS = 2  # along each axis, between which it interpolates
 PROPORTIONAL = 1e-9  # of the field: what the sum of all coils may be off
@@ -24,7 +25,7 @@ def vfield_yaml(request: Request) -> str:
         InvalidInput: No grid of two or more evenly spaced points, equally many along each axis, a point inside a winding, or a field
             that is not proportional to the currents.
     """
-    grid = request.points("mag_manip")
+    grid = request.points()
     if (
         len(set(grid.shape)) > 1
     ):  # mag_manip 3.0.0 steps by dim_y along y and by dim_x dim_y along x, where z runs fastest
@@ -32,24 +33,29 @@ def vfield_yaml(request: Request) -> str:
             f"grid of mag_manip must have as many points along each axis; received {' x '.join(map(str, grid.shape))}"
         )
     spans = _spans(grid)
-    per_ampere = per_ampere_on(request, grid.points_m)
-    names = ", ".join(coil.name for coil in request.calibrated.rig.coils)
+    fields: dict[str, Tensor] = {}
+    for part in request.magnet.parts:
+        of_part = per_ampere_on(part, grid.points_m, motion_of(part, request.motion))
+        fields |= dict(zip((coil.name for coil in part.rig.coils), of_part, strict=True))
+    per_ampere = [fields[name] for name in request.magnet.coils]
+    names = ", ".join(request.magnet.coils)
     vfields = {f"coil_{i}": {**spans, "data": field.tolist()} for i, field in enumerate(per_ampere)}
     header = (
         f"# Field per ampere of {names}, in T/A at points in m of the world frame; made by coilcal export.\n"
     )
-    document = {"name": request.calibrated.rig.name, "vfields": vfields}
+    document = {"name": request.magnet.name, "vfields": vfields}
     return header + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=200)
 
 
-def per_ampere_on(request: Request, points_m: Float[Tensor, "point 3"]) -> Float[Tensor, "coil point 3"]:
-    """Field per ampere of every coil.
+def per_ampere_on(
+    calibrated: Calibrated, points_m: Float[Tensor, "point 3"], motion: Motion
+) -> Float[Tensor, "coil point 3"]:
+    """Field per ampere of every coil of a calibration.
 
     Raises:
         InvalidInput: A point inside a winding, or a field that is not proportional to the currents.
     """
-    calibrated = request.calibrated
-    room, best = calibrated.room(points_m, request.motion), calibrated.best_values()
+    room, best = calibrated.room(points_m, motion), calibrated.best_values()
     n = len(calibrated.rig.coils)
     probe_A = torch.arange(2.0, n + 2.0, dtype=torch.float64)
     currents_A = torch.cat(

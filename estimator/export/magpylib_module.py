@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.export.calibrated import Calibrated, Motion
-from estimator.export.labels import origin_of, plain_words, regions_of
-from estimator.export.plain_model import numbers_of, plain_model
+from estimator.export.calibrated import Motion
+from estimator.export.labels import plain_words
+from estimator.export.magnet import Magnet
+from estimator.export.plain_model import numbers_of
+from estimator.export.request import motion_of
 from estimator.rig.rig import SidedCoil
 
 CHORDS_PER_ARC = 90
@@ -74,27 +77,28 @@ def room():
 '''
 
 
-def magpylib_module(calibrated: Calibrated, motion: Motion) -> str:
+def magpylib_module(magnet: Magnet, motion: Motion) -> str:
     """The text of the module.
 
     Args:
-        calibrated: A calibration.
+        magnet: The coils.
         motion: Six numbers of each mover; a mover that reports displacements defaults to zeros.
     Raises:
         InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that loops cannot express.
     """
-    values = calibrated.best_values()
-    model = plain_model(calibrated.rig, values, "magpylib", takes_sides=True)
-    sources = calibrated.room(torch.zeros(1, 3, dtype=torch.float64), motion).sources
-    coils = []
-    for coil, plain in zip(calibrated.rig.wound, model.coils, strict=True):
+    model = magnet.model("magpylib", takes_sides=True)
+    origin_m = torch.zeros(1, 3, dtype=torch.float64)
+    coils: list[dict[str, Any]] = []
+    for plain in model.coils:
+        part, coil = magnet.home[plain.name]
+        sources = part.room(origin_m, motion_of(part, motion)).sources
         numbers = {key: float(number) for key, number in numbers_of(plain.winding).items()}
         for key in ("axial_loops", "radial_loops"):
             if not numbers[key].is_integer():
                 raise InvalidInput(
                     f"export to magpylib must have whole loops; {coil.name}.{key} is {numbers[key]:g}"
                 )
-        pose = sources.world_from_body(coil, "coil", torch.zeros(1, dtype=torch.int64), values)
+        pose = sources.world_from_body(coil, "coil", torch.zeros(1, dtype=torch.int64), part.best_values())
         rotation, translation_m = pose.rotation.reshape(3, 3).tolist(), pose.translation_m.reshape(3).tolist()
         corners = {"is_rounded": int(coil.is_rounded)} if isinstance(coil, SidedCoil) else {}
         coils.append(
@@ -102,16 +106,14 @@ def magpylib_module(calibrated: Calibrated, motion: Motion) -> str:
         )
     poses = ", ".join(f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in motion.items())
     return MODULE.format(
-        chords=CHORDS
-        if any(isinstance(coil, SidedCoil) and coil.is_rounded for coil in calibrated.rig.wound)
-        else "",
+        chords=CHORDS if any(coil.get("is_rounded") for coil in coils) else "",
         per_arc=CHORDS_PER_ARC,
         title=plain_words(model.name),
         currents=[1.0] * len(coils),
         names=", ".join(coil.name for coil in model.coils),
         poses=poses or "rest",
-        regions="\n".join(line[:1].upper() + line[1:] for line in regions_of(calibrated)),
-        origin=origin_of(calibrated),
+        regions="\n".join(line[:1].upper() + line[1:] for line in magnet.regions),
+        origin=magnet.origin,
         coils=json.dumps(coils, indent=4),
         delivered=model.delivered_A_per_A.tolist(),
         offset=model.offset_A.tolist(),

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.export.calibrated import Calibrated
-from estimator.export.labels import origin_of, plain_words, regions_of
+from estimator.export.labels import plain_words
 from estimator.export.linearised import WINDING_NUMBERS
-from estimator.export.plain_model import plain_model
+from estimator.export.magnet import Magnet
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
@@ -24,11 +23,11 @@ DEFINED = re.compile(r"^function .*?(\w+)\(", re.MULTILINE)
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
-def matlab_function(calibrated: Calibrated, name: str) -> str:
+def matlab_function(magnet: Magnet, name: str) -> str:
     """The text of the file.
 
     Args:
-        calibrated: A calibration.
+        magnet: The coils.
         name: Name of the function, which is that of its file.
     Raises:
         InvalidInput: A name that MATLAB does not take, or a rig with something that the function cannot express.
@@ -37,13 +36,13 @@ def matlab_function(calibrated: Calibrated, name: str) -> str:
         raise InvalidInput(
             f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {name!r}"
         )
-    model = plain_model(calibrated.rig, calibrated.best_values(), "matlab")
+    model = magnet.model("matlab")
     text = _template().render(
         model=model,
         name=name,
         title=plain_words(model.name),
-        regions=regions_of(calibrated),
-        origin=origin_of(calibrated),
+        regions=magnet.regions,
+        origin=magnet.origin,
         coil_names=", ".join(coil.name for coil in model.coils),
         mover_names=", ".join(mover.name for mover in model.movers) or "none",
         winding_numbers=WINDING_NUMBERS,

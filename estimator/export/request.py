@@ -13,6 +13,10 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated, Motion
+from estimator.export.labels import plain_words
+from estimator.export.magnet import Magnet
+
+BLOCK = 10_000  # points evaluated at once
 
 
 @dataclass(frozen=True)
@@ -44,20 +48,42 @@ class Request:
     """One export.
 
     Attributes:
-        calibrated: What is exported.
+        to: Name of the format.
+        magnet: What is exported.
         path: File to write.
         grid: Points, for formats that hold a field.
         currents_A: Current of each coil by name, for formats that hold a field; coils that are not named are off.
         motion: Six numbers of each mover, for formats in which nothing moves; zeros where a mover is not named.
     """
 
-    calibrated: Calibrated
+    to: str
+    magnet: Magnet
     path: Path
     grid: Grid | None = None
     currents_A: Mapping[str, float] = field(default_factory=dict)
     motion: Motion = field(default_factory=dict)
 
-    def points(self, to: str) -> Grid:
+    def __post_init__(self) -> None:
+        known = {mover.name: None for part in self.magnet.parts for mover in part.rig.movers}
+        unknown = [name for name in self.motion if name not in known]
+        if unknown:
+            names = ", ".join(known) or "none"
+            raise InvalidInput(f"motion must name movers of the rig ({names}); received {unknown[0]!r}")
+
+    @property
+    def calibrated(self) -> Calibrated:
+        """The calibration, for formats that hold one.
+
+        Raises:
+            InvalidInput: There are several.
+        """
+        if self.magnet.only is None:
+            raise InvalidInput(
+                f"export to {self.to} must have one calibration; received {len(self.magnet.parts)}"
+            )
+        return self.magnet.only
+
+    def points(self) -> Grid:
         """The grid.
 
         Raises:
@@ -65,6 +91,56 @@ class Request:
         """
         if self.grid is None:
             raise InvalidInput(
-                f"export to {to} must have a grid, such as --grid x_mm=-50:50:11; received none"
+                f"export to {self.to} must have a grid, such as --grid x_mm=-50:50:11; received none"
             )
         return self.grid
+
+    @property
+    def words(self) -> str:
+        """Magnet, currents and poses in one line."""
+        currents = ", ".join(f"{name} {value:g} A" for name, value in self.currents_A.items())
+        poses = ", ".join(
+            f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in self.motion.items()
+        )
+        return f"calibrated magnet {plain_words(self.magnet.name)} at {currents}; movers at {poses or 'rest'}"
+
+    def on_grid(
+        self,
+    ) -> tuple[Grid, Float[np.ndarray, "x y z 3"], Float[np.ndarray, "x y z 3 3"]]:
+        """Grid, field and gradient dB_i / dx_j at its points, as `field_and_gradient`."""
+        grid = self.points()
+        blocks = [self.field_and_gradient(block_m) for block_m in grid.points_m.split(BLOCK)]
+        field_T, gradient = (torch.cat(parts).numpy() for parts in zip(*blocks, strict=True))
+        return grid, field_T.reshape(*grid.shape, 3), gradient.reshape(*grid.shape, 3, 3)
+
+    def field_and_gradient(
+        self, points_m: Float[Tensor, "point 3"]
+    ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
+        """Field and gradient at points, at the currents and poses of the request.
+
+        Raises:
+            InvalidInput: No currents, or a coil or mover that is not there.
+        """
+        if not self.currents_A:
+            raise InvalidInput(
+                f"export to {self.to} must have currents, such as --current coil1=1; received none"
+            )
+        unknown = [name for name in self.currents_A if name not in self.magnet.coils]
+        if unknown:
+            raise InvalidInput(
+                f"currents must name coils of the magnet ({', '.join(self.magnet.coils)}); received {unknown[0]!r}"
+            )
+        field_T, gradient = points_m.new_zeros(len(points_m), 3), points_m.new_zeros(len(points_m), 3, 3)
+        for part in self.magnet.parts:
+            names = [coil.name for coil in part.rig.coils]
+            currents_A = {name: value for name, value in self.currents_A.items() if name in names}
+            motion = motion_of(part, self.motion)
+            field_T = field_T + part.field(points_m, currents_A, motion)
+            gradient = gradient + part.gradient(points_m, currents_A, motion)
+        return field_T, gradient
+
+
+def motion_of(part: Calibrated, motion: Motion) -> Motion:
+    """The movers of a part; a name that it does not know belongs to another one."""
+    known = {mover.name for mover in part.rig.movers}
+    return {name: row for name, row in motion.items() if name in known}

@@ -30,6 +30,7 @@ from estimator.recalibration.successor import (
     short_of,
 )
 from estimator.recalibration.together import named_together
+from estimator.recalibration.watcher import UNHEARD, Watcher
 from estimator.recalibration.words import mistake_in, sizes_of, words_of
 from estimator.reporting.numbers import displays, size_with_unit, with_sd
 from estimator.rig.rig import Cause, Rig
@@ -49,14 +50,17 @@ class Comparison:
     refit: Fit
     agreement: Agreement
     seed: int
+    watcher: Watcher = UNHEARD
 
     @classmethod
-    def of(cls, session: Session, widened: Rig, current: Calibration, seed: int) -> Comparison:
+    def of(
+        cls, session: Session, widened: Rig, current: Calibration, seed: int, watcher: Watcher = UNHEARD
+    ) -> Comparison:
         """Refit the session within the widened rig, and test it against the current calibration."""
         tested = thinned(session.observations, diagnosis_policy.MOST_READINGS_SEARCHED, seed)
         model = MeasurementModel.build(widened, tested)
         refit = fit_rig(widened, tested, widened.nominal_values(), model.rules)
-        return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed)
+        return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed, watcher)
 
     def judgement(
         self, settings: SamplerSettings | None, earlier: Sequence[Mapping[str, float]], may_replace: bool
@@ -66,7 +70,13 @@ class Comparison:
             return self._judgement(
                 Conclusion.UNCHANGED, f"agrees with the current version ({self._p_value()})"
             )
-        diagnosis = diagnose(self.session, self.widened, seed=self.seed)
+        diagnosis = diagnose(
+            self.session,
+            self.widened,
+            seed=self.seed,
+            on_stage=self.watcher.on_words,
+            on_progress=self.watcher.on_progress,
+        )
         if diagnosis.record_mistakes:
             return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
         if is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
@@ -94,7 +104,7 @@ class Comparison:
         reason = f"{what}; {words_of(improvement)}{held}"
         if not (improvement.is_significant and may_replace):
             return self._judgement(stays, reason, diagnosis, improvement)
-        successor = sampled_successor(self.session, diagnosis, self.seed, settings)
+        successor = sampled_successor(self.session, diagnosis, self.seed, settings, self.watcher)
         is_converged, stored = bool(successor.summary()["is_converged"]), self._stored_improvement(successor)
         sampled = {IS_CONVERGED: is_converged, "stored_elpd_difference": finite(stored)}
         if is_converged and stored > 0.0:

@@ -23,6 +23,7 @@ from estimator.recalibration.successor import (
     sampled_successor,
     short_of,
 )
+from estimator.recalibration.watcher import UNHEARD, Watcher
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of
 from estimator.rig.rig import Rig
@@ -38,6 +39,7 @@ def judge(
     may_replace: bool = True,
     seed: int = 0,
     settings: SamplerSettings | None = None,
+    watcher: Watcher = UNHEARD,
 ) -> Judgement:
     """Conclude on one session.
 
@@ -49,6 +51,7 @@ def judge(
         may_replace: False for readings older than those of the version in use: they are judged but lead to no new version.
         seed: Seed of all random numbers.
         settings: When to stop sampling a successor.
+        watcher: Is told how far it is.
     Raises:
         InvalidInput: The rig or the current calibration cannot be used. Faults of the session do not raise: they lead to a rejection.
     """
@@ -59,8 +62,11 @@ def judge(
         check_units(rig, session.observations.calibration, session.source)
         session = _with_held_out(session, seed)
         if current is None or widened is None:
-            return _first(session, rig, seed, settings)
-        return Comparison.of(session, widened, current, seed).judgement(settings, earlier, may_replace)
+            return _first(session, rig, seed, settings, watcher)
+        watcher.on_words("comparing with the current version")
+        return Comparison.of(session, widened, current, seed, watcher).judgement(
+            settings, earlier, may_replace
+        )
     except (InvalidInput, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
         return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
 
@@ -73,11 +79,13 @@ def _with_held_out(session: Session, seed: int) -> Session:
     return replace(session, observations=observations.with_validation(split))
 
 
-def _first(session: Session, rig: Rig, seed: int, settings: SamplerSettings | None) -> Judgement:
-    diagnosis = diagnose(session, rig, seed=seed)
+def _first(
+    session: Session, rig: Rig, seed: int, settings: SamplerSettings | None, watcher: Watcher
+) -> Judgement:
+    diagnosis = diagnose(session, rig, seed=seed, on_stage=watcher.on_words, on_progress=watcher.on_progress)
     if diagnosis.record_mistakes:
         return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=causes_of(diagnosis))
-    calibration = sampled_successor(session, diagnosis, seed, settings)
+    calibration = sampled_successor(session, diagnosis, seed, settings, watcher)
     named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""
     left = "; structure is left that no known cause explains" if is_unexplained(diagnosis) else ""
     unsure = (

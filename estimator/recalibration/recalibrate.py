@@ -14,6 +14,7 @@ from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.history_report import history_report
 from estimator.recalibration.judgement import judge
 from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.watcher import UNHEARD, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 
@@ -31,6 +32,7 @@ def recalibrate(
     again: Collection[str] = (),
     on_entry: Callable[[Entry], None] | None = None,
     on_waiting: Callable[[Path, str], None] | None = None,
+    watcher: Watcher = UNHEARD,
 ) -> list[Entry]:
     """Judge every new session of an inbox, oldest readings first, and keep the calibrations they lead to.
 
@@ -46,6 +48,7 @@ def recalibrate(
         again: Names of sessions in the inbox to judge once more although they are in the log.
         on_entry: Called with each conclusion once it is logged, also with those that an interrupted call left pending.
         on_waiting: Called with each session that waits for the next call, and the reason.
+        watcher: Is told how far it is while a session is judged.
     Returns: The log entries that `on_entry` was called with.
     Raises:
         InvalidInput: The inbox is not a folder, another job holds the registry, or the registry is of another rig.
@@ -67,11 +70,13 @@ def recalibrate(
         _check_in_inbox(again, [*(arrival.path for arrival in arrived), *waiting])
         concluded = {entry.hash for entry in calibrations.entries()}
         concluded -= {arrival.hash for arrival in arrived if arrival.path.name in again}
+        new: dict[str, Arrival] = {}
         for arrival in arrived:
-            if arrival.hash in concluded:
-                continue
-            concluded.add(arrival.hash)
-            if _conclude(arrival, rig, calibrations, seed, chosen):
+            if arrival.hash not in concluded:
+                new.setdefault(arrival.hash, arrival)
+        for n, arrival in enumerate(new.values(), start=1):
+            watcher.on_words(f"judging {arrival.path.name}, session {n} of {len(new)}")
+            if _conclude(arrival, rig, calibrations, seed, chosen, watcher):
                 delivered += calibrations.tell(notify)
             else:
                 waiting[arrival.path] = CHANGED
@@ -121,7 +126,9 @@ def _check_in_inbox(names: Collection[str], paths: list[Path]) -> None:
             raise InvalidInput(f"a session to be judged again must lie in the inbox; received {name!r}")
 
 
-def _conclude(arrival: Arrival, rig: Rig, registry: Registry, seed: int, settings: SamplerSettings) -> bool:
+def _conclude(
+    arrival: Arrival, rig: Rig, registry: Registry, seed: int, settings: SamplerSettings, watcher: Watcher
+) -> bool:
     """Judge one session and log the conclusion; False if the session has changed since it was found."""
     judgement = Judgement(Conclusion.REJECTED, f"the session cannot be read: {arrival.fault}")
     entries = registry.entries()
@@ -139,6 +146,7 @@ def _conclude(arrival: Arrival, rig: Rig, registry: Registry, seed: int, setting
             may_replace=not is_late,
             seed=seed,
             settings=settings,
+            watcher=watcher,
         )
     is_drift = judgement.conclusion is Conclusion.DRIFTED
     since = (arrival.taken if is_late else _since(entries, arrival.taken)) if is_drift else None

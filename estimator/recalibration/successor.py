@@ -15,19 +15,25 @@ from estimator.effects import EFFECTS
 from estimator.effects.base import WHEN
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibration import policy
+from estimator.recalibration.watcher import UNHEARD, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 
 def sampled_successor(
-    session: Session, diagnosis: Diagnosis, seed: int, settings: SamplerSettings | None
+    session: Session,
+    diagnosis: Diagnosis,
+    seed: int,
+    settings: SamplerSettings | None,
+    watcher: Watcher = UNHEARD,
 ) -> Calibration:
     """Sample the extended rig of a diagnosis as far as it lasts; causes may need more walkers than were asked for."""
     rig = lasting(diagnosis.extended_rig)
     if settings is not None and settings.n_walkers:
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
-    return calibrate(session, rig, seed=seed, settings=settings)
+    watcher.on_words("sampling a new version")
+    return calibrate(session, rig, seed=seed, settings=settings, on_stage=watcher.on_sampling)
 
 
 def lasting(rig: Rig) -> Rig:

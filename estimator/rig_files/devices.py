@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from estimator.errors import InvalidInput, closest
+from estimator.errors import InvalidInput, Place, closest
 from estimator.rig.arms import ARMS
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.yaml_section import Section
@@ -60,11 +60,17 @@ def setting_location(path: Path, name: str, key: str) -> str:
         >>> [setting_location(file, "hall", key)[-6:] for key in ("sensor", "tcp")]
         ['line 3', 'line 2']
     """
+    place = setting_place(path, name, key)
+    return f"{place.file}, line {place.line}"
+
+
+def setting_place(path: Path, name: str, key: str) -> Place:
+    """Place of a setting of a device; of the device where it has no such setting."""
     section = Section.from_file(path).section(DEVICES)
     if name not in section or not section.is_section(name):
-        return section.where(name)
+        return section.place(name)
     device = section.section(name)
-    return device.where(key) if key in device else section.where(name)
+    return device.place(key) if key in device else section.place(name)
 
 
 def without_devices(text: str) -> str:

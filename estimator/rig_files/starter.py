@@ -5,6 +5,7 @@ Every free number has a prior as wide as a ruler and a maker's note leave it; th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -14,7 +15,7 @@ from estimator.rig_files.read import NAME, SCHEMA_VERSION
 PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
 TILT_SD_DEG = 2.0  # of a mount that was set by eye
 RELATIVE_SD = 0.05  # of a radius that was measured with a caliper over tape and varnish
-NEAREST_SDS = 4.0  # of the place, between a sensor and the end of the winding
+NEAREST_SDS = 4.0  # of place and tilt, between a sensor and the front face of the winding
 N_POSES, N_JUDGED = 40, 12
 
 
@@ -43,7 +44,7 @@ class Starter:
         radius_mm: Outer radius of the winding.
         wire_radius_mm: Half the distance of neighbouring turns.
         axial_loops, radial_loops: Turns along the axis, and layers.
-        distance_mm: Along the axis, from the middle of the winding to the sensor where they are nearest.
+        distance_mm: Along the axis, from the front face of the winding, where its frame sits, to the sensor where they are nearest.
         reach_mm: How far the mover goes to each side, and away.
         noise_uT: Scatter of one component of one reading.
         largest_A: Largest current.
@@ -75,14 +76,14 @@ class Starter:
             rule = f"must exceed {thickness_mm / (1.0 - 2.0 * RELATIVE_SD):.4g}, the thickness of its layers and some room"
             raise InvalidInput(f"radius_mm {rule}; received {self.radius_mm:g}")
         if self.distance_mm < self.nearest_mm:
-            rule = f"must be at least {self.nearest_mm:.4g}, so that no sensor comes into the winding"
+            rule = f"from the front face of the coil must be at least {self.nearest_mm:.4g}, so that no sensor comes into the winding"
             raise InvalidInput(f"distance_mm {rule}; received {self.distance_mm:g}")
 
     @property
     def nearest_mm(self) -> float:
-        """Half the length of the winding, and how far either may be off."""
-        half_length_mm = self.wire_radius_mm * self.axial_loops
-        return half_length_mm * (1.0 + NEAREST_SDS * RELATIVE_SD) + NEAREST_SDS * PLACE_SD_MM
+        """How far the front face may be off: in place, and at its rim by a tilt."""
+        rim_sd_mm = self.radius_mm * math.radians(TILT_SD_DEG)
+        return NEAREST_SDS * math.hypot(PLACE_SD_MM, rim_sd_mm)
 
 
 def starter_rig_text(starter: Starter) -> str:
@@ -90,6 +91,7 @@ def starter_rig_text(starter: Starter) -> str:
     s = starter
     is_coil_moved = s.moved is Moved.COIL
     still = "    # It stands still and is the origin of the room: every other place counts from here.\n"
+    face = "    # Its frame sits on the axis, on the front face of the winding, with z pointing out of the coil.\n"
     coil = _moved_pose(s, "coil", -s.distance_mm) if is_coil_moved else f"{still}    world_from_coil: {{}}\n"
     sensor = (
         f"{still}    world_from_sensor: {{}}\n" if is_coil_moved else _moved_pose(s, "sensor", s.distance_mm)
@@ -115,12 +117,12 @@ coils:
     # Half the distance of neighbouring turns, insulation included; a length. Free it: windings are never quite tight.
     wire_radius_mm: {_normal(s.wire_radius_mm, RELATIVE_SD * s.wire_radius_mm)}
     # Turns along the axis, and layers; pure numbers, must be given. Write plain numbers if you counted them.
-    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1)}
-    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1)}
+    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1.0)}
+    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1.0)}
     # axial_pitch_mm, radial_pitch_mm: distance of turns and of layers; where left out, twice the wire radius.
     # current_gain: delivered over commanded current, 1 where left out. Free it only as narrowly as your ammeter is good:
     #   more current looks like more turns.
-{coil}
+{face}{coil}
 sensors:
   hall:
 {"" if is_coil_moved else "    carried_by: arm1          # leave this out for a sensor that stands still" + chr(10)}\

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,8 @@ from jaxtyping import Float
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.linearised import WINDING_NUMBERS
-from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover, plain_model
+from estimator.export.magnet import Magnet
+from estimator.export.plain_model import PlainModel
 from estimator.frames import Transform
 from estimator.system.point_kernel import Tables, per_ampere
 
@@ -42,10 +43,8 @@ class CompiledSystem:
         Raises:
             InvalidInput: A rig has something besides windings, poses, linear supplies and a uniform field; the message names it.
         """
-        models = [plain_model(part.rig, part.best_values(), "machine code") for part in parts]
-        plain = {coil.name: (model, coil) for model in models for coil in model.coils}
-        movers = {mover.name: mover for model in models for mover in model.movers}
-        return cls(tuple(coils), tuple(movers), _tables([plain[name] for name in coils], movers, models))
+        model = Magnet(tuple(parts), tuple(coils)).model("machine code")
+        return cls(tuple(coils), tuple(mover.name for mover in model.movers), _tables(model))
 
     def field_and_gradient(
         self,
@@ -101,20 +100,14 @@ class CompiledSystem:
         return field, gradient
 
 
-def _tables(
-    coils: Sequence[tuple[PlainModel, PlainCoil]],
-    movers: Mapping[str, PlainMover],
-    models: Sequence[PlainModel],
-) -> Tables:
-    order = list(movers)
+def _tables(model: PlainModel) -> Tables:
     nodes: list[np.ndarray] = []
     weights: list[np.ndarray] = []
     rules: list[tuple[int, int, int, int, int]] = []
     levels: list[int] = []
     places = []
-    for model, coil in coils:
-        mover = order.index(model.movers[coil.mover].name) if coil.mover >= 0 else -1
-        places.append((mover, coil.first_level, len(levels), len(coil.rule_of_level)))
+    for coil in model.coils:
+        places.append((coil.mover, coil.first_level, len(levels), len(coil.rule_of_level)))
         levels += [len(rules) + number for number in coil.rule_of_level]
         for rule in coil.rules:
             ends = []
@@ -123,14 +116,13 @@ def _tables(
                 nodes.append(way.nodes.numpy())
                 weights.append(way.weights.numpy())
             rules.append((ends[0], ends[1], ends[2], ends[3], rule.steps))
-    tables = [(mover.joints is not None, mover.joints) for mover in movers.values()]
+    tables = [(mover.joints is not None, mover.joints) for mover in model.movers]
     joints = [
         (t.theta_rad, t.a_m, t.d_m, t.alpha_rad) if t is not None else np.zeros((4, 6)) for _, t in tables
     ]
-    supply, offset_A = _supply(coils, models)
     return Tables(
-        np.array([[float(getattr(coil.winding, key)) for key in WINDING_NUMBERS] for _, coil in coils]),
-        np.array([[_rows(coil.world_from_base), _rows(coil.flange_from_coil)] for _, coil in coils]),
+        np.array([[float(getattr(coil.winding, key)) for key in WINDING_NUMBERS] for coil in model.coils]),
+        np.array([[_rows(coil.world_from_base), _rows(coil.flange_from_coil)] for coil in model.coils]),
         np.array(places, dtype=np.int64),
         np.array(levels, dtype=np.int64),
         np.array(rules, dtype=np.int64),
@@ -138,23 +130,10 @@ def _tables(
         np.concatenate(weights),
         np.array([is_arm for is_arm, _ in tables], dtype=np.int64),
         np.array(joints, dtype=np.float64).reshape(-1, 4, 6),
-        supply,
-        offset_A,
-        np.sum([model.background_T.numpy() for model in models], axis=0),
+        model.delivered_A_per_A.numpy(),
+        model.offset_A.numpy(),
+        model.background_T.numpy(),
     )
-
-
-def _supply(
-    coils: Sequence[tuple[PlainModel, PlainCoil]], models: Sequence[PlainModel]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Supplies of all models as one: none of them drives a coil of another."""
-    names = [coil.name for _, coil in coils]
-    supply, offset_A = np.zeros((len(coils), len(coils))), np.zeros(len(coils))
-    for model in models:
-        here = [names.index(coil.name) for coil in model.coils]
-        supply[np.ix_(here, here)] = model.delivered_A_per_A.numpy()
-        offset_A[here] = model.offset_A.numpy()
-    return supply, offset_A
 
 
 def _rows(pose: Transform) -> np.ndarray:

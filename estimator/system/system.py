@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import torch
 from jaxtyping import Float
@@ -19,6 +20,9 @@ from estimator.effects.base import Effect
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
+from estimator.export import formats
+from estimator.export.magnet import Magnet
+from estimator.export.request import Grid
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import Values
 from estimator.system.actuation import (
@@ -151,6 +155,37 @@ class System:
             InvalidInput: A rig has something besides windings, poses, linear supplies and a uniform field; the message names it.
         """
         return CompiledSystem.of(self.parts, self.coils)
+
+    def magnet(self) -> Magnet:
+        """What exports write: the coils, each with the readings at which it carried current."""
+        parts = []
+        for part in self.parts:
+            measured = self.calibrations[part.rig.coils[0].name]
+            columns = [measured.rig.coils.index(coil) for coil in part.rig.coils]
+            current_A = measured.observations.current_A[:, columns]
+            parts.append(replace(part, observations=replace(measured.observations, current_A=current_A)))
+        return Magnet(tuple(parts), self.coils)
+
+    def export(
+        self,
+        to: str,
+        path: Path | str | None = None,
+        *,
+        grid: Grid | None = None,
+        currents_A: Mapping[str, float] | None = None,
+        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
+    ) -> Path:
+        """Write all coils as one magnet for other programs, as `coilcal export CALIBRATION CALIBRATION ...` does.
+
+        Args:
+            to: Name of a format with a model or a grid, such as "cpp".
+            path: File to write; one named after the rigs, in the current folder, where none is given.
+            grid, currents_A, motion: Points, currents and poses, for formats that take them.
+        Returns: The file.
+        Raises:
+            InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
+        """
+        return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
 
     def draws(self) -> tuple[Values, ...]:
         """Posterior draws of each part, equally many.

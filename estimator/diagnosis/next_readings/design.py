@@ -16,6 +16,7 @@ from estimator.diagnosis.next_readings.expected_evidence import (
 )
 from estimator.diagnosis.next_readings.map_places import map_stops, with_correction
 from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
+from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput, closest
@@ -26,6 +27,8 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
+
+FITTING = "fitting the rig, then each cause"
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,7 @@ def design(
     degree: int = 3,
     n_readings: int = 20,
     rig: Rig | None = None,
+    on_count: OnCount = uncounted,
 ) -> Design:
     """Propose the next readings.
 
@@ -88,6 +92,7 @@ def design(
         degree: Highest degree of its terms.
         n_readings: How many stops to choose.
         rig: Another description of the session's rig.
+        on_count: Called as fits, programmes and stops are done.
     Raises:
         InvalidInput: Not one goal is given, or it names something that the rig does not have.
     """
@@ -100,13 +105,14 @@ def design(
     session.check_rig(rig)
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
+    on_count(FITTING, 0, 1 + len(split))
     base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, policy.MORE_STARTS)
     programmes: list[Proposal] = []
     unit = ""
     if correction is not None:
         stops = map_stops(observations, rig)
         corrected, amplitudes = with_correction(base, correction, degree)
-        rows, values = best_to_shrink(corrected, amplitudes, stops, n_readings)
+        rows, values = best_to_shrink(corrected, amplitudes, stops, n_readings, on_count)
         goal, unit = f"map {correction} to degree {degree}", corrected.rig.parameters[amplitudes[0]].unit
     elif shrink is not None:
         if shrink not in rig.parameters or base.value_sd(shrink) == 0.0:
@@ -115,14 +121,17 @@ def design(
                 f"shrink must name a parameter that the fit may change; received {shrink!r}{hint}"
             )
         stops = candidate_stops(observations)
-        rows, values = best_to_shrink(base, [shrink], stops, n_readings)
+        rows, values = best_to_shrink(base, [shrink], stops, n_readings, on_count)
         goal, unit = f"shrink {shrink}", rig.parameters[shrink].unit
     else:
         causes = [cause_of(text, rig) for text in split]
-        hypotheses = {cause.label: _fit_with(base, cause) for cause in causes}
+        hypotheses: dict[str, Fit] = {}
+        for cause in causes:
+            on_count(FITTING, 1 + len(hypotheses), 1 + len(causes))
+            hypotheses[cause.label] = _fit_with(base, cause)
         stops = candidate_stops(observations)
-        rows, values = best_to_split(hypotheses, stops, n_readings)
-        programmes = proposals(hypotheses, actions(observations, rig))
+        rows, values = best_to_split(hypotheses, stops, n_readings, on_count)
+        programmes = proposals(hypotheses, actions(observations, rig), on_count)
         goal = f"tell {' from '.join(hypotheses)}"
     readings = stops.rows(rows)
     time_s = observations.history.time_s

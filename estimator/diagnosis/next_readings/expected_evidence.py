@@ -19,6 +19,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -55,19 +56,23 @@ class Proposal:
     expected_log_evidence: float
 
 
-def proposals(hypotheses: Mapping[str, Fit], actions: Sequence[Action]) -> list[Proposal]:
+def proposals(
+    hypotheses: Mapping[str, Fit], actions: Sequence[Action], on_count: OnCount = uncounted
+) -> list[Proposal]:
     """Expected log evidence that each action would add to that of the readings so far, best first.
 
     Args:
         hypotheses: Fits of the same readings by label, two or more.
         actions: Actions to compare, such as those of `actions`.
+        on_count: Called after each action.
     """
     seen = rows_seen(hypotheses)
     so_far = separation(hypotheses, seen)
-    result = [
-        Proposal(action, tuple(hypotheses), (separation(hypotheses, seen, action) - so_far).min().item())
-        for action in actions
-    ]
+    result = []
+    for action in actions:
+        added = (separation(hypotheses, seen, action) - so_far).min().item()
+        result.append(Proposal(action, tuple(hypotheses), added))
+        on_count("weighing programmes", len(result), len(actions))
     return sorted(result, key=lambda proposal: -proposal.expected_log_evidence)
 
 

@@ -12,7 +12,10 @@ from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.next_readings.expected_evidence import Rows, continued
+from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.readings.observations import Observations
+
+CHOOSING = "choosing stops"
 
 
 def candidate_stops(session: Observations) -> Observations:
@@ -39,7 +42,7 @@ def at_currents(
 
 
 def best_to_split(
-    hypotheses: Mapping[str, Fit], stops: Observations, n: int
+    hypotheses: Mapping[str, Fit], stops: Observations, n: int, on_count: OnCount = uncounted
 ) -> tuple[Int[Tensor, " stop"], Float[Tensor, " value"]]:
     """Choose stops one by one, each to raise the expected log evidence of the worst pair of hypotheses most.
 
@@ -47,6 +50,7 @@ def best_to_split(
         hypotheses: Fits of the same readings, two or more.
         stops: Candidates; each is chosen at most once.
         n: Number of stops.
+        on_count: Called after each choice.
     Returns: Rows of `stops` in the order of choice, and the expected log evidence before the first and after each.
     """
     fits = list(hypotheses.values())
@@ -61,11 +65,12 @@ def best_to_split(
         evidence.append(expected[best])
         for pair in pairs:
             pair.add(best)
+        on_count(CHOOSING, len(chosen), n)
     return torch.tensor(chosen), torch.stack(evidence)
 
 
 def best_to_shrink(
-    fit: Fit, parameters: Sequence[str], stops: Observations, n: int
+    fit: Fit, parameters: Sequence[str], stops: Observations, n: int, on_count: OnCount = uncounted
 ) -> tuple[Int[Tensor, " stop"], Float[Tensor, " value"]]:
     """Choose stops one by one, each to lower the standard deviation of a parameter most, or the rms of several of one unit.
 
@@ -74,6 +79,7 @@ def best_to_shrink(
         parameters: Free parameters of its rig, or such as depend on free ones.
         stops: Candidates.
         n: Number of stops.
+        on_count: Called after each choice.
     Returns: Rows of `stops` in the order of choice, and the standard deviation before the first and after each, in the SI unit.
     """
     rows = Rows.of(fit, stops, fit.rig)
@@ -95,6 +101,7 @@ def best_to_shrink(
         chosen.append(best)
         covariance = torch.linalg.inv(torch.linalg.inv(covariance) + columns[best].T @ columns[best])
         sds.append((gradients @ covariance * gradients).sum(-1).mean().sqrt())
+        on_count(CHOOSING, len(chosen), n)
     return torch.tensor(chosen), torch.stack(sds)
 
 

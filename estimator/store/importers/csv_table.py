@@ -20,6 +20,8 @@ from estimator.errors import Faults, InvalidInput, Place, closest, nearest_name,
 from estimator.store.importers.common import finite_number
 from estimator.units import UNITS, Unit, split_unit
 
+UNKNOWN = "is not known to the rig"
+
 
 @dataclass(frozen=True)
 class Column:
@@ -158,10 +160,14 @@ def _header(
     first_row: list[str], known: Mapping[str, Column], path: Path, faults: Faults
 ) -> dict[str, HeaderCell]:
     header: dict[str, HeaderCell] = {}
+    are_names_told = False
     for index, cell in enumerate(first_row):
         name = cell.strip()
         quantity, unit = (name, None) if name in known else split_unit(name)
         fault = _header_fault(name, quantity, unit, known, header)
+        if fault is not None and UNKNOWN in fault and not are_names_told:  # one list serves all
+            fault = f"{fault}; known are {', '.join(column.si_header for column in known.values())}"
+            are_names_told = True
         if fault is None:
             header[quantity] = HeaderCell(index, name, unit.to_si if unit else 1.0)
         else:
@@ -178,9 +184,10 @@ def _header_fault(
     """What is wrong with a cell of the header, given those before it."""
     column = known.get(quantity)
     if column is None or (unit is not None and column.dimension is None):
-        names = [column.si_header for column in known.values()]
-        hint = closest(quantity, known) or closest(name, names)
-        return f"column {name!r} is not known to the rig{hint}; known are {', '.join(names)}"
+        headers = {column.quantity: column.si_header for column in known.values()}
+        nearest = nearest_name(quantity, headers)
+        hint = closest(name, headers.values()) if nearest is None else f"; the closest is {headers[nearest]}"
+        return f"column {name!r} {UNKNOWN}{hint}"
     if column.dimension is not None and unit is None:
         return f"column {name!r} lacks its unit: write {column.si_header}"
     if unit is not None and unit.dimension != column.dimension:

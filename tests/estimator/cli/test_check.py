@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from drivers import entries
+
 Run = Callable[..., Result]
 
 
@@ -65,12 +67,78 @@ def test_mistakes_of_both_files_are_told_at_once(workspace: Path, run: Run, tmp_
     ]
     assert faults[0]["message"] == "coils.coil1.radial_loops is missing; the closest is radial_lops"
     assert faults[2]["message"] == "sensors.hall.gian is not a known key; the closest is gain"
-    assert "the closest is coil1_current" in faults[3]["message"]
+    assert "the closest is coil1_current_A" in faults[3]["message"]
     told = run("check", rig, readings)
     assert told.exit_code == 2
     assert f"{rig}, line 17, column 5: sensors.hall.noise_uT must be > 0; received -5\n" in told.stdout
     assert told.stdout.endswith("7 mistakes\n")
     assert "nothing is wrong" not in told.stdout
+
+
+def test_columns_that_the_rig_knows_are_listed_once(workspace: Path, run: Run, tmp_path: Path) -> None:
+    rows = (workspace / "readings.csv").read_text(encoding="utf-8").replace("arm1_", "slide_")
+    (tmp_path / "readings.csv").write_text(rows, encoding="utf-8")
+    told = run("check", workspace / "rig.yaml", tmp_path / "readings.csv").stdout
+    assert told.count("is not known to the rig") >= 3
+    assert told.count("known are") == 1
+
+
+DEVICES = """
+devices:
+  hall: {sensor: lakeshore_460, serial: /dev/ttyUSB0, range_mT: 30000, avrg: 3}
+  coil1:
+    supply: kepco_bop
+    tcp: 192.168.0.3
+    compliance_V: twenty
+    tolerance_mA: 5
+    lowest_A: -5
+    higest_A: 5
+    slew_A_per_s: 10
+    continuous_A: 3
+    thermal_time_constant_min: 5
+  arm1: {arm: ur4e, host: 192.168.0.4}
+  warmth: {thermometer: lakeshore_224, tcp: 192.168.0.5, inputs: {coil1: E}}
+"""
+OF_DEVICES = [
+    (3, "devices.hall: sensor.range_T must be at most 3.0; received 30.0"),
+    (3, "devices.hall.avrg is not a known key"),
+    (4, "devices.coil1.highest_A must be given once, as highest_A or highest_mA; received nothing"),
+    (4, "devices.coil1.port must be given; received nothing"),
+    (7, "devices.coil1.compliance_V must hold finite numbers; received 'twenty'"),
+    (10, "devices.coil1.higest_A is not a known key; the closest is highest_A"),
+    (14, "devices.arm1.arm must be one of ur3, ur5"),
+    (15, "devices.warmth: thermometer.inputs.coil1 must be A, B, C1 to C5 or D1 to D5; received E"),
+]
+
+
+@pytest.mark.parametrize("is_own_file", [True, False])
+def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened(
+    workspace: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_own_file: bool
+) -> None:
+    monkeypatch.setattr(entries, "_open_port", lambda *_: pytest.fail("a port was opened"))
+    rig = (workspace / "rig.yaml").read_text(encoding="utf-8")
+    before = 0 if is_own_file else len(rig.splitlines())
+    paths = [tmp_path / "rig.yaml", *([tmp_path / "devices.yaml"] if is_own_file else [])]
+    paths[0].write_text(rig + ("" if is_own_file else DEVICES), encoding="utf-8")
+    paths[-1].write_text(DEVICES if is_own_file else rig + DEVICES, encoding="utf-8")
+    result = run("check", *paths, "--json")
+    assert result.exit_code == 2
+    faults = json.loads(result.stdout)["faults"]
+    assert [fault["line"] - before for fault in faults] == [line for line, _ in OF_DEVICES]
+    for fault, (_, words) in zip(faults, OF_DEVICES, strict=True):
+        assert words in fault["message"]
+        assert fault["file"] == str(paths[-1])
+
+
+def test_instruments_that_are_described_right_are_listed(workspace: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "devices.yaml").write_text(
+        "devices:\n  hall: {sensor: lakeshore_f71, tcp: 192.168.0.2}\n", encoding="utf-8"
+    )
+    result = run("check", workspace / "rig.yaml", tmp_path / "devices.yaml")
+    assert (result.exit_code, result.stdout.splitlines()[-2:]) == (
+        0,
+        [f"{tmp_path / 'devices.yaml'}: instruments of hall", "nothing is wrong"],
+    )
 
 
 def test_readings_wait_where_nobody_can_say_what_columns_there_are(

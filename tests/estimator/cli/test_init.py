@@ -35,7 +35,7 @@ def test_each_question_is_a_field_of_the_starter_with_its_default() -> None:
 def test_whatever_is_moved_no_draw_of_the_truth_puts_a_sensor_into_the_winding(
     moved: Moved, motion: Motion
 ) -> None:
-    starter = Starter(moved=moved, motion=motion, distance_mm=38.0)
+    starter = Starter(moved=moved, motion=motion, distance_mm=14.0)
     assert starter.distance_mm - starter.nearest_mm < 1.5
     rig = rig_from_text(starter_rig_text(starter))
     plan = plan_from_text(starter_plan_text(starter), rig)
@@ -100,7 +100,7 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
         ),
         (
             ["--distance-mm", "10"],
-            "distance_mm must be at least 36.84, so that no sensor comes into the winding",
+            "distance_mm from the front face of the coil must be at least 13.74, so that no sensor comes into the winding",
         ),
         (["--name", "a: b"], "name must consist of letters, digits, _, - and blanks; received 'a: b'"),
         (["--axial-loops", "0"], "axial_loops must be at least 1 and below 10000; received 0"),
@@ -121,8 +121,8 @@ def test_a_name_stays_a_name(name: str) -> None:
 
 
 def test_a_starter_without_room_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="distance_mm must be at least"):
-        Starter(axial_loops=200)
+    with pytest.raises(InvalidInput, match="distance_mm from the front face of the coil must be at least"):
+        Starter(radius_mm=400)
 
 
 @pytest.mark.slow

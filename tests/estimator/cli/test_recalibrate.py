@@ -260,7 +260,9 @@ def test_the_running_service_looks_again_and_ends_cleanly(
     os.kill(running.pid, number)
     _, errors = running.communicate(timeout=30)
     assert running.returncode == 0
-    *waiting, stopped = errors.splitlines()
+    *told, stopped = errors.splitlines()
     assert stopped == "coilcal: stopped"
+    assert told[0] == "coilcal: judging first.zarr, session 1 of 1"
+    waiting = [line for line in told if "is left for the next time" in line]
     assert len(waiting) == 1  # said once, however often it was looked at
     assert "copied.zarr is left for the next time: it cannot be read and changed" in waiting[0]

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.export.cpp_header import cpp_header
+from estimator.export.magnet import Magnet
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -60,7 +61,12 @@ STANDING_PROGRAM = """
 #include "magnet.hpp"
 #include <cstdio>
 int main() {
-  const coilcal_standing::Magnet magnet;
+  coilcal_standing::Magnet magnet;
+  try {
+    magnet.move(0, {});
+    return 1;
+  } catch (const std::out_of_range&) {
+  }
   std::printf("%.17g ", magnet.field_T({0.0, 0.0, 0.02}, {2.0})[2]);
   std::printf("%.17g", magnet.standard_deviation_T({0.0, 0.0, 0.02}, {2.0})[2]);
 }
@@ -77,7 +83,7 @@ def rows(
 ) -> np.ndarray:
     """What the compiled program prints for every point."""
     folder: Path = tmp_path_factory.mktemp("cpp")
-    (folder / "magnet.hpp").write_text(cpp_header(magnet), encoding="utf-8")
+    (folder / "magnet.hpp").write_text(cpp_header(Magnet.of(magnet)), encoding="utf-8")
     (folder / "main.cpp").write_text(PROGRAM, encoding="utf-8")
     strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
     subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=folder, check=True)
@@ -153,7 +159,7 @@ def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(
 ) -> None:
     """No mover and no direction of the posterior: arrays of length zero."""
     rig = rig_from_text(STANDING)
-    (tmp_path / "magnet.hpp").write_text(cpp_header(calibrated(rig)), encoding="utf-8")
+    (tmp_path / "magnet.hpp").write_text(cpp_header(Magnet.of(calibrated(rig))), encoding="utf-8")
     (tmp_path / "main.cpp").write_text(STANDING_PROGRAM, encoding="utf-8")
     strict = ["-std=c++17", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
     subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)

@@ -15,13 +15,14 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.export.json_model import calibration_schema, json_model
+from estimator.export.magnet import Magnet
 
 Pose = tuple[np.ndarray, np.ndarray]
 
 
 @pytest.fixture(scope="module")
 def document(magnet: Calibration) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(json_model(magnet))
+    loaded: dict[str, Any] = json.loads(json_model(Magnet.of(magnet)))
     return loaded
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
+from estimator.export.magnet import Magnet
 from estimator.export.matlab_function import matlab_function
 from estimator.system.actuation import independent_entries
 from tests.estimator.export.compared import assert_close
@@ -24,6 +25,12 @@ motion = dlmread("motion.txt");
 [b, g, a] = magnet(points_m, [3 -2 5], motion);
 n = size(points_m, 1);
 printed = [b, reshape(permute(g, [1 3 2]), n, 9), reshape(permute(a, [1 3 2]), n, 24), magnet(points_m, [0 0 0])];
+try
+  magnet(points_m, [0 0 0], zeros(1, 6));
+  error("not refused");
+catch refusal
+  assert(strcmp(refusal.message, "motion must be 2 x 6: a row for each mover that carries a coil; received 1 x 6"), refusal.message);
+end
 printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
 """
 
@@ -62,6 +69,6 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
 
 def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration) -> None:
     with pytest.raises(InvalidInput, match="received '3coils'"):
-        matlab_function(magnet, "3coils")
+        matlab_function(Magnet.of(magnet), "3coils")
     with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):
-        matlab_function(magnet, "pose_of")
+        matlab_function(Magnet.of(magnet), "pose_of")

@@ -18,6 +18,7 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.json_model import calibration_schema, json_model
+from estimator.export.magnet import Magnet
 from estimator.model.room_field import RoomField
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -54,7 +55,7 @@ MOTION = {"stage": torch.tensor([0.01, 0.0, -0.01, 0.1, 0.2, 0.0], dtype=torch.f
 
 
 def test_json_follows_its_schema_and_holds_what_a_reader_needs(magnet: Calibration, points_m: Tensor) -> None:
-    document = json.loads(json_model(magnet))
+    document = json.loads(json_model(Magnet.of(magnet)))
     jsonschema.validate(document, calibration_schema())
     assert [coil.get("corners") for coil in document["coils"]] == ["sharp", "round", None]
     assert [len(change["winding"]) for change in document["directions"][0]["coils"]] == [7, 7, 5]

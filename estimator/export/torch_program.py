@@ -1,0 +1,170 @@
+"""A program of `torch.export`: field and gradient of a calibrated magnet in a graph that PyTorch runs and differentiates by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from estimator.export.magnet import Magnet
+from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover
+from estimator.field.loop import loop_derivatives
+from estimator.field.node_sum import SMALLEST_RHO2_M2
+from estimator.field.winding import Winding
+from estimator.field.zones import ZONES_PER_OCTAVE
+from estimator.frames import Transform
+from estimator.geometry.kinematics import base_from_flange
+
+TRACED_POINTS = 4  # any number but 0 and 1 leaves the number of points open
+DESCRIPTION = "description.txt"  # in the file, beside the graph
+
+
+def write_program(magnet: Magnet, path: Path) -> None:
+    """Write the program: `program.module()(points_m, currents_A, motion)` gives field_T and gradient_T_per_m.
+
+    Raises:
+        InvalidInput: A rig has something that the program cannot express.
+    """
+    model = magnet.model("torch")
+    arguments = (
+        torch.zeros(TRACED_POINTS, 3, dtype=torch.float64),
+        torch.zeros(len(model.coils), dtype=torch.float64),
+        torch.zeros(len(model.movers), 6, dtype=torch.float64),
+    )
+    shapes = ({0: torch.export.Dim("point")}, None, None)
+    with torch.no_grad():
+        program = torch.export.export(MagnetProgram(model), arguments, dynamic_shapes=shapes)
+    for node in program.graph.nodes:
+        node.meta.pop("stack_trace", None)  # paths of this computer
+    torch.export.save(program, path, extra_files={DESCRIPTION: _description(magnet, model)})
+
+
+def _description(magnet: Magnet, model: PlainModel) -> str:
+    movers = "; ".join(f"{mover.name}: {', '.join(mover.columns)}" for mover in model.movers) or "none"
+    lines = [
+        f"Calibrated magnet {model.name!r}. SI units, world frame of the rig file, double precision.",
+        "Arguments: points_m (n, 3); currents_A, commanded, of "
+        + ", ".join(coil.name for coil in model.coils)
+        + f"; motion, a row of six for each mover that carries a coil: {movers}.",
+        "Results: field_T (n, 3), gradient_T_per_m (n, 3, 3) with dB_i / dx_j; NaN inside a winding.",
+        *magnet.regions,
+        magnet.origin,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+class MagnetProgram(nn.Module):
+    """A plain model as a module whose graph has no branch and no coilcal in it."""
+
+    delivered_A_per_A: Tensor
+    offset_A: Tensor
+    background_T: Tensor
+
+    def __init__(self, model: PlainModel) -> None:
+        super().__init__()
+        self.model = model
+        self.register_buffer("delivered_A_per_A", model.delivered_A_per_A)
+        self.register_buffer("offset_A", model.offset_A)
+        self.register_buffer("background_T", model.background_T)
+
+    def forward(
+        self,
+        points_m: Float[Tensor, "point 3"],
+        currents_A: Float[Tensor, " coil"],
+        motion: Float[Tensor, "mover 6"],
+    ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
+        """Field in tesla and gradient dB_i / dx_j in T/m.
+
+        Args:
+            points_m: Points in the world frame.
+            currents_A: Commanded current of each coil.
+            motion: Six numbers of each mover that carries a coil.
+        """
+        delivered_A = self.delivered_A_per_A @ currents_A + self.offset_A
+        field_T = self.background_T.expand_as(points_m)
+        gradient = torch.zeros_like(points_m)[..., None].expand(-1, 3, 3)
+        # Rows one by one: unbinding none of them makes a file that torch 2.13 cannot read.
+        poses = [_pose(mover, motion[number]) for number, mover in enumerate(self.model.movers)]
+        for coil, current_A in zip(self.model.coils, delivered_A.unbind(0), strict=True):
+            flange = coil.world_from_base @ poses[coil.mover] if coil.mover >= 0 else coil.world_from_base
+            world_from_coil = flange @ coil.flange_from_coil
+            field, slopes = _per_ampere(coil, world_from_coil.inverse().apply(points_m))
+            rotation = world_from_coil.rotation
+            field_T = field_T + current_A * (field @ rotation.mT)
+            gradient = gradient + current_A * (rotation @ slopes @ rotation.mT)
+        return field_T, gradient
+
+
+def _pose(mover: PlainMover, row: Float[Tensor, " 6"]) -> Transform:
+    if mover.joints is None:
+        return Transform.from_pose(row[:3], row[3:])
+    return base_from_flange(mover.joints, row)
+
+
+def _per_ampere(
+    coil: PlainCoil, points_m: Float[Tensor, "point 3"]
+) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
+    """Field and gradient per ampere in the frame of the coil, each point with the rule of its distance."""
+    x, y, z = points_m.unbind(-1)
+    rho2 = x * x + y * y
+    distance_m = _distance_m(coil, rho2, z)
+    level = torch.floor(ZONES_PER_OCTAVE * torch.log2(distance_m.clamp(min=1e-12))).to(torch.int64)
+    level = (level - coil.first_level).clamp(0, len(coil.rule_of_level) - 1)
+    rule_number = torch.tensor(coil.rule_of_level)[level]
+    heights_m, radii_m, weights = (table[rule_number] for table in _loops(coil))
+    steps = max(rule.steps for rule in coil.rules)  # more steps than a rule needs change nothing
+    of_loops = loop_derivatives(x[:, None], y[:, None], z[:, None] - heights_m, radii_m, steps)
+    sums = torch.stack([(weights * part).sum(-1) for part in of_loops])
+    h, axial, h_z, axial_z = torch.where(distance_m > 0.0, sums, torch.nan)
+    # div B = 0 and curl B = 0 give the derivatives across the axis.
+    is_on_axis = rho2 < SMALLEST_RHO2_M2
+    across = torch.where(is_on_axis, 0.0, (2.0 * h + axial_z) / torch.where(is_on_axis, 1.0, rho2))
+    xy = -x * y * across
+    rows = (
+        torch.stack((h - x * x * across, xy, x * h_z), dim=-1),
+        torch.stack((xy, h - y * y * across, y * h_z), dim=-1),
+        torch.stack((x * h_z, y * h_z, axial_z), dim=-1),
+    )
+    return torch.stack((x * h, y * h, axial), dim=-1), torch.stack(rows, dim=-2)
+
+
+def _loops(coil: PlainCoil) -> tuple[Tensor, Tensor, Tensor]:
+    """Heights, radii and weights of the loops of every rule, a row each; shorter rows end in loops that weigh nothing."""
+    winding, rows = _round(coil), []
+    for rule in coil.rules:
+        heights_m = winding.axial_pitch_m * (rule.axial.nodes - 0.5 * winding.axial_loops)
+        radii_m = winding.radius_m + winding.radial_pitch_m * (rule.radial.nodes - 0.5 * winding.radial_loops)
+        weights = rule.axial.weights[:, None] * rule.radial.weights
+        rows.append(
+            torch.stack(
+                [part.flatten() for part in torch.broadcast_tensors(heights_m[:, None], radii_m, weights)]
+            )
+        )
+    longest = max(row.shape[1] for row in rows)
+    padded = []
+    for row in rows:
+        missing = longest - row.shape[1]
+        weightless = row[:, :1] * torch.tensor([[1.0], [1.0], [0.0]], dtype=torch.float64)
+        padded.append(torch.cat((row, weightless.expand(3, missing)), dim=1))
+    heights_m, radii_m, weights = torch.stack(padded, dim=1)
+    return heights_m, radii_m, weights
+
+
+def _distance_m(
+    coil: PlainCoil, rho2: Float[Tensor, " point"], z: Float[Tensor, " point"]
+) -> Float[Tensor, " point"]:
+    """From the cross-section of the winding; 0 inside it."""
+    winding = _round(coil)
+    rho = rho2.sqrt()
+    inner_m = winding.radius_m - winding.radial_pitch_m * winding.radial_loops
+    radial = torch.maximum(inner_m - rho, rho - winding.radius_m).clamp(min=0.0)
+    axial = torch.maximum(-winding.axial_pitch_m * winding.axial_loops - z, z).clamp(min=0.0)
+    return (radial * radial + axial * axial).sqrt()
+
+
+def _round(coil: PlainCoil) -> Winding:
+    """Its winding; `plain_model` has refused others."""
+    return cast(Winding, coil.winding)

@@ -1,0 +1,53 @@
+"""Work that lasts says how much is done; short work says nothing."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from estimator.cli import count_progress, time_left
+from estimator.cli.count_progress import CountReporter
+from estimator.diagnosis.next_readings.stops import CHOOSING
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def now_s(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [100.0]
+    for module in (count_progress, time_left):
+        monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(
+    now_s: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with CountReporter() as reporter:
+        for n in range(9):
+            now_s[0] = 100.0 + 1.5 * n
+            reporter("predicting points", 10 * n, 100)
+    assert capsys.readouterr().err.splitlines() == [
+        "coilcal: predicting points: 20 of 100, about 12 s left",
+    ]
+
+
+def test_a_terminal_shows_a_bar_after_two_seconds(
+    now_s: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "150")
+    with CountReporter() as reporter:
+        reporter(CHOOSING, 1, 20)
+        assert reporter._bar is not None
+        assert not reporter._bar.tasks[0].visible
+        now_s[0] += 3.0
+        reporter(CHOOSING, 2, 20)
+    assert "choosing stops: 2 of 20" in terminal.getvalue()
