@@ -30,6 +30,7 @@ from estimator.effects.harmonic_corrections import (
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
 from estimator.effects.record import (
     AxesSwapped,
@@ -134,6 +135,8 @@ EFFECTS: dict[str, Effect] = {
         PiercedPlate(),
         IronBody(),
         SecondIronBody(),
+        PositionUnit(),
+        RotationConvention(),
         LeftHanded(),
         DisplacementFrameError(),
         RobotScale(),
@@ -163,6 +166,7 @@ EFFECTS: dict[str, Effect] = {
         AxesSwapped(),
         SensorLag(),
         SensorsExchanged(),
+        RowsShifted(),
         UnitError(),
         NoiseMisstated(),
         Outliers(),
