@@ -29,7 +29,7 @@ from estimator.effects.harmonic_corrections import (
 )
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.memory_correction import MovesRemembered
-from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
 from estimator.effects.record import (
@@ -63,7 +63,7 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
-from estimator.effects.sensor_history import SensorExchanged, SensorLag, ThermalLag
+from estimator.effects.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.stated import (
     BaseMisplaced,
@@ -76,13 +76,15 @@ from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import (
     CoilHeating,
+    CurrentAsymmetry,
+    CurrentDeadBand,
     CurrentGain,
     CurrentOffset,
     CurrentRemanence,
     CurrentStep,
     NeighbourCoil,
 )
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField, PeriodicInterference
+from estimator.effects.surroundings import BackgroundDrift, BackgroundField, BackgroundStep, PeriodicInterference
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -106,6 +108,8 @@ EFFECTS: dict[str, Effect] = {
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
+        CurrentDeadBand(),
+        CurrentAsymmetry(),
         CurrentStep(),
         CurrentRemanence(),
         CoilHeating(),
@@ -130,6 +134,7 @@ EFFECTS: dict[str, Effect] = {
         FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
+        BackgroundStep(),
         PeriodicInterference(),
         IronPlate(),
         PiercedPlate(),
@@ -159,6 +164,7 @@ EFFECTS: dict[str, Effect] = {
         ThermalLag(),
         SensorOffset(),
         OffsetDrift(),
+        OffsetStep(),
         SensorExchanged(),
         SegmentGain(),
         SegmentZero(),
@@ -170,6 +176,7 @@ EFFECTS: dict[str, Effect] = {
         UnitError(),
         NoiseMisstated(),
         Outliers(),
+        NoiseGrows(),
         PositionJitter(),
         CurrentWanders(),
         CurrentSwings(),

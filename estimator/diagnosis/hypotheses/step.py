@@ -17,6 +17,7 @@ from jaxtyping import Int
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.limits import Limits
@@ -107,7 +108,7 @@ def take_step(
         if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
-            value, fitted = in_full(fit, value, start)
+            value, fitted = in_full(fit, *at_finer_instant(fit, value, start))
             best, n_fitted = max(best, value), n_fitted + 1
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
