@@ -77,6 +77,7 @@ from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import (
     CoilHeating,
     CurrentAsymmetry,
+    CurrentCompression,
     CurrentDeadBand,
     CurrentGain,
     CurrentOffset,
@@ -110,6 +111,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentOffset(),
         CurrentDeadBand(),
         CurrentAsymmetry(),
+        CurrentCompression(),
         CurrentStep(),
         CurrentRemanence(),
         CoilHeating(),

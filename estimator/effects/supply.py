@@ -64,6 +64,7 @@ class CurrentDeadBand(OneCoilCurrent):
 
     name: ClassVar[str] = "current_dead_band"
     words: ClassVar[str] = "about zero the supply delivers nothing, and a constant less than commanded beyond"
+    is_linear: ClassVar[bool] = False
     source: ClassVar[str] = "cross-over of bipolar amplifiers, 0.1 to 1 % of their range"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -91,6 +92,7 @@ class CurrentAsymmetry(OneCoilCurrent):
 
     name: ClassVar[str] = "current_asymmetry"
     words: ClassVar[str] = "the supply delivers another share of positive than of negative currents"
+    is_linear: ClassVar[bool] = False
     source: ClassVar[str] = "gain errors of supplies, 0.1 to 1 %, for each polarity its own"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -112,6 +114,33 @@ class CurrentAsymmetry(OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A + theta["excess"][..., None] * current_A.abs()
+
+
+class CurrentCompression(OneCoilCurrent):
+    """The larger the current, the more of it the supply lacks: it nears the limit of its voltage, or its shunt warms up at once."""
+
+    name: ClassVar[str] = "current_compression"
+    words: ClassVar[str] = "the supply lacks the more of a current, the larger it is"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "linearity of supplies near the limit of their voltage, 0.1 to 2 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share that is lost per square ampere."""
+        return (normal("loss_per_A2", "1/A2", 0.01 / extent.largest_current_A**2),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        return _has_sizes(circumstances, place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
 
 
 class CurrentStep(OneCoilCurrent):
