@@ -30,8 +30,8 @@ from estimator.effects.harmonic_corrections import (
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
-from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
+from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.record import (
     AxesSwapped,
     CoilsExchanged,
@@ -85,7 +85,12 @@ from estimator.effects.supply import (
     CurrentStep,
     NeighbourCoil,
 )
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField, BackgroundStep, PeriodicInterference
+from estimator.effects.surroundings import (
+    BackgroundDrift,
+    BackgroundField,
+    BackgroundStep,
+    PeriodicInterference,
+)
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,

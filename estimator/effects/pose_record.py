@@ -20,8 +20,17 @@ from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
 
-LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)  # mm under m, m under mm, mm under cm, ..., inch under mm
-ORDERS = tuple(permutations((0, 1, 2)))  # in which turns about fixed axes follow one another, the first one first
+LENGTH_FACTORS = (
+    1e3,
+    1e-3,
+    10.0,
+    0.1,
+    1.0 / 25.4,
+    25.4,
+)  # mm under m, m under mm, mm under cm, ..., inch under mm
+ORDERS = tuple(
+    permutations((0, 1, 2))
+)  # in which turns about fixed axes follow one another, the first one first
 REVERSED, IN_DEGREES = len(ORDERS) + 1, len(ORDERS) + 2
 MOST_ROWS = 2  # that a logger runs late or early
 
@@ -57,7 +66,10 @@ class RotationConvention(MotionEffect):
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
-        about = [rotation_from_vector(columns[:, i : i + 1] * torch.eye(3, dtype=columns.dtype)[i]) for i in range(3)]
+        about = [
+            rotation_from_vector(columns[:, i : i + 1] * torch.eye(3, dtype=columns.dtype)[i])
+            for i in range(3)
+        ]
         as_angles = [about[third] @ about[second] @ about[first] for first, second, third in ORDERS]
         rotation = rotation_from_vector(columns)
         each = torch.stack((rotation, *as_angles, rotation.mT, rotation_from_vector(torch.deg2rad(columns))))

@@ -71,11 +71,15 @@ def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[
 
 def as_meant(rig: Rig, observations: Observations) -> Observations:
     """The readings with each field beside the pose and the currents that it belongs to, as mistakes of the record in the rig have it."""
-    late = [use for use in uses_of(rig, RecordEffect) if type(use.effect).rows_late is not RecordEffect.rows_late]
+    late = [
+        use for use in uses_of(rig, RecordEffect) if type(use.effect).rows_late is not RecordEffect.rows_late
+    ]
     if not late:
         return observations.realigned(0)
     nominal = rig.nominal_values()
-    rows = (use.effect.rows_late({key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}) for use in late)
+    rows = (
+        use.effect.rows_late({key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}) for use in late
+    )
     return observations.realigned(sum(rows))
 
 

@@ -113,7 +113,9 @@ class Observations:
         for sensor in history.sensor.unique():
             own = (history.sensor == sensor).nonzero().flatten()
             place = torch.arange(len(own)) - rows_late
-            source[own] = torch.where((place >= 0) & (place < len(own)), own[place.clamp(0, len(own) - 1)], -1)
+            source[own] = torch.where(
+                (place >= 0) & (place < len(own)), own[place.clamp(0, len(own) - 1)], -1
+            )
         is_orphan, source = source < 0, source.clamp(min=0)
         whole = replace(
             history,
@@ -145,7 +147,6 @@ class Observations:
 
         Segments stay as either of the two records them, and fields in the rows in which they were recorded.
         """
-
         if self.as_recorded is not None:
             return self.as_recorded.followed_by(later)
 

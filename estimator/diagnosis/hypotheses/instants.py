@@ -13,7 +13,9 @@ from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.linear import log_mean_exp
 
 SINCE = "since_h"
-MOST_INSTANTS = 48  # that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants
+MOST_INSTANTS = (
+    48  # that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants
+)
 
 
 def at_finer_instant(fit: Fit, screened: float, start: Candidate) -> tuple[float, Candidate]:

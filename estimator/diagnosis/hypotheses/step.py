@@ -104,7 +104,9 @@ def take_step(
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
         fitted, picture = None, EFFECTS[cause.name].idealises
-        is_rival = picture in pictured and highest > 0.0  # its shapes move far in a fit, as those of the other picture did
+        is_rival = (
+            picture in pictured and highest > 0.0
+        )  # its shapes move far in a fit, as those of the other picture did
         is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
         if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))

@@ -65,9 +65,7 @@ def test_one_axis_in_inches_under_millimetres_is_that_much_longer():
 def test_units_are_looked_for_along_axes_that_moved_and_along_all():
     rig = rig_from_text(RIG)
     in_plane_m = POINTS_M * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 0.03])
-    starts = EFFECTS["position_unit"].starts(
-        Circumstances(rig, readings(in_plane_m, (2.0, 0.0))), "mapper"
-    )
+    starts = EFFECTS["position_unit"].starts(Circumstances(rig, readings(in_plane_m, (2.0, 0.0))), "mapper")
     changed = {tuple(axis for axis in "xyz" if start[f"{axis}_factor"] != 1.0) for start in starts}
     assert changed == {("x",), ("y",), ("x", "y", "z")}
     assert {1.0 / 25.4, 25.4, 1e3, 1e-3, 10.0, 0.1} == {start["x_factor"] for start in starts} - {1.0}
