@@ -31,6 +31,7 @@ from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIron
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
+from estimator.effects.place_correction import ResponseByPlace
 from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.record import (
     AxesSwapped,
@@ -197,6 +198,7 @@ EFFECTS: dict[str, Effect] = {
         GuideSwings(),
         MovesRemembered(),
         SensorResponse(),
+        ResponseByPlace(),
         AxisCurves(),
         GainCurve(),
         CurrentPickup(),

@@ -30,7 +30,7 @@ def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
     since_h = 0.5 * float(hours[row] + hours[row + 1])
     truth = small_rig.with_values(small_truth)
     fit = fit_of(truth, with_wrong(truth, readings, cause, {**SIZES[cause], "since_h": since_h}))
-    value, highest, start = screening(fit, candidates(fit, [cause]))[cause]
+    value, _highest, start = screening(fit, candidates(fit, [cause]))[cause]
     assert start.shapes["since_h"] != pytest.approx(since_h)
     finer_value, finer = at_finer_instant(fit, value, start)
     assert float(hours[row]) < finer.shapes["since_h"] < float(hours[row + 1])
