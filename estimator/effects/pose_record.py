@@ -99,14 +99,23 @@ class PositionUnit(MotionEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """The usual slips, on each axis along which the mover went, and on all."""
-        here_m = circumstances.observations.history.motion[place][:, :3]
-        moved = [axis for i, axis in enumerate("xyz") if bool((here_m[:, i] != here_m[0, i]).any())]
+        moved = self._moved(circumstances, place) or ["x", "y", "z"]
         groups = [(axis,) for axis in moved] + ([tuple("xyz")] if len(moved) > 1 else [])
         return tuple(
             {f"{axis}_factor": factor if axis in group else 1.0 for axis in "xyz"}
             for factor in LENGTH_FACTORS
             for group in groups
         )
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the mover moved."""
+        return bool(self._moved(circumstances, place))
+
+    @staticmethod
+    def _moved(circumstances: Circumstances, mover: str) -> list[str]:
+        """Axes along which it did."""
+        here_m = circumstances.observations.history.motion[mover][:, :3]
+        return [axis for i, axis in enumerate("xyz") if bool((here_m[:, i] != here_m[0, i]).any())]
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""

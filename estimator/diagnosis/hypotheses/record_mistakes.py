@@ -173,7 +173,14 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]
     fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in plausible]
-    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
+    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1]) and _explains_a_field(fit)]
+
+
+def _explains_a_field(fit: Fit) -> bool:
+    """Whether a fit does better than no field at all: coils that a wrong unit puts far away explain noise, and nothing else."""
+    measured = fit.posterior.measured_T * fit.whitening_per_T
+    explained = 0.5 * float(measured.square().sum() - fit.residual.square().sum())
+    return explained > policy.LEAST_LOG_EVIDENCE_OF_MISTAKE
 
 
 def _start_log_likelihoods(
