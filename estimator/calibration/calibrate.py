@@ -24,6 +24,7 @@ from estimator.calibration.starting_point import (
     starting_point_with_counts,
 )
 from estimator.calibration.summary import finite, summary
+from estimator.effects.use import as_meant
 from estimator.errors import InvalidInput, reason
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
@@ -99,7 +100,7 @@ def calibrate(
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
     backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
     check_readings(rig, session.observations, session.source)
-    observations = session.observations.calibration
+    observations = as_meant(rig, session.observations).calibration
     check_units(rig, observations, session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
     if folder is not None:

@@ -79,7 +79,7 @@ def _what(diagnosis: Diagnosis) -> str:
         remainder = diagnosis.findings.search.base_discrepancy
     unknown = (
         f"Something is wrong that no known cause explains: it is {remainder.rms_sigma:.2g} times the noise and depends on "
-        f"{remainder.family}"
+        f"{remainder.family.removeprefix('one circumstance, ').removeprefix('two circumstances, ')}"
     )
     return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
 

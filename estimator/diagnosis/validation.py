@@ -12,6 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
@@ -109,7 +110,7 @@ def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
 
 def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:
     """Errors, log predictive density and coverage of a fit's predictions; Laplace gives the uncertainty of the parameters."""
-    fitted = fit.posterior.model
+    fitted, unseen = fit.posterior.model, as_meant(fit.rig, unseen)
     model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fitted.rules).with_maps(fitted.sources.maps)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():

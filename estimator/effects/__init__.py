@@ -29,8 +29,10 @@ from estimator.effects.harmonic_corrections import (
 )
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.memory_correction import MovesRemembered
-from estimator.effects.noise import Outliers, PositionJitter
+from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
+from estimator.effects.place_correction import ResponseByPlace
+from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.record import (
     AxesSwapped,
     CoilsExchanged,
@@ -62,7 +64,7 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
-from estimator.effects.sensor_history import SensorExchanged, SensorLag, ThermalLag
+from estimator.effects.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.stated import (
     BaseMisplaced,
@@ -75,13 +77,21 @@ from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
 from estimator.effects.supply import (
     CoilHeating,
+    CurrentAsymmetry,
+    CurrentCompression,
+    CurrentDeadBand,
     CurrentGain,
     CurrentOffset,
     CurrentRemanence,
     CurrentStep,
     NeighbourCoil,
 )
-from estimator.effects.surroundings import BackgroundDrift, BackgroundField, PeriodicInterference
+from estimator.effects.surroundings import (
+    BackgroundDrift,
+    BackgroundField,
+    BackgroundStep,
+    PeriodicInterference,
+)
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -105,6 +115,9 @@ EFFECTS: dict[str, Effect] = {
         CurrentSign(),
         CurrentGain(),
         CurrentOffset(),
+        CurrentDeadBand(),
+        CurrentAsymmetry(),
+        CurrentCompression(),
         CurrentStep(),
         CurrentRemanence(),
         CoilHeating(),
@@ -129,11 +142,14 @@ EFFECTS: dict[str, Effect] = {
         FilamentMagnetisation(),
         BackgroundField(),
         BackgroundDrift(),
+        BackgroundStep(),
         PeriodicInterference(),
         IronPlate(),
         PiercedPlate(),
         IronBody(),
         SecondIronBody(),
+        PositionUnit(),
+        RotationConvention(),
         LeftHanded(),
         DisplacementFrameError(),
         RobotScale(),
@@ -156,6 +172,7 @@ EFFECTS: dict[str, Effect] = {
         ThermalLag(),
         SensorOffset(),
         OffsetDrift(),
+        OffsetStep(),
         SensorExchanged(),
         SegmentGain(),
         SegmentZero(),
@@ -163,9 +180,11 @@ EFFECTS: dict[str, Effect] = {
         AxesSwapped(),
         SensorLag(),
         SensorsExchanged(),
+        RowsShifted(),
         UnitError(),
         NoiseMisstated(),
         Outliers(),
+        NoiseGrows(),
         PositionJitter(),
         CurrentWanders(),
         CurrentSwings(),
@@ -179,6 +198,7 @@ EFFECTS: dict[str, Effect] = {
         GuideSwings(),
         MovesRemembered(),
         SensorResponse(),
+        ResponseByPlace(),
         AxisCurves(),
         GainCurve(),
         CurrentPickup(),

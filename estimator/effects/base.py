@@ -81,6 +81,11 @@ def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = Fals
     return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, is_fixed)
 
 
+def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
+    """A number that is set, not fitted."""
+    return Quantity(key, "1", Uniform(lower, upper), null, is_shape=True, is_fixed=True)
+
+
 def since(extent: Extent) -> Quantity:
     """The time since the session began at which something happened, one of `Circumstances.instants_h`."""
     return shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True)

@@ -69,6 +69,33 @@ class Outliers(NoiseEffect):
         return torch.where(is_wild, theta["ratio"] * error_T, error_T)
 
 
+class NoiseGrows(NoiseEffect):
+    """The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier."""
+
+    name: ClassVar[str] = "noise_grows"
+    kind: ClassVar[Kind] = Kind.SENSOR
+    words: ClassVar[str] = "the readings scatter the more, the larger they are"
+    source: ClassVar[str] = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
+    imitates_structure: ClassVar[bool] = True  # whatever grows with the field
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Standard deviation over the component that is read."""
+        return (Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),)
+
+    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
+        """Size of each component, in T."""
+        return prediction.field_sensor_T.abs()
+
+    def sigma_T(
+        self,
+        sigma_T: Float[Tensor, "*#batch component"],
+        exposure: Float[Tensor, " component"],
+        theta: Theta,
+    ) -> Float[Tensor, "*#batch component"]:
+        """Noise and scatter of the response, which are independent."""
+        return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
+
+
 class PositionJitter(NoiseEffect):
     """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
 

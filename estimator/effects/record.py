@@ -13,22 +13,16 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from estimator.effects.base import Kind, Quantity, Theta, shape
+from estimator.effects.base import Kind, Quantity, Theta, shape, switch
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import CurrentEffect, MotionEffect, ReadingEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.parameters import Uniform
 from estimator.rig.rig import MotionKind, Rig
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 SMALLEST_TURN_RAD = math.radians(15.0)
 MOST_BODIES = 1000.0
 CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
-
-
-def _switch(key: str, lower: float, upper: float, null: float) -> Quantity:
-    """A number that is set, not fitted."""
-    return Quantity(key, "1", Uniform(lower, upper), null, is_shape=True, is_fixed=True)
 
 
 class AxesSwapped(ReadingEffect):
@@ -41,7 +35,7 @@ class AxesSwapped(ReadingEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Which component, 1 to 3, each axis reads, negative where it is reversed."""
-        return tuple(_switch(f"{axis}_reads", -3.0, 3.0, i + 1.0) for i, axis in enumerate("xyz"))
+        return tuple(switch(f"{axis}_reads", -3.0, 3.0, i + 1.0) for i, axis in enumerate("xyz"))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """All but the right one and its reversal."""
@@ -77,7 +71,7 @@ class UnitError(RecordEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Recorded over true fields, which scales the noise too; recorded over true currents."""
-        return (_switch("field_factor", 0.0, 1e9, 1.0), _switch("current_factor", 0.0, 1e9, 1.0))
+        return (switch("field_factor", 0.0, 1e9, 1.0), switch("current_factor", 0.0, 1e9, 1.0))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """The usual slips."""
@@ -112,7 +106,7 @@ class _Exchanged(RecordEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """The two, from 1 in the order of the rig file; a body exchanged with itself is where it should be."""
-        return tuple(_switch(key, 1.0, MOST_BODIES, 1.0) for key in ("first", "second"))
+        return tuple(switch(key, 1.0, MOST_BODIES, 1.0) for key in ("first", "second"))
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """Numbers of bodies are whole."""
@@ -188,7 +182,7 @@ class CurrentSign(CurrentEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Sign of the current."""
-        return (_switch("sign", -1.0, 1.0, 1.0),)
+        return (switch("sign", -1.0, 1.0, 1.0),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Reversed."""
@@ -220,7 +214,7 @@ class LeftHanded(MotionEffect):
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Sign of each axis."""
-        return tuple(_switch(f"{axis}_sign", -1.0, 1.0, 1.0) for axis in "xyz")
+        return tuple(switch(f"{axis}_sign", -1.0, 1.0, 1.0) for axis in "xyz")
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Each axis alone, and all."""

@@ -130,6 +130,37 @@ class ThermalLag(ReadingEffect):
         return field_sensor_T if kelvin is None else at_temperature(field_sensor_T, theta, kelvin)
 
 
+class OffsetStep(ReadingEffect):
+    """From one instant on the zero of the sensor is another: it was plugged in again, or its amplifier changed range."""
+
+    name: ClassVar[str] = "offset_step"
+    words: ClassVar[str] = "from one instant on the sensor shows another constant in no field"
+    source: ClassVar[str] = "contacts and amplifiers that were switched, as sensor_offset: 10 to 100 uT"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Change of each component in the sensor frame, and the time since the session began from which on it is there."""
+        return (*SensorOffset().quantities(extent), since(extent))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        zero_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
+        return field_sensor_T + zero_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
+
+
 class SensorExchanged(ReadingEffect):
     """From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own."""
 

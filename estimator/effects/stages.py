@@ -365,6 +365,10 @@ class RecordEffect(Effect):
         """Commanded currents behind the recorded ones."""
         return recorded_A
 
+    def rows_late(self, values: Mapping[str, float]) -> int:
+        """Rows by which fields were written down later than the poses and currents that they belong to."""
+        return 0
+
     def place_of(self, sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
         """Index of the sensor at whose place each reading was taken, given that of the sensor in the record."""
         return sensor

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.stages import CurrentEffect, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
@@ -57,6 +57,90 @@ class CurrentOffset(OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A + theta["offset_A"][..., None]
+
+
+class CurrentDeadBand(OneCoilCurrent):
+    """About zero the supply delivers nothing, and beyond it a constant less than commanded: a cross-over of two output stages."""
+
+    name: ClassVar[str] = "current_dead_band"
+    words: ClassVar[str] = "about zero the supply delivers nothing, and a constant less than commanded beyond"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "cross-over of bipolar amplifiers, 0.1 to 1 % of their range"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Current by which each direction falls short."""
+        return (normal("band_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        return _has_sizes(circumstances, place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil; a negative band is a jump of the current at zero."""
+        band_A = theta["band_A"][..., None]
+        return torch.sign(current_A) * (current_A.abs() - band_A).clamp(min=0.0)
+
+
+class CurrentAsymmetry(OneCoilCurrent):
+    """Positive and negative currents have gains of their own: a bipolar supply has an output stage and a shunt for each."""
+
+    name: ClassVar[str] = "current_asymmetry"
+    words: ClassVar[str] = "the supply delivers another share of positive than of negative currents"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "gain errors of supplies, 0.1 to 1 %, for each polarity its own"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Excess of the gain of positive currents; negative ones lack as much."""
+        return (normal("excess", "1", 0.005),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried currents of both signs."""
+        coil = [coil.name for coil in circumstances.rig.coils].index(place)
+        current_A = circumstances.observations.history.current_A[:, coil]
+        return bool((current_A > 0.0).any() and (current_A < 0.0).any())
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A + theta["excess"][..., None] * current_A.abs()
+
+
+class CurrentCompression(OneCoilCurrent):
+    """The larger the current, the more of it the supply lacks: it nears the limit of its voltage, or its shunt warms up at once."""
+
+    name: ClassVar[str] = "current_compression"
+    words: ClassVar[str] = "the supply lacks the more of a current, the larger it is"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "linearity of supplies near the limit of their voltage, 0.1 to 2 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share that is lost per square ampere."""
+        return (normal("loss_per_A2", "1/A2", 0.01 / extent.largest_current_A**2),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        return _has_sizes(circumstances, place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
 
 
 class CurrentStep(OneCoilCurrent):
@@ -205,3 +289,11 @@ class NeighbourCoil(CurrentEffect):
         leak_A = theta["share"][..., None] * neighbours_A
         is_coil = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
         return current_A + leak_A[..., None] * is_coil
+
+
+def _has_sizes(circumstances: Circumstances, place: str) -> bool:
+    """Whether a coil carried currents of two sizes beside none."""
+    coil = [coil.name for coil in circumstances.rig.coils].index(place)
+    sizes_A = circumstances.observations.history.current_A[:, coil].abs()
+    sizes_A = sizes_A[sizes_A > 0.0]
+    return bool(len(sizes_A)) and bool(sizes_A.max() - sizes_A.min() > LEAST_STEP * sizes_A.max())

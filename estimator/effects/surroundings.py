@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import Quantity, Theta, shape, triple
+from estimator.effects.base import WHEN, Quantity, Theta, shape, since, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
 
@@ -51,6 +51,31 @@ class BackgroundDrift(RoomEffect):
         """Proportional to the time since the session began."""
         rate = torch.stack([theta[f"{axis}_T_per_h"] for axis in "xyz"], dim=-1)
         return rate[..., None, :] * circumstances.hours[:, None]
+
+
+class BackgroundStep(RoomEffect):
+    """From one instant on the field of the room is another, everywhere alike."""
+
+    name: ClassVar[str] = "background_step"
+    words: ClassVar[str] = "from one instant on the field of the room is another"
+    source: ClassVar[str] = "a steel door or a chair that was moved, a magnet that was put down: 1 to 50 uT"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Components in the world frame, and the time since the session began from which on they are there."""
+        return (*triple("xyz", "_T", "T", 50e-6), since(extent))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
+        """Zero before."""
+        field_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
+        return field_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
 
 
 class PeriodicInterference(RoomEffect):

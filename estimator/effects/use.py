@@ -14,6 +14,8 @@ from torch import Tensor
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import RecordEffect
+from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Cause, Mover, Rig
 
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
@@ -65,6 +67,20 @@ def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[
         for use in _uses(rig.acting)
         if isinstance(use.effect, stage) and (place is None or use.place == place)
     )
+
+
+def as_meant(rig: Rig, observations: Observations) -> Observations:
+    """The readings with each field beside the pose and the currents that it belongs to, as mistakes of the record in the rig have it."""
+    late = [
+        use for use in uses_of(rig, RecordEffect) if type(use.effect).rows_late is not RecordEffect.rows_late
+    ]
+    if not late:
+        return observations.realigned(0)
+    nominal = rig.nominal_values()
+    rows = (
+        use.effect.rows_late({key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}) for use in late
+    )
+    return observations.realigned(sum(rows))
 
 
 @lru_cache(maxsize=4096)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
 from estimator.effects.stages import NoiseEffect, RecordEffect
-from estimator.effects.use import Use, uses_of
+from estimator.effects.use import Use, as_meant, uses_of
 from estimator.field.node_sum import SumMode
 from estimator.model.measurement_model import MeasurementModel, NominalPrediction
 from estimator.readings.observations import Observations
@@ -46,6 +46,7 @@ class LogPosterior:
     def __init__(self, coordinates: Coordinates, model: MeasurementModel, observations: Observations) -> None:
         self.coordinates = coordinates
         self.model = model
+        observations = as_meant(model.rig, observations)
         mask = observations.is_measured
         self._flat = mask.flatten().nonzero().flatten()
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]

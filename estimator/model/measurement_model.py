@@ -25,7 +25,7 @@ from estimator.effects.stages import (
     RecordEffect,
     SourceEffect,
 )
-from estimator.effects.use import uses_of
+from estimator.effects.use import as_meant, uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
@@ -69,6 +69,7 @@ class MeasurementModel:
     @classmethod
     def unruled(cls, rig: Rig, observations: Observations) -> MeasurementModel:
         """The model before quadrature rules are chosen: `choose_rules`, or `with_rules` of a similar model, completes it."""
+        observations = as_meant(rig, observations)
         circumstances = Circumstances(rig, observations)
         columns = columns_of(rig, circumstances)
         motions = [observations.motion[mover.name] for mover in rig.movers]

@@ -30,6 +30,8 @@ class Observations:
         chosen: Rows of these readings in `whole`.
         current_measured_A: Current that the supplies measured at each reading; NaN for a missing value, None if it was not read.
         recorded_segment: Number of the segment of each reading, where the session says it (`segment`).
+        rows_late: Rows by which fields had been written down late, as `realigned` has undone it.
+        as_recorded: These readings before that; None where nothing was undone.
     """
 
     time_s: Float[Tensor, " reading"]
@@ -44,6 +46,8 @@ class Observations:
     chosen: Int[Tensor, " reading"] | None = field(default=None, repr=False)
     current_measured_A: Float[Tensor, "reading coil"] | None = field(default=None, repr=False)
     recorded_segment: Int[Tensor, " reading"] | None = field(default=None, repr=False)
+    rows_late: int = 0
+    as_recorded: Observations | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.time_s.shape[0]
@@ -87,6 +91,50 @@ class Observations:
             chosen,
             None if self.current_measured_A is None else self.current_measured_A[index],
             None if self.recorded_segment is None else self.recorded_segment[index],
+            self.rows_late,
+            None if self.as_recorded is None else self.as_recorded.rows(index),
+        )
+
+    def realigned(self, rows_late: int) -> Observations:
+        """The readings with the poses and currents of the row before, where fields were written down a row late, sensor by sensor.
+
+        A field that belongs to no row counts as not measured. Readings that have been realigned are first put back.
+
+        Args:
+            rows_late: Rows by which fields were late; negative where they were early.
+        """
+        if rows_late == self.rows_late:
+            return self
+        recorded = self.as_recorded or self
+        if rows_late == 0:
+            return recorded
+        history = recorded.history
+        source = torch.arange(len(history)) - rows_late
+        for sensor in history.sensor.unique():
+            own = (history.sensor == sensor).nonzero().flatten()
+            place = torch.arange(len(own)) - rows_late
+            source[own] = torch.where(
+                (place >= 0) & (place < len(own)), own[place.clamp(0, len(own) - 1)], -1
+            )
+        is_orphan, source = source < 0, source.clamp(min=0)
+        whole = replace(
+            history,
+            current_A=history.current_A[source],
+            motion={name: motion[source] for name, motion in history.motion.items()},
+            field_sensor_T=history.field_sensor_T.masked_fill(is_orphan[:, None], torch.nan),
+            rows_late=rows_late,
+            as_recorded=history,
+        )
+        own_T = recorded.field_sensor_T.masked_fill(is_orphan[recorded.row, None], torch.nan)
+        return replace(
+            recorded,
+            current_A=whole.current_A[recorded.row],
+            motion={name: motion[recorded.row] for name, motion in whole.motion.items()},
+            field_sensor_T=own_T,
+            whole=whole,
+            chosen=recorded.row,
+            rows_late=rows_late,
+            as_recorded=recorded,
         )
 
     @property
@@ -97,8 +145,10 @@ class Observations:
     def followed_by(self, later: Observations) -> Observations:
         """Append later readings; temperatures and measured currents that only one of the two has are left out.
 
-        Segments stay as either of the two records them.
+        Segments stay as either of the two records them, and fields in the rows in which they were recorded.
         """
+        if self.as_recorded is not None:
+            return self.as_recorded.followed_by(later)
 
         def joined(earlier_values: Tensor, later_values: Tensor) -> Tensor:
             return torch.cat((earlier_values, later_values))

@@ -95,11 +95,15 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     circumstances = fit.posterior.model.circumstances
     result = []
     for cause in causes:
-        starts = list(EFFECTS[cause.name].starts(circumstances, cause.place))
-        is_alike = not isinstance(EFFECTS[cause.name], MountEffect)  # whose columns depend on the start
-        for together in filter(None, [starts] if is_alike else [[shapes] for shapes in starts]):
-            result += _at_starts(fit, cause, together)
+        result += at_starts(fit, cause, list(EFFECTS[cause.name].starts(circumstances, cause.place)))
     return result
+
+
+def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
+    """Candidates of one cause, start by start; those without finite columns are left out."""
+    is_alike = not isinstance(EFFECTS[cause.name], MountEffect)  # whose columns depend on the start
+    groups = filter(None, [starts] if is_alike else [[shapes] for shapes in starts])
+    return [candidate for together in groups for candidate in _at_starts(fit, cause, together)]
 
 
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:

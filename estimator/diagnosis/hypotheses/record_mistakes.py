@@ -18,6 +18,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.stages import RecordEffect
 from estimator.errors import InvalidInput
 from estimator.field.winding import Rule
 from estimator.inference.likelihood import LogPosterior
@@ -145,6 +146,8 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
         if not effect.is_record_mistake or name in present:
             continue
         for place in effect.places(base.rig):
+            if not effect.concerns(circumstances, place):
+                continue
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
             values = _start_log_likelihoods(base, cause, starts, few)
             ranked += [
@@ -170,7 +173,14 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]
     fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in plausible]
-    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1])]
+    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1]) and _explains_a_field(fit)]
+
+
+def _explains_a_field(fit: Fit) -> bool:
+    """Whether a fit does better than no field at all: coils that a wrong unit puts far away explain noise, and nothing else."""
+    measured = fit.posterior.measured_T * fit.whitening_per_T
+    explained = 0.5 * float(measured.square().sum() - fit.residual.square().sum())
+    return explained > policy.LEAST_LOG_EVIDENCE_OF_MISTAKE
 
 
 def _start_log_likelihoods(
@@ -180,11 +190,14 @@ def _start_log_likelihoods(
 
     The parameters take one linear step from the nominal rig, within their priors.
     """
-    rig = with_effect(base.rig, cause, base.observations, starts[0])
-    model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
-    log_likelihoods = []
-    for first in range(0, len(starts), MOST_TOGETHER):
-        coordinates = _AtStarts(rig, cause, starts[first : first + MOST_TOGETHER])
+    effect, log_likelihoods = EFFECTS[cause.name], list[float]()
+    moves_rows = isinstance(effect, RecordEffect) and any(effect.rows_late(start) for start in starts)
+    together = 1 if moves_rows else MOST_TOGETHER  # readings have other poses then
+    for first in range(0, len(starts), together):
+        some = starts[first : first + together]
+        rig = with_effect(base.rig, cause, base.observations, some[0])
+        model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
+        coordinates = _AtStarts(rig, cause, some)
         log_likelihoods += _after_linear_step(
             LogPosterior(coordinates, model, observations), coordinates.start()
         )

@@ -17,6 +17,7 @@ from jaxtyping import Int
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.limits import Limits
@@ -99,16 +100,20 @@ def take_step(
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
     ]
-    best, n_fitted = 0.0, 0
+    best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
-        fitted = None
-        is_asked = fit.is_bent and EFFECTS[cause.name].starts_far_off
+        fitted, picture = None, EFFECTS[cause.name].idealises
+        is_rival = (
+            picture in pictured and highest > 0.0
+        )  # its shapes move far in a fit, as those of the other picture did
+        is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
         if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
-            value, fitted = in_full(fit, value, start)
+            value, fitted = in_full(fit, *at_finer_instant(fit, value, start))
             best, n_fitted = max(best, value), n_fitted + 1
+            pictured |= {picture} if picture is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
     least = least_log_evidence(len(ranked))

@@ -96,6 +96,7 @@ CAUSES = [
 ]
 NOT_AT_THE_FIRST_MOMENT = {
     "background_drift",
+    "rows_shifted",
     "current_remanence",
     "periodic_interference",
     "position_lag",

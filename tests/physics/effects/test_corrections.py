@@ -109,6 +109,20 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
             + 2e-4 * (HOURS / DURATION_H)[:, None] * MOVES_M[:, 1:2] / 0.02 * UNIT[0]
         ),
     ),
+    "response_by_place[hall]": (
+        {
+            "degree1_x_along_z_T": 1e-5,
+            "degree2_gain_y_along_x_T": 2e-5,
+            "range_T": 0.004,
+            **{f"from_{axis}_m": -0.03 for axis in "xyz"},
+            **{f"span_{axis}_m": 0.06 for axis in "xyz"},
+        },
+        lambda: (
+            PLAIN_T
+            + 1e-5 * cosines((POSITIONS_M[:, 2:] + 0.03) / 0.06, 1) * UNIT[0]
+            + 2e-5 * cosines((POSITIONS_M[:, :1] + 0.03) / 0.06, 2) * PLAIN_T / 0.004 * UNIT[1]
+        ),
+    ),
     "zero_swings[hall]": (
         {"degree1_y_cos_T": 1e-5, "degree2_z_sin_T": 2e-5, "frequency_per_h": 7.3},
         lambda: (

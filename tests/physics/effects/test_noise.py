@@ -88,6 +88,15 @@ def test_jitter_of_the_mover_adds_its_share_of_the_gradient_to_the_noise():
     assert log_likelihood(measured(), effects) == pytest.approx(expected, rel=1e-7)
 
 
+def test_noise_that_grows_adds_a_share_of_each_component_to_the_noise():
+    share = 0.004
+    scale = np.hypot(NOISE_T, share * CURRENT_A * np.abs(winding().field_T(POINTS_M)))
+    assert (scale > 1.3 * NOISE_T).any()
+    expected = stats.norm.logpdf(ERROR_T, scale=scale).sum()
+    effects = {"noise_grows[probe]": {"share": share}}
+    assert log_likelihood(measured(), effects) == pytest.approx(expected, rel=1e-7)
+
+
 def test_jitter_says_how_readings_of_a_mover_that_misses_its_targets_scatter():
     """4000 visits of every position by magpylib; standard deviations are then good to 1.1 % each."""
     sd_m, n = 2e-5, 4000

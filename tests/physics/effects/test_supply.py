@@ -182,3 +182,37 @@ def test_heating_is_fitted_by_the_thermometer_that_moved_or_else_by_the_losses(c
     heating = Cause("coil_heating", "coil")
     hypothesis = with_effect(rig, heating, observations, {})
     assert {p.name.rpartition(".")[2] for p in hypothesis.free if p.name.startswith(heating.label)} == free
+
+
+COMMANDED_A = np.array([2.0, -2.0, 0.0, 1.0, 0.05, -0.5, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("cause", "given", "expected_A"),
+    [
+        ("current_dead_band", {"band_A": 0.1}, np.array([1.9, -1.9, 0.0, 0.9, 0.0, -0.4, 2.9])),
+        ("current_dead_band", {"band_A": -0.1}, np.array([2.1, -2.1, 0.0, 1.1, 0.15, -0.6, 3.1])),
+        ("current_asymmetry", {"excess": 0.02}, np.where(COMMANDED_A > 0, 1.02, 0.98) * COMMANDED_A),
+        ("current_compression", {"loss_per_A2": 0.01}, COMMANDED_A - 0.01 * COMMANDED_A**3),
+    ],
+)
+def test_supply_that_is_not_linear_delivers_by_its_own_curve(cause, given, expected_A):
+    current_A = np.stack((COMMANDED_A, np.full(N, 0.5)), axis=1)
+    reading_T = predicted_T(readings(POINTS_M, current_A), {f"{cause}[coil]": given})
+    assert_same_field(reading_T, coils_T(expected_A, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("current_A", "asked"),
+    [
+        ([2.0, 2.0], set()),
+        ([2.0, -2.0, 0.0], {"current_asymmetry"}),
+        ([2.0, 1.0], {"current_dead_band", "current_compression"}),
+        ([2.0, -1.0], {"current_asymmetry", "current_dead_band", "current_compression"}),
+    ],
+)
+def test_curves_of_a_supply_are_asked_where_currents_could_show_them(current_A, asked):
+    columns = np.stack((np.resize(current_A, N), np.zeros(N)), axis=1)
+    circumstances = Circumstances(rig_from_text(RIG), readings(POINTS_M, columns))
+    names = ("current_asymmetry", "current_dead_band", "current_compression")
+    assert {name for name in names if EFFECTS[name].concerns(circumstances, "coil")} == asked

@@ -95,3 +95,16 @@ def test_prediction_has_no_phase_of_the_interference():
         values, points_m = nominal_tensors(rig), torch.from_numpy(POINTS_M)
         fields_T.append(RoomField(rig, values, points_m).field_T(values, torch.ones(2, dtype=torch.float64)))
     torch.testing.assert_close(*fields_T, rtol=0.0, atol=0.0)
+
+
+def test_step_of_the_room_and_of_a_zero_differ_once_the_sensor_turns():
+    """From half of the session on: the room's turns into the frame of the sensor, the sensor's own zero does not."""
+    time_s = 1.7e9 + 600.0 * np.arange(len(POINTS_M))
+    turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD, time_s=time_s)
+    later = (np.arange(len(POINTS_M)) >= 4)[:, None]
+    since = {"since_h": 3.5 * 600.0 / 3600.0}
+    room_T = added_T(turned, {"background_step[room]": {**EARTH, **since}})
+    in_sensor_T = Rotation.from_rotvec(TURNS_RAD).inv().apply(EARTH_T)
+    np.testing.assert_allclose(room_T, later * in_sensor_T, rtol=0.0, atol=1e-15)
+    zero_T = added_T(turned, {"offset_step[probe]": {**EARTH, **since}})
+    np.testing.assert_allclose(zero_T, later * EARTH_T, rtol=0.0, atol=1e-15)

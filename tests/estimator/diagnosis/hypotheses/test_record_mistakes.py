@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
+import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import record_mistakes
 from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.record import DisplacementFrameError
+from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -38,6 +41,32 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     assert [mistake.cause.name for mistake in mistakes] == []
 
 
+def turning(observations: Observations) -> Observations:
+    """The readings with the arm turned a little at each."""
+    motion = observations.motion["arm1"].clone()
+    generator = torch.Generator().manual_seed(4)
+    motion[:, 3:] = 0.3 * torch.randn(len(motion), 3, dtype=torch.float64, generator=generator)
+    return replace(observations.alone, motion={"arm1": motion})
+
+
+def test_fields_that_were_written_beside_their_rows_are_put_back(
+    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch
+):
+    """The field that the first row was left with belongs to none, and may be anything. Beside one other mistake, for each takes seconds."""
+    known = {name: EFFECTS[name] for name in ("rows_shifted", "left_handed")}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", known)
+    monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
+    some = small_session.observations.rows(torch.arange(0, len(small_session.observations), 2)).alone
+    field_T = some.field_sensor_T.roll(1, 0)
+    field_T[0] = 1e-2
+    readings = some.with_field(field_T)
+    fit, mistakes = without_record_mistakes(fit_of(small_rig, readings))
+    (mistake,) = mistakes
+    assert mistake.cause == Cause("rows_shifted", "record")
+    assert float(fit.values[f"{mistake.cause.label}.rows"]) == 1.0
+    assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
+
+
 @pytest.mark.parametrize(
     "name",
     [name for name, e in EFFECTS.items() if e.is_record_mistake and not name.endswith("_exchanged")],
@@ -45,7 +74,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
 def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     small_rig: Rig, small_session: Session, name: str
 ):
-    base = fit_of(small_rig, small_session.observations.calibration)
+    base = fit_of(small_rig, turning(small_session.observations.calibration))
     circumstances = base.posterior.model.circumstances
     (place,) = EFFECTS[name].places(small_rig)
     starts = EFFECTS[name].starts(circumstances, place)[:20]

@@ -1,0 +1,129 @@
+"""Mistakes in the record of poses, worked out by hand with SciPy's rotations and sums of magpylib's loops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.use import as_meant
+from estimator.errors import InvalidInput
+from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import MeasurementModel
+from estimator.rig.coordinates import Coordinates
+from estimator.rig_files.read import rig_from_text
+from tests.physics.effects.laboratory import (
+    POINTS_M,
+    RIG,
+    assert_same_field,
+    effects_text,
+    predicted_T,
+    readings,
+    winding,
+)
+
+N = len(POINTS_M)
+FIELD_T = 2.0 * winding().field_T(POINTS_M)
+ANGLES_RAD = np.random.default_rng(5).uniform(-0.8, 0.8, (N, 3))
+FIXED_AXES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+
+
+@pytest.mark.parametrize("convention", range(9))
+def test_rotations_in_each_convention_turn_the_sensor_as_scipy_says(convention):
+    if 1 <= convention <= 6:
+        order = FIXED_AXES[convention - 1]
+        turn = Rotation.from_euler(order, ANGLES_RAD[:, ["xyz".index(axis) for axis in order]])
+    else:
+        vector = np.deg2rad(ANGLES_RAD) if convention == 8 else ANGLES_RAD
+        turn = Rotation.from_rotvec(-vector if convention == 7 else vector)
+    turned = readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD)
+    reading_T = predicted_T(turned, {"rotation_convention[mapper]": {"convention": float(convention)}})
+    assert_same_field(reading_T, turn.inv().apply(FIELD_T))
+
+
+def test_conventions_are_asked_where_the_mover_has_turned():
+    effect, rig = EFFECTS["rotation_convention"], rig_from_text(RIG)
+    turned = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD))
+    assert effect.concerns(turned, "mapper")
+    assert len(effect.starts(turned, "mapper")) == 8
+    assert not effect.concerns(Circumstances(rig, readings(POINTS_M, (2.0, 0.0))), "mapper")
+
+
+def test_one_axis_in_inches_under_millimetres_is_that_much_longer():
+    recorded_m = POINTS_M * np.array([1.0, 1.0 / 25.4, 1.0])
+    given = {"x_factor": 1.0, "y_factor": 1.0 / 25.4, "z_factor": 1.0}
+    assert_same_field(
+        predicted_T(readings(recorded_m, (2.0, 0.0)), {"position_unit[mapper]": given}), FIELD_T
+    )
+
+
+def test_units_are_looked_for_along_axes_that_moved_and_along_all():
+    rig = rig_from_text(RIG)
+    in_plane_m = POINTS_M * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 0.03])
+    starts = EFFECTS["position_unit"].starts(Circumstances(rig, readings(in_plane_m, (2.0, 0.0))), "mapper")
+    changed = {tuple(axis for axis in "xyz" if start[f"{axis}_factor"] != 1.0) for start in starts}
+    assert changed == {("x",), ("y",), ("x", "y", "z")}
+    assert {1.0 / 25.4, 25.4, 1e3, 1e-3, 10.0, 0.1} == {start["x_factor"] for start in starts} - {1.0}
+
+
+@pytest.mark.parametrize("late", [1, -1, 2])
+def test_field_that_was_written_late_is_that_of_the_poses_and_currents_of_rows_before(late):
+    current_A = np.stack((np.linspace(1.0, 3.0, N), np.zeros(N)), axis=1)
+    reading_T = predicted_T(readings(POINTS_M, current_A), {"rows_shifted[record]": {"rows": float(late)}})
+    true_T = current_A[:, :1] * winding().field_T(POINTS_M)
+    inner = slice(late, None) if late > 0 else slice(None, late)
+    of_row = slice(None, -late) if late > 0 else slice(-late, None)
+    assert_same_field(reading_T[inner], true_T[of_row])
+
+
+def test_readings_of_two_sensors_are_shifted_each_among_its_own():
+    time_s = np.arange(N, dtype=float)
+    both = readings(POINTS_M, (2.0, 0.0), time_s=time_s)
+    both = replace(both, sensor=torch.tensor([0, 1, 1, 0, 0, 1, 0])).with_field(
+        torch.from_numpy(FIELD_T.copy())
+    )
+    moved = both.realigned(1)
+    assert moved.motion["mapper"][[3, 4, 6], 0].tolist() == both.motion["mapper"][[0, 3, 4], 0].tolist()
+    assert moved.motion["mapper"][[2, 5], 0].tolist() == both.motion["mapper"][[1, 2], 0].tolist()
+    assert moved.is_measured.all(-1).tolist() == [False, False, True, True, True, True, True]
+
+
+def test_realigned_readings_are_put_back_and_not_shifted_twice():
+    plain = readings(POINTS_M, (2.0, 0.0)).with_field(torch.from_numpy(FIELD_T.copy()))
+    part = plain.rows(torch.tensor([1, 3, 4]))
+    moved = part.realigned(1)
+    assert moved.realigned(1) is moved
+    assert moved.realigned(0) is part
+    assert moved.motion["mapper"][:, 0].tolist() == pytest.approx(POINTS_M[[0, 2, 3], 0].tolist())
+    assert moved.rows(torch.tensor([2])).realigned(0).motion["mapper"][0, 0] == POINTS_M[4, 0]
+    assert torch.equal(moved.realigned(-1).motion["mapper"], part.realigned(-1).motion["mapper"])
+    assert torch.equal(moved.history.realigned(0).motion["mapper"], plain.history.motion["mapper"])
+
+
+def test_density_leaves_out_the_field_that_belongs_to_no_row():
+    free = RIG.replace("radius_mm: 40", "radius_mm: {prior: {normal: {mean: 40, sd: 1}}}")
+    rig = rig_from_text(free + effects_text({"rows_shifted[record]": {"rows": 1.0}}))
+    late_T = np.concatenate((np.full((1, 3), 9.0), FIELD_T[:-1]))
+    observations = readings(POINTS_M, (2.0, 0.0)).with_field(torch.from_numpy(late_T))
+    density = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations, 1e-13), observations)
+    assert len(density.measured_T) == 3 * (N - 1)
+    assert float(density.whitened(density.coordinates.start()).abs().max()) < 1e-3
+    assert as_meant(rig, as_meant(rig, observations)).rows_late == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "rule"),
+    [
+        ({"rows_shifted[record]": {"rows": 0.5}}, "whole number from -2 to 2"),
+        ({"rotation_convention[mapper]": {"convention": 2.5}}, "whole number from 0 to 8"),
+        ({"position_unit[mapper]": {"x_factor": -1.0}}, "must be > 0"),
+    ],
+)
+def test_sizes_that_no_such_mistake_has_are_refused(given, rule):
+    with pytest.raises(InvalidInput, match=rule):
+        rig_from_text(RIG + effects_text(given))
