@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
 from drivers.entries import ARMS
+from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
 from drivers.open import open_devices
 from drivers.protocols import FlangePose, ReadingFlag, RobotArm
 from drivers.rotation import angle_between_rad
