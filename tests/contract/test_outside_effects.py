@@ -61,10 +61,10 @@ HIDDEN = {
     "holder_creep.rate_m_per_h": 1.4e-3,
     "element_ring.radius_m": 4e-4,
     "quadratic_response.excess_per_T": 3.0,
-    "proportional_noise.share": 0.006,
+    "noisy_axis.extra_T": 6e-5,
     "peak_to_peak_current.factor": 2.0,
 }
-QUICK = ("field_gradient.vertical_T_per_m", "arm_sag.curvature_per_m", "proportional_noise.share")
+QUICK = ("field_gradient.vertical_T_per_m", "arm_sag.curvature_per_m", "noisy_axis.extra_T")
 MAKES_FIELD = ("dead_band", "swollen_wire", "iron_beside", "field_gradient")
 
 

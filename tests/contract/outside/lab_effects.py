@@ -181,24 +181,25 @@ class QuadraticResponse(ReadingEffect):
         return field_sensor_T + theta["excess_per_T"][..., None, None] * field_sensor_T**2
 
 
-class ProportionalNoise(NoiseEffect):
-    """The noise grows with the component."""
+class NoisyAxis(NoiseEffect):
+    """The sensor's z axis scatters more than the others."""
 
-    name, kind = "proportional_noise", Kind.SENSOR
-    words = "the noise grows with the field"
-    source = "ripple of the supply, 0.1 to 1 % of the field"
+    name, kind = "noisy_axis", Kind.SENSOR
+    words = "the sensor's z axis scatters more than the others"
+    source = "one of three elements is worse, by some times the noise"
 
     def quantities(self, extent):
-        """Standard deviation relative to the component."""
-        return (Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),)
+        """Standard deviation beside the noise."""
+        return (Quantity("extra_T", "T", LogNormal(3e-5, 1.0), 0.0),)
 
     def exposure(self, prediction, place):
-        """Size of each component."""
-        return prediction.field_sensor_T.abs()
+        """1 along z, 0 along x and y."""
+        along_z = torch.tensor([0.0, 0.0, 1.0], dtype=prediction.field_sensor_T.dtype)
+        return along_z.expand_as(prediction.field_sensor_T)
 
     def sigma_T(self, sigma_T, exposure, theta):
         """Both parts are independent."""
-        return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
+        return torch.sqrt(sigma_T**2 + (theta["extra_T"][..., None] * exposure) ** 2)
 
 
 class PeakToPeakCurrent(RecordEffect):
