@@ -274,6 +274,7 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
     assert low - 0.001 < 0.004 < high + 0.001
 
 
+@pytest.mark.slow  # service/test_delivery.py holds the same without a program
 def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_sends_the_rest(
     run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
