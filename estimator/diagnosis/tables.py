@@ -133,7 +133,7 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
     ]
     caption = (
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
-        "(standard error over readings). `in 50 %` and `in 90 %` give the share of components inside those predictive intervals."
+        "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals."
     )
     if (correction := diagnosis.fits.correction) is not None:
         caption += f" {correction.words(diagnosis.label)} {correction.limit_words}".rstrip()
