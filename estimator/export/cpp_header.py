@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import jinja2
 from torch import Tensor
 
 from estimator.export.labels import identifier, plain_words
 from estimator.export.magnet import Magnet
+from estimator.export.templates import Filters, number, template
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
@@ -20,7 +20,7 @@ def cpp_header(magnet: Magnet) -> str:
         InvalidInput: The rig has something that the header cannot express.
     """
     model = magnet.model("cpp")
-    return _template().render(
+    return template("cpp_header.hpp.j2", FILTERS).render(
         model=model,
         changes=magnet.changes,
         title=plain_words(model.name),
@@ -36,29 +36,8 @@ def cpp_header(magnet: Magnet) -> str:
     )
 
 
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("estimator.export", "."),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {
-        "number": _number,
-        "numbers": _numbers,
-        "array": _numbers,
-        "matrix": _matrix,
-        "pose": _pose,
-    }
-    return environment.get_template("cpp_header.hpp.j2")
-
-
-def _number(value: Tensor | float) -> str:
-    """All digits of a number."""
-    return repr(float(value))
-
-
 def _numbers(values: Tensor | tuple[float, ...]) -> str:
-    return "{" + ", ".join(map(_number, values)) + "}"
+    return "{" + ", ".join(map(number, values)) + "}"
 
 
 def _matrix(rows: Tensor) -> str:
@@ -67,3 +46,6 @@ def _matrix(rows: Tensor) -> str:
 
 def _pose(pose: Transform) -> str:
     return "{ " + _matrix(pose.rotation) + ", " + _numbers(pose.translation_m) + " }"
+
+
+FILTERS: Filters = {"numbers": _numbers, "array": _numbers, "matrix": _matrix, "pose": _pose}

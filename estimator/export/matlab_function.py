@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import astuple
 
-import jinja2
 import torch
 from torch import Tensor
 
@@ -13,6 +12,7 @@ from estimator.errors import InvalidInput
 from estimator.export.labels import plain_words
 from estimator.export.linearised import WINDING_NUMBERS
 from estimator.export.magnet import Magnet
+from estimator.export.templates import Filters, number, template
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
@@ -37,7 +37,7 @@ def matlab_function(magnet: Magnet, name: str) -> str:
             f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {name!r}"
         )
     model = magnet.model("matlab")
-    text = _template().render(
+    text = template("matlab_function.m.j2", FILTERS).render(
         model=model,
         name=name,
         title=plain_words(model.name),
@@ -46,7 +46,7 @@ def matlab_function(magnet: Magnet, name: str) -> str:
         coil_names=", ".join(coil.name for coil in model.coils),
         mover_names=", ".join(mover.name for mover in model.movers) or "none",
         winding_numbers=WINDING_NUMBERS,
-        quarter_mu0=_number(0.25 * MU0_T_M_PER_A),
+        quarter_mu0=number(0.25 * MU0_T_M_PER_A),
         tolerance=f"{DEFAULT_TOLERANCE:g}",
         zones_per_octave=ZONES_PER_OCTAVE,
     )
@@ -57,34 +57,12 @@ def matlab_function(magnet: Magnet, name: str) -> str:
     return text
 
 
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("estimator.export", "."),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {
-        "number": _number,
-        "row": _row,
-        "column": lambda values: f"{_row(values)}'",
-        "rows": _rows,
-        "homogeneous": _homogeneous,
-        "table": _table,
-        "capitalize_first": lambda line: line[:1].upper() + line[1:],
-    }
-    return environment.get_template("matlab_function.m.j2")
-
-
-def _number(value: Tensor | float) -> str:
-    return repr(float(value))
-
-
 def _row(values: Tensor) -> str:
-    return f"[{' '.join(map(_number, values))}]"
+    return f"[{' '.join(map(number, values))}]"
 
 
 def _rows(matrix: Tensor) -> str:
-    return f"[{'; '.join(' '.join(map(_number, row)) for row in matrix)}]"
+    return f"[{'; '.join(' '.join(map(number, row)) for row in matrix)}]"
 
 
 def _homogeneous(pose: Transform) -> str:
@@ -95,3 +73,13 @@ def _homogeneous(pose: Transform) -> str:
 def _table(joints: DenavitHartenberg | None) -> str:
     """Rows theta, a, d and alpha, or nothing."""
     return "[]" if joints is None else _rows(torch.tensor(astuple(joints), dtype=torch.float64))
+
+
+FILTERS: Filters = {
+    "row": _row,
+    "column": lambda values: f"{_row(values)}'",
+    "rows": _rows,
+    "homogeneous": _homogeneous,
+    "table": _table,
+    "capitalize_first": lambda line: line[:1].upper() + line[1:],
+}
