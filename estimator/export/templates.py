@@ -8,7 +8,6 @@ from typing import Any
 import jinja2
 from torch import Tensor
 
-
 Filters = Mapping[str, Callable[[Any], str]]  # how values are written in a language, by name
 
 
