@@ -1,4 +1,4 @@
-"""When a search ends before the evidence does."""
+"""What a search may ask, and when it ends before the evidence does."""
 
 from __future__ import annotations
 
@@ -8,23 +8,30 @@ from dataclasses import dataclass, field
 from threading import Event
 
 from estimator.diagnosis import policy
+from estimator.effects.base import Effect
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a search. One that reaches a limit reports the best it has.
+    """Limits of a search. One that reaches a limit of time or causes reports the best it has.
 
     Attributes:
         most_causes: Causes that it may take.
         minutes: Time that it may take; the fit at hand is finished, and the report follows.
         stopped: Set by another thread, or a signal, to end it as if the time were over.
+        is_of_change: The rig describes the same bodies as they were measured before, so only causes that can begin are asked.
         begin_s: When it began, by the monotonic clock.
     """
 
     most_causes: int = field(default_factory=lambda: policy.MOST_CAUSES)
     minutes: float = math.inf
     stopped: Event = field(default_factory=Event)
+    is_of_change: bool = False
     begin_s: float = field(default_factory=time.monotonic)
+
+    def allows(self, effect: Effect) -> bool:
+        """Whether a cause may be asked."""
+        return effect.can_begin or not self.is_of_change
 
     @property
     def is_over(self) -> bool:

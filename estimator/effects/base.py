@@ -105,6 +105,8 @@ class Effect(ABC):
         starts_far_off: Fits with it start far from its null, and multiply what the coils do. Where a fit without it has bent the rig to
             follow, the linear model there says nothing of it.
         is_linear: The field stays proportional to the currents.
+        can_begin: It may be there in one session and not in the one before. What is built into a winding, or is a formula, was there from
+            the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
@@ -118,6 +120,7 @@ class Effect(ABC):
     is_structural: ClassVar[bool] = False
     starts_far_off: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
+    can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
 

@@ -132,6 +132,7 @@ class WindingMisstated(WindingEffect):
     source: ClassVar[str] = (
         "radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %"
     )
+    can_begin: ClassVar[bool] = False
     is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

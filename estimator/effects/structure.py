@@ -30,6 +30,7 @@ class HiddenWinding(SourceEffect):
     name: ClassVar[str] = "hidden_winding"
     words: ClassVar[str] = "another winding about the same axis carries the coil's current"
     source: ClassVar[str] = "wide: shields and compensations have a tenth of the turns and more"
+    can_begin: ClassVar[bool] = False
     is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -81,6 +82,7 @@ class ReversedLayer(SourceEffect):
     name: ClassVar[str] = "reversed_layer"
     words: ClassVar[str] = "a layer is wound the other way"
     source: ClassVar[str] = "up to a whole layer"
+    can_begin: ClassVar[bool] = False
     is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:

@@ -26,6 +26,8 @@ LAYER_NODES = 8  # along the missing part of a layer
 class PitchEffect(WindingEffect):
     """A pitch other than the rig file says."""
 
+    can_begin: ClassVar[bool] = False
+
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the rig file does not leave the pitch free: else its own prior bounds what can be built."""
         return not circumstances.rig.parameters[f"{place}.{self.name}_m"].is_free
@@ -71,6 +73,7 @@ class TurnsGradient(SourceEffect):
     name: ClassVar[str] = "turns_gradient"
     words: ClassVar[str] = "turns lie denser towards one end"
     source: ClassVar[str] = "wide: hand-wound coils"
+    can_begin: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Relative excess of turns per length at the front face."""
@@ -92,6 +95,7 @@ class ShortLayer(SourceEffect):
     name: ClassVar[str] = "short_layer"
     words: ClassVar[str] = "the outermost layer is not wound to its end"
     source: ClassVar[str] = "up to a whole layer may be missing"
+    can_begin: ClassVar[bool] = False
     is_structural: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -306,6 +310,7 @@ class SphericalSum(SourceEffect):
     source: ClassVar[str] = (
         "0, 1 or -1: which simulation made the data, and which one explains them (Osinde et al., eq 13)"
     )
+    can_begin: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Weight of the literal sum against the right one."""
@@ -326,6 +331,7 @@ class DipoleModel(SourceEffect):
     name: ClassVar[str] = "dipole_model"
     words: ClassVar[str] = "the readings follow a point dipole, not a winding"
     source: ClassVar[str] = "0 or 1: which simulation made the data"
+    can_begin: ClassVar[bool] = False
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Weight of the dipole against the loops."""

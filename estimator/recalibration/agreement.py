@@ -22,6 +22,7 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.limits import Limits
 from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
@@ -196,7 +197,7 @@ def _cause_columns(
     refit: Fit, sigma_T: Float[Tensor, " component"]
 ) -> tuple[list[str], Float[Tensor, "component column"]]:
     """Names of causes and their columns in units of the noise: what each adds to the readings. Without causes, one column of zeros."""
-    hypotheses = candidates(refit, causes_of(refit.rig, refit))
+    hypotheses = candidates(refit, causes_of(refit.rig, refit, Limits(is_of_change=True)))
     names = [hypothesis.cause.label for hypothesis in hypotheses for _ in hypothesis.keys]
     if not names:
         return [], torch.zeros(len(sigma_T), 1, dtype=torch.float64)

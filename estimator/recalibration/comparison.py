@@ -13,6 +13,7 @@ from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.headline import held_back
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.inference.ensemble import SamplerSettings
@@ -74,6 +75,7 @@ class Comparison:
             self.session,
             self.widened,
             seed=self.seed,
+            limits=Limits(is_of_change=True),
             on_stage=self.watcher.on_words,
             on_progress=self.watcher.on_progress,
         )

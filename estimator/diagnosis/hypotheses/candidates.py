@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
@@ -77,14 +78,15 @@ class Candidate:
         ]
 
 
-def causes_of(rig: Rig, fit: Fit) -> list[Cause]:
-    """Continuous causes that the rig does not have yet and that concern the session."""
+def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
+    """Continuous causes that the rig does not have yet, that concern the session, and that the limits allow, where there are any."""
     circumstances = fit.posterior.model.circumstances
     present = set(rig.effects)
     return [
         cause
         for name, effect in EFFECTS.items()
         if not (effect.is_record_mistake or effect.is_correction or isinstance(effect, NoiseEffect))
+        and (limits is None or limits.allows(effect))
         for place in effect.places(rig)
         if (cause := Cause(name, place)) not in present and effect.concerns(circumstances, place)
     ]

@@ -107,7 +107,7 @@ def search(
         limits: When the search ends before the evidence does.
         on_progress: Called before and after each fit of a hypothesis.
     """
-    pool = candidates(base, causes_of(base.rig, base))
+    pool = candidates(base, causes_of(base.rig, base, limits))
     state = _SearchState(base, pool, families(base), tell, limits, on_progress)
     base_discrepancy = discrepancy(base, state.smooth)
     fit = state.forward(base)
@@ -150,7 +150,7 @@ class _SearchState:
         self.screened_at = base  # where pool and curves have their columns
         self.asked = {
             *base.rig.effects,
-            *causes_of(base.rig, base),
+            *causes_of(base.rig, base, limits),
         }  # others concern the session only beside a cause
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.limits, self.on_progress = tell, limits, on_progress
@@ -290,8 +290,9 @@ class _SearchState:
             wider = steps[0].taken_fit
         gain = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(gain)} for them)")
-        self.screened_at, self.pool = wider, candidates(wider, causes_of(wider.rig, wider))
-        self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes_of(wider.rig, wider)}
+        causes = causes_of(wider.rig, wider, self.limits)
+        self.screened_at, self.pool = wider, candidates(wider, causes)
+        self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes}
         self.steps += steps
         self.additions.append(Addition(tuple(new), wider))
         return wider
@@ -365,7 +366,7 @@ class _SearchState:
 
     def _pool(self, fit: Fit) -> list[Candidate]:
         weight = fit.weight_over(self.screened_at)
-        others = [cause for cause in causes_of(fit.rig, fit) if cause not in self.asked]
+        others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in self.asked]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:

@@ -104,7 +104,7 @@ def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: 
         base: Without any cause.
         pile: With causes of many kinds.
         n_causes: Number of causes that were compared.
-        limits: Once they are reached, no further hypothesis is asked.
+        limits: Say which hypotheses are asked; once they are reached, no further one is.
         pace: Told of each hypothesis.
     """
     prior_cost = math.log(max(n_causes, 1)) + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE
@@ -114,7 +114,7 @@ def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: 
         return fit.log_evidence - base.log_evidence - (n_added - 1) * prior_cost
 
     asked = []
-    causes = structural_causes(base)
+    causes = structural_causes(base, limits)
     for i, cause in enumerate(causes):
         if limits.is_over:
             break
@@ -130,13 +130,13 @@ def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: 
     return OtherStructures(piled, log_bayes_factor(pile, len(piled)), tuple(asked))
 
 
-def structural_causes(base: Fit) -> list[Cause]:
-    """Hypotheses of structure that the rig of a fit does not have and that concern the session."""
+def structural_causes(base: Fit, limits: Limits) -> list[Cause]:
+    """Hypotheses of structure that the rig of a fit does not have, that concern the session and that the limits allow."""
     circumstances = base.posterior.model.circumstances
     return [
         cause
         for name, effect in EFFECTS.items()
-        if effect.is_structural
+        if effect.is_structural and limits.allows(effect)
         for place in effect.places(base.rig)
         if (cause := Cause(name, place)) not in base.rig.effects and effect.concerns(circumstances, place)
     ]

@@ -19,6 +19,7 @@ from estimator.recalibration.conclusion import Judgement
 from estimator.recalibration.judgement import judge
 from estimator.recalibration.stored import stored_log_density
 from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 
 TOO_FEW_STEPS = SamplerSettings(n_walkers=16, target_ess=1e6, max_steps=100)
@@ -161,3 +162,22 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
     judged = judge(drifted, small_rig, small_calibration, seed=1, settings=SamplerSettings(n_walkers=6))
     assert judged.conclusion == "drifted"
     assert asked[0].n_walkers >= 12
+
+
+@pytest.mark.whole
+def test_more_current_since_the_last_version_is_no_change_of_the_winding(
+    rig_text: str, small_plan: Plan, small_truth: dict[str, float], small_settings: SamplerSettings
+) -> None:
+    rig = rig_from_text(rig_text.replace("noise_uT: 5", "noise_uT: 1"))
+    first, later = (
+        Session(rig, simulate(rig, small_plan, small_truth, seed, hidden), "simulated")
+        for seed, hidden in ((1, None), (9, {"current_gain.excess": 0.04}))
+    )
+    current = calibrate(first, settings=small_settings, seed=1)
+    judged = judge(later, rig, current, may_replace=False, seed=1)
+    assert judged.conclusion == "drifted"
+    (cause,) = judged.causes
+    names = {cause["name"], *(other["name"] for other in cause["alternatives"])}
+    assert names == {"current_gain", "current_offset"}  # with one current, they are the same
+    asked = {label.partition("[")[0] for label in judged.checks["log_bayes_factors"]}
+    assert not {"hidden_winding", "short_layer", "reversed_layer", "winding_misstated"} & asked

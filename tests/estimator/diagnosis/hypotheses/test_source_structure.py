@@ -49,8 +49,8 @@ def test_one_kind_at_many_places_is_no_pile() -> None:
 
 
 def test_effects_say_themselves_that_they_are_other_structures(plain: Fit) -> None:
-    assert {CORE, HIDDEN, OVAL} < set(structural_causes(plain))
-    assert not set(PILE) & set(structural_causes(plain))
+    assert {CORE, HIDDEN, OVAL} < set(structural_causes(plain, Limits()))
+    assert not set(PILE) & set(structural_causes(plain, Limits()))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def search_of_imitation(
     monkeypatch, small_rig: Rig, small_session: Session, small_truth: dict[str, float]
 ) -> tuple[_SearchState, Fit]:
     """Readings with a core in the bore and an offset: a search from the plain fit, and a fit where a pile stands for both."""
-    monkeypatch.setattr(source_structure, "structural_causes", lambda base: [OVAL, CORE])
+    monkeypatch.setattr(source_structure, "structural_causes", lambda base, limits: [OVAL, CORE])
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, CORE, {"share": 0.3})
     readings = with_wrong(rig, readings, OFFSET, {"x_T": 100e-6}).calibration
@@ -87,6 +87,6 @@ def test_other_structure_and_what_it_leaves_needed_replace_a_pile(search_of_imit
 
 def test_a_pile_stays_where_no_other_structure_is_asked(search_of_imitation, monkeypatch) -> None:
     state, pile = search_of_imitation
-    monkeypatch.setattr(source_structure, "structural_causes", lambda base: [])
+    monkeypatch.setattr(source_structure, "structural_causes", lambda base, limits: [])
     assert state._with_other_structure(pile) is pile
     assert state.additions == [Addition(PILE, pile)]
