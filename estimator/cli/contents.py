@@ -14,6 +14,7 @@ from estimator.calibration.result import SUMMARY_FILE, Calibration
 from estimator.cli.understood import rig_lines, rig_record
 from estimator.cli.words import duration_words
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
+from estimator.diagnosis.verdict import UNKNOWN
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.recalibration.registry import LOG, VERSIONS, Registry
 from estimator.rig_files.read import load_rig
@@ -202,7 +203,10 @@ def _diagnosis(path: Path) -> Contents:
         told = json.loads((path / DIAGNOSIS).read_text(encoding="utf-8"))
         lines = [f"verdict: {told['verdict']}"]
         for cause in told["causes"]:
-            lines.append(f"  {cause['name']}[{cause['place']}] ({cause['probability']:.0%})")
+            others = [other["name"] for other in cause.get("alternatives", [])]
+            others += [UNKNOWN] if cause.get("may_be_unknown") else []
+            rivals = "".join(f", or {name}" for name in others)
+            lines.append(f"  {cause['name']}[{cause['place']}] ({cause['probability']:.0%}){rivals}")
             lines += _parameter_lines(cause["parameters"])
         if told["next_measurement"]:
             lines.append(f"to tell more, measure {told['next_measurement'][0]['action']}")

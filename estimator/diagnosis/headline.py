@@ -7,7 +7,7 @@ from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
-from estimator.diagnosis.verdict import NamedCause, Verdict
+from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import Extent
@@ -132,7 +132,9 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         label = diagnosis.label(first.cause) if len(same) == 1 else f"{name}[{places}]"
         least = min(named.probability for named in same)
         sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
-        phrases.append(f"{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}")
+        is_probable = any(named.may_be_unknown for named in same)
+        probably = "probably " if is_probable and not first.alternatives else ""
+        phrases.append(f"{probably}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}")
     return phrases
 
 
@@ -169,7 +171,7 @@ def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
     n_more = len(named.alternatives) - len(others)
     others += [f"{n_more} more causes"] if n_more > 0 else []
     if named.p_not_in_library >= 0.005:
-        others.append(f"something not in the library {named.p_not_in_library:.0%}")
+        others.append(f"{UNKNOWN} {named.p_not_in_library:.0%}")
     return f", or {', or '.join(others)}" if others else ""
 
 
@@ -200,6 +202,11 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         return "There is nothing to mend: use the rig file as it is."
+    if any(cause.may_be_unknown for cause in diagnosis.causes):
+        return (
+            f"The readings leave room for something that no list holds: mend the cause, or use {EXTENDED_RIG}, and measure again. "
+            "What is true stands out more clearly with more readings."
+        )
     return ""
 
 

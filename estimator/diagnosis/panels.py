@@ -79,13 +79,9 @@ def _answer(sized: SizedCause) -> Answer:
         for key, one in sized.quantities.items()
         if one.sd > 0.0
     ]
-    alternatives = [
-        (name, alternative.probability)
-        for name, alternative in zip(sized.alternative_names, sized.alternatives, strict=True)
-    ]
     effect = EFFECTS[sized.cause.name]
     place, kind = sized.cause.place, str(effect.kind)
-    return Answer(sized.name, place, kind, effect.words, sized.probability, sizes, alternatives)
+    return Answer(sized.name, place, kind, effect.words, sized.probability, sizes, list(sized.others))
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:

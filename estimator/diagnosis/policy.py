@@ -223,6 +223,10 @@ MOST_NOT_IN_LIBRARY = 0.5
 """Probability that a cause is something else, which no list holds, up to which it is named. By definition: beyond, the latter is more
 probable. Study of 3 cases: verdict or names change in 1."""
 
+MOST_BESIDE_A_NAME = 0.2
+"""Probability that a cause is something else, which no list holds, up to which its name is stated alone; beyond, the latter is a member of its
+credible set. By measurement (docs/decisions/0040). Study: not in it."""
+
 RELATIVE_SHARES = (0.3, 1.0)
 """Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. By judgement: what differs by less
 is hardly another cause, and what differs by more no relative. Study of 3 cases: numbers change in 1."""

@@ -291,6 +291,7 @@ class Diagnosis:
             self.label(named.cause),
             named.probability,
             named.p_not_in_library,
+            named.may_be_unknown,
             named.alternatives,
             tuple(self.label(alternative.cause) for alternative in named.alternatives),
             named.log_bayes_factor,

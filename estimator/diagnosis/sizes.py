@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from estimator.diagnosis.verdict import Alternative
+from estimator.diagnosis.verdict import UNKNOWN, Alternative
 from estimator.rig.rig import Cause
 
 
@@ -33,6 +33,7 @@ class SizedCause:
         name: Of the cause, with its place where the rig has several for it.
         probability: Posterior probability, beside its alternatives and what no list holds.
         p_not_in_library: Probability that it is something else which no list holds.
+        may_be_unknown: Whether that belongs to its credible set.
         alternatives: The other causes that it could be.
         alternative_names: Their names, written like `name`.
         log_bayes_factor: Against nothing, when it was taken.
@@ -44,11 +45,20 @@ class SizedCause:
     name: str
     probability: float
     p_not_in_library: float
+    may_be_unknown: bool
     alternatives: tuple[Alternative, ...]
     alternative_names: tuple[str, ...]
     log_bayes_factor: float
     quantities: Mapping[str, Interval]
     is_record_mistake: bool = False
+
+    @property
+    def others(self) -> tuple[tuple[str, float], ...]:
+        """Everything else in its credible set with its probability, most probable first."""
+        unknown = [(UNKNOWN, self.p_not_in_library)] if self.may_be_unknown else []
+        rivals = zip(self.alternative_names, self.alternatives, strict=True)
+        others = [*((name, rival.probability) for name, rival in rivals), *unknown]
+        return tuple(sorted(others, key=lambda other: -other[1]))
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it; mistakes of the record have no expected log evidence."""
@@ -62,6 +72,7 @@ class SizedCause:
             "place": self.cause.place,
             "probability": self.probability,
             "p_not_in_library": self.p_not_in_library,
+            "may_be_unknown": self.may_be_unknown,
             "alternatives": alternatives,
             "log_bayes_factor": self.log_bayes_factor,
             "parameters": intervals_to_json(self.quantities),

@@ -27,6 +27,9 @@ from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 
+UNKNOWN = "something not in the library"
+
+
 class Verdict(StrEnum):
     """Outcome of a diagnosis; the words are stable (docs/file-formats.md)."""
 
@@ -69,6 +72,16 @@ class NamedCause:
     log_bayes_factor: float
     p_not_in_library: float = 0.0
 
+    @property
+    def may_be_unknown(self) -> bool:
+        """Whether something that no list holds belongs to its credible set, so that the name is not alone."""
+        return self.p_not_in_library > policy.MOST_BESIDE_A_NAME
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether nothing else is in its credible set."""
+        return not (self.alternatives or self.may_be_unknown)
+
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome. `unexplained` where structure remains, or where a flexible curve does better than several causes together."""
@@ -83,7 +96,7 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     is_doubtful = _idealise_the_same(named) or any(only_resembles(cause) for cause in named)
     if is_doubtful or search.source_seems_wrong:
         return Verdict.UNEXPLAINED
-    return Verdict.INDISTINGUISHABLE if any(cause.alternatives for cause in named) else Verdict.NAMED
+    return Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
 
 
 def only_resembles(named: NamedCause) -> bool:

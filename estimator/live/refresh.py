@@ -71,7 +71,7 @@ def refreshed(session: Session, seed: int) -> Refreshed:
         dict(calibration.best),
         {name: (numbers["ci90"][0], numbers["ci90"][1]) for name, numbers in parameters.items()},
         str(diagnosis.verdict),
-        tuple(" or ".join([sized.cause.label, *sized.alternative_names]) for sized in causes),
+        tuple(" or ".join([sized.cause.label, *(name for name, _ in sized.others)]) for sized in causes),
         time.monotonic() - begin_s,
         tuple(sized.cause.place for sized in causes),
     )

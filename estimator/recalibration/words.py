@@ -27,7 +27,7 @@ def sizes_of(diagnosis: Diagnosis) -> str:
 
 def _size(cause: SizedCause) -> str:
     sizes = [_quantity(f"{cause.name}.{key}", interval) for key, interval in cause.quantities.items()]
-    alternatives = "".join(f" or {name}" for name in cause.alternative_names)
+    alternatives = "".join(f" or {name}" for name, _ in cause.others)
     return f"{cause.name}{alternatives} ({', '.join(sizes)})"
 
 

@@ -106,6 +106,9 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
         "axis_gain[hall] (88%)",
         "x  0.01  90 %: 0.008 to 0.012",
     ]
+    others = {"alternatives": [{"name": "backlash"}], "may_be_unknown": True}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | others]}))
+    assert "axis_gain[hall] (88%), or backlash, or something not in the library" in told(run, tmp_path)[1]
     (tmp_path / "diagnosis.json").write_text('{"verdict": "named"}')
     broken = run("show", tmp_path)
     assert broken.exit_code == 3

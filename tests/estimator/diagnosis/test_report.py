@@ -182,6 +182,25 @@ def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Di
     assert ", or axis_gain 25%" in as_text(replace(diagnosis, findings=findings))
 
 
+def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: Diagnosis) -> None:
+    (named,) = diagnosis.causes
+    alone = replace(named, probability=0.7, alternatives=(), p_not_in_library=0.3)
+    doubtful = replace(
+        diagnosis,
+        verdict=Verdict.INDISTINGUISHABLE,
+        findings=replace(diagnosis.findings, causes=(alone,)),
+        left_open=replace(diagnosis.left_open, next_measurements=()),
+    )
+    what, *_, then = headline(doubtful)
+    assert what.startswith("Probably ")
+    assert what.endswith(", or something not in the library 30%.")
+    assert "no list holds" in then
+    (answer,) = panels(doubtful).answers
+    assert answer.alternatives == [("something not in the library", 0.3)]
+    (sized,) = doubtful.sized_causes
+    assert sized.to_json()["may_be_unknown"]
+
+
 def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> None:
     (named,) = diagnosis.causes
     findings = replace(diagnosis.findings, causes=(), stand_ins=(named.cause,))

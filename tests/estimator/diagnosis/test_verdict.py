@@ -84,6 +84,12 @@ def test_one_cause_with_an_alternative_makes_the_verdict_indistinguishable(base,
     )
 
 
+def test_a_name_beside_something_unknown_is_not_alone_and_a_faint_doubt_leaves_it_so(base, both):
+    for doubt, verdict in ((0.19, Verdict.NAMED), (0.21, Verdict.INDISTINGUISHABLE)):
+        doubtful = replace(named(GAIN), probability=1.0 - doubt, p_not_in_library=doubt)
+        assert verdict_of(search_with(base, both, LAST), [named(OFFSET), doubtful]) is verdict
+
+
 @pytest.mark.parametrize("causes", [[], [named(OFFSET)], [named(OFFSET, GAIN)]])
 def test_structure_that_is_left_is_unexplained_whatever_was_named(base, both, causes):
     search = search_with(base, both, step(None, {}, structure=CLEAR))
