@@ -134,7 +134,9 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
         is_probable = any(named.may_be_unknown for named in same)
         probably = "probably " if is_probable and not first.alternatives else ""
-        phrases.append(f"{probably}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}")
+        phrases.append(
+            f"{probably}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}"
+        )
     return phrases
 
 

@@ -65,6 +65,7 @@ from estimator.effects.sensor import (
     TemperatureDrift,
 )
 from estimator.effects.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
+from estimator.effects.sensor_place import SensorContact
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.stated import (
     BaseMisplaced,
@@ -82,6 +83,7 @@ from estimator.effects.supply import (
     CurrentDeadBand,
     CurrentGain,
     CurrentOffset,
+    CurrentRange,
     CurrentRemanence,
     CurrentStep,
     NeighbourCoil,
@@ -118,6 +120,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentDeadBand(),
         CurrentAsymmetry(),
         CurrentCompression(),
+        CurrentRange(),
         CurrentStep(),
         CurrentRemanence(),
         CoilHeating(),
@@ -174,6 +177,7 @@ EFFECTS: dict[str, Effect] = {
         OffsetDrift(),
         OffsetStep(),
         SensorExchanged(),
+        SensorContact(),
         SegmentGain(),
         SegmentZero(),
         RangeClipping(),

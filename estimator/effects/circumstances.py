@@ -217,6 +217,16 @@ class Circumstances:
         last = torch.arange(len(here))[:, None] * (sign != 0.0)
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
+    def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
+        """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""
+        own = next(s.carried_by for s in self.rig.sensors if s.name == sensor)
+        mover = own or next((coil.carried_by for coil in self.rig.coils if coil.carried_by is not None), None)
+        if mover is None:
+            return None
+        motion = self.observations.motion[mover]
+        at_m: Tensor = base_from_motion(self.rig.mover(mover), motion).translation_m
+        return at_m
+
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""
         return self._low_passed(self.observations.history.current_A[:, coil] ** 2, tau_h)

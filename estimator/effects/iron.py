@@ -23,6 +23,7 @@ BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
+LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
 
 
@@ -58,6 +59,11 @@ class IronPlate(RoomEffect):
             )
             for gap in gaps
         )
+
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
+        """While no sensor went through it: all were on one of its sides."""
+        along_m = (circumstances.sensor_positions_m * _across(theta)).sum(-1)
+        return not bool(along_m.min() < theta["distance_m"] < along_m.max())
 
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
@@ -229,14 +235,14 @@ def _sheet(
 class _SoftIron(RoomEffect):
     """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
 
-    source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and screws of 1 to 5 cm"
+    source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
     idealises: ClassVar[str | None] = "iron in the room"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
         near_m = NEAR * extent.reach_m
         return (
-            at_least_zero("volume_m3", "m3", (0.3 * extent.reach_m) ** 3),
+            at_least_zero("volume_m3", "m3", max(LIKELY_RADIUS_M, LIKELY_RADIUS * extent.reach_m) ** 3),
             *(
                 shape(f"{axis}_m", "m", middle_m - near_m, middle_m + near_m)
                 for axis, middle_m in zip("xyz", extent.middle_m, strict=True)

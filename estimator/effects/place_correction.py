@@ -13,8 +13,6 @@ from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
-from estimator.geometry.motion import base_from_motion
-from estimator.rig.rig import Rig
 
 SMALLEST_SPAN = 1e-3  # of the widest: along shorter ways nothing depends on the position
 LEAST_SPAN_M = 1e-6
@@ -61,10 +59,8 @@ class ResponseByPlace(Correction, ReadingEffect):
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where a mover moved."""
-        if _mover_of(circumstances.rig, place) is None:
-            return False
-        at_m = _at_m(circumstances, place)
-        return bool((at_m != at_m[0]).any())
+        at_m = circumstances.mover_of_sensor_m(place)
+        return at_m is not None and bool((at_m != at_m[0]).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the number of different places of the mover."""
@@ -91,16 +87,8 @@ class ResponseByPlace(Correction, ReadingEffect):
         return field_sensor_T
 
 
-def _mover_of(rig: Rig, sensor: str) -> str | None:
-    """The mover that carries the sensor, else the first that carries a coil; None where nothing moves."""
-    own = next(s.carried_by for s in rig.sensors if s.name == sensor)
-    return own or next((coil.carried_by for coil in rig.coils if coil.carried_by is not None), None)
-
-
 def _at_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "reading 3"]:
     """Reported positions of that mover."""
-    mover = _mover_of(circumstances.rig, sensor)
-    assert mover is not None  # see `concerns`
-    motion = circumstances.observations.motion[mover]
-    at_m: Tensor = base_from_motion(circumstances.rig.mover(mover), motion).translation_m
+    at_m = circumstances.mover_of_sensor_m(sensor)
+    assert at_m is not None  # see `concerns`
     return at_m

@@ -8,11 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since
+from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, shape, since
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.stages import CurrentEffect, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
+
+RANGES = 12  # steps of the largest current at which a range may end
 
 
 class CurrentGain(OneCoilCurrent):
@@ -93,11 +95,13 @@ class CurrentAsymmetry(OneCoilCurrent):
     name: ClassVar[str] = "current_asymmetry"
     words: ClassVar[str] = "the supply delivers another share of positive than of negative currents"
     is_linear: ClassVar[bool] = False
-    source: ClassVar[str] = "gain errors of supplies, 0.1 to 1 %, for each polarity its own"
+    source: ClassVar[str] = (
+        "for each polarity a gain of its own: bench supplies 0.1 to 1 %, half bridges with a shunt each 1 to 3 %"
+    )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Excess of the gain of positive currents; negative ones lack as much."""
-        return (normal("excess", "1", 0.005),)
+        return (normal("excess", "1", 0.015),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the coil carried currents of both signs."""
@@ -141,6 +145,46 @@ class CurrentCompression(OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
+
+
+class CurrentRange(OneCoilCurrent):
+    """Below some current the supply works in another range, whose shunt or amplifier has a gain of its own."""
+
+    name: ClassVar[str] = "current_range"
+    words: ClassVar[str] = "below some current the supply works in another range, with another gain"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "ranges of supplies have gain errors of their own, 0.1 to 1 %"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Excess of the gain in the low range, and the current at which it ends."""
+        return (
+            normal("excess", "1", 0.01),
+            shape("below_A", "A", 0.0, 2.0 * extent.largest_current_A, is_fixed=True),
+        )
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Ends evenly over the currents of the coil, each in the middle between two sizes of them; half of the largest without sizes."""
+        sizes_A = _sizes_A(circumstances, place)
+        ends_A = sizes_A[-1:] * torch.arange(1.0, RANGES, dtype=sizes_A.dtype) / RANGES
+        above = torch.searchsorted(sizes_A, ends_A).unique()
+        above = above[above > 0]
+        between_A = (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
+        return tuple({"below_A": end_A} for end_A in between_A or [0.5 * circumstances.largest_current_A])
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        return _has_sizes(circumstances, place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        is_low = current_A.abs() < theta["below_A"][..., None]
+        return current_A * (1.0 + theta["excess"][..., None] * is_low)
 
 
 class CurrentStep(OneCoilCurrent):
@@ -293,7 +337,12 @@ class NeighbourCoil(CurrentEffect):
 
 def _has_sizes(circumstances: Circumstances, place: str) -> bool:
     """Whether a coil carried currents of two sizes beside none."""
+    sizes_A = _sizes_A(circumstances, place)
+    return bool(len(sizes_A)) and bool(sizes_A[-1] - sizes_A[0] > LEAST_STEP * sizes_A[-1])
+
+
+def _sizes_A(circumstances: Circumstances, place: str) -> Float[Tensor, " size"]:
+    """Different sizes of the currents of a coil beside none, in order."""
     coil = [coil.name for coil in circumstances.rig.coils].index(place)
     sizes_A = circumstances.observations.history.current_A[:, coil].abs()
-    sizes_A = sizes_A[sizes_A > 0.0]
-    return bool(len(sizes_A)) and bool(sizes_A.max() - sizes_A.min() > LEAST_STEP * sizes_A.max())
+    return sizes_A[sizes_A > 0.0].unique()

@@ -9,7 +9,7 @@ import torch
 
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.iron import IronBody, PiercedPlate
+from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
 from tests.hidden.pierced_sheet import pierced_T
@@ -311,3 +311,12 @@ def test_second_body_is_looked_for_beside_a_first_alone():
         EFFECTS["second_iron_body"].concerns(Circumstances(rig, ONE), "room") for rig in (without, beside)
     ]
     assert asked == [False, True]
+
+
+@pytest.mark.parametrize(("share", "is_clear"), [(-0.2, True), (0.4, False), (1.2, True)])
+def test_a_plate_is_itself_while_no_sensor_went_through_it(share, is_clear):
+    turned = {"axis": 0.0, "tilt_1_rad": TILTS_RAD[0], "tilt_2_rad": TILTS_RAD[1]}
+    along_m = POINTS_M @ ACROSS
+    distance_m = along_m.min() + share * np.ptp(along_m)
+    theta = {key: torch.tensor(value) for key, value in (turned | {"distance_m": distance_m}).items()}
+    assert IronPlate().is_itself(theta, Circumstances(rig_from_text(RIG), ONE)) is is_clear

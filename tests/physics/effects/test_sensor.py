@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Circumstances
+from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
+    RIG,
     added_T,
     assert_same_field,
     predicted_T,
@@ -149,3 +153,25 @@ def test_elements_that_move_together_are_a_sensor_that_sits_elsewhere():
     elsewhere = readings(POINTS_M + TURNS.apply(shift_m), (CURRENT_A, 0.0), turn_rad=TURNS.as_rotvec())
     reading_T = predicted_T(READINGS, {"element_displacement[probe]": together})
     assert_same_field(reading_T, predicted_T(elsewhere), 1e-12)
+
+
+@pytest.mark.parametrize(("side", "sign"), [(1.0, 1), (-1.0, -1)])
+@pytest.mark.parametrize("along", [0, 2])
+def test_contact_changes_gains_and_zero_on_its_side_of_the_place_only(along, side, sign):
+    beyond_m = float(np.median(POINTS_M[:, along])) + 1e-3
+    given = {"x": 0.02, "z": -0.01, "y_T": 3e-5, "along": along, "beyond_m": beyond_m, "side": side}
+    changed = np.stack((1.02 * X_T, Y_T + 3e-5, 0.99 * Z_T), axis=1)
+    expected = [
+        there if sign * (point[along] - beyond_m) > 0.0 else here
+        for point, there, here in zip(POINTS_M, changed, of(X_T, Y_T, Z_T), strict=True)
+    ]
+    assert_same_field(predicted_T(READINGS, {"sensor_contact[probe]": given}), np.array(expected))
+
+
+def test_contact_begins_between_places_along_axes_along_which_the_mover_went():
+    points_m = np.stack((np.repeat([0.0, 0.01, 0.02], 4), np.tile([0.0, 0.03], 6), np.full(12, 0.05)), axis=1)
+    circumstances = Circumstances(rig_from_text(RIG), readings(points_m, (CURRENT_A, 0.0)))
+    starts = EFFECTS["sensor_contact"].starts(circumstances, "probe")
+    places = {(start["along"], round(start["beyond_m"], 6), start["side"]) for start in starts}
+    expected = {(0.0, at, side) for at in (0.005, 0.015) for side in (1.0, -1.0)}
+    assert places == expected | {(1.0, 0.015, side) for side in (1.0, -1.0)}
