@@ -105,8 +105,9 @@ linear model says there. By measurement: a coil with an unknown iron core was mo
 Study: none of its cases has two coils with cores."""
 
 LEADERS_WITHIN = 10.0
-"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is. By measurement: a hint 2 behind
-the best fell to 17 behind once it was fitted (docs/decisions/0008). Study of 5 cases: numbers change in 1."""
+"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
+what it may imitate to come first. By measurement: a hint 2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008).
+Study of 5 cases: numbers change in 1."""
 
 SHAPES_WIDTH = 5.0
 """Log evidence by which the screening of a cause with shapes may exceed that of its fit: Laplace misses the width of shapes, and starts
@@ -224,7 +225,7 @@ MOST_NOT_IN_LIBRARY = 0.5
 probable. Study of 3 cases: verdict or names change in 1."""
 
 MOST_BESIDE_A_NAME = 0.2
-"""Probability that a cause is something else, which no list holds, up to which its name is stated alone; beyond, the latter is a member of its
+"""Probability that a cause is something else, which no list holds, up to which its name is stated alone; beyond, that belongs to its
 credible set. By measurement (docs/decisions/0040). Study: not in it."""
 
 RELATIVE_SHARES = (0.3, 1.0)

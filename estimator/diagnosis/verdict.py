@@ -26,7 +26,6 @@ from estimator.diagnosis.structure.relatives import p_not_in_library
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
-
 UNKNOWN = "something not in the library"
 
 

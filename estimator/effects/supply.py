@@ -345,4 +345,5 @@ def _sizes_A(circumstances: Circumstances, place: str) -> Float[Tensor, " size"]
     """Different sizes of the currents of a coil beside none, in order."""
     coil = [coil.name for coil in circumstances.rig.coils].index(place)
     sizes_A = circumstances.observations.history.current_A[:, coil].abs()
-    return sizes_A[sizes_A > 0.0].unique()
+    different_A: Tensor = sizes_A[sizes_A > 0.0].unique()
+    return different_A

@@ -7,7 +7,7 @@ causes explains less than a flexible curve does; it counts at the end (`verdict`
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,7 +128,7 @@ def take_step(
     if not causes:
         return Step(tuple(hypotheses), None, (), remainder)
     earning = [hypothesis for hypothesis in causes if _earns(hypothesis, least)]
-    choice = _choice(earning)
+    choice = _choice(earning, remainder, lambda one, beside: _earns_beside(one, beside, screened, least))
     if choice and choice.name != next(hypothesis.name for hypothesis in causes):
         causes = [hypothesis for hypothesis in causes if not _is_noise(hypothesis) or hypothesis == choice]
     taken = None if choice is None else choice.cause
@@ -171,17 +171,42 @@ def _cross_validated(fit: Fit, hypothesis: Hypothesis, block: Blocks) -> Hypothe
     return replace(hypothesis, held_out=held_out(fit, hypothesis.fit, block))
 
 
-def _choice(earning: list[Hypothesis]) -> Hypothesis | None:
+def _choice(
+    earning: list[Hypothesis], remainder: Discrepancy, stands: Callable[[Hypothesis, Hypothesis], bool]
+) -> Hypothesis | None:
     """The cause to take among those with sufficient evidence, given best first.
 
-    Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left. Outliers spoil all other evidence:
-    where they lead, they are taken first.
+    Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left; or where it leads by far, before any
+    curve too, and nothing is left of the best other cause beside it. Outliers spoil all other evidence: where they lead, they are taken
+    first.
+
+    Args:
+        earning: Causes.
+        remainder: Structure in the residual.
+        stands: Whether the first cause has sufficient evidence beside the second.
     """
-    structured = [hypothesis for hypothesis in earning if not _is_noise(hypothesis)]
+    structured = next((hypothesis for hypothesis in earning if not _is_noise(hypothesis)), None)
     leader = next(iter(earning), None)
     effect = None if leader is None or leader.cause is None else EFFECTS[leader.cause.name]
     is_last = isinstance(effect, NoiseEffect) and effect.imitates_structure
-    return structured[0] if is_last and structured else leader
+    if leader is None or structured is None or not is_last:
+        return leader
+    rival = max(structured.log_bayes_factor, remainder.log_bayes_factor)
+    leads_by_far = leader.log_bayes_factor > rival + policy.LEADERS_WITHIN
+    return leader if leads_by_far and not stands(structured, leader) else structured
+
+
+def _earns_beside(
+    one: Hypothesis,
+    beside: Hypothesis,
+    screened: Mapping[Cause, tuple[float, float, Candidate]],
+    least: float,
+) -> bool:
+    """Whether the evidence for a cause suffices beside another, by a full fit with both."""
+    assert one.cause is not None
+    assert beside.fit is not None
+    value, _, start = screened[one.cause]
+    return in_full(beside.fit, value, start)[0] > least
 
 
 def _earns(hypothesis: Hypothesis, least: float) -> bool:

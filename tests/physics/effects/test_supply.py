@@ -197,7 +197,7 @@ COMMANDED_A = np.array([2.0, -2.0, 0.0, 1.0, 0.05, -0.5, 3.0])
         (
             "current_range",
             {"excess": 0.03, "below_A": 1.7},
-            [1.03 * I if -1.7 < I < 1.7 else I for I in COMMANDED_A],
+            [1.03 * one_A if -1.7 < one_A < 1.7 else one_A for one_A in COMMANDED_A],
         ),
     ],
 )
