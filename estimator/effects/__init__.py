@@ -45,6 +45,7 @@ from estimator.effects.record import (
 from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
+    JointSag,
     JointZeros,
     MountTilt,
     PositionLag,
@@ -160,6 +161,7 @@ EFFECTS: dict[str, Effect] = {
         PositionLag(),
         Backlash(),
         JointZeros(),
+        JointSag(),
         BaseMisplaced(),
         SegmentMisplaced(),
         MountTilt(),

@@ -19,6 +19,7 @@ from estimator.geometry.motion import ends_of
 from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
+SAGGING = (1, 2)  # shoulder and elbow, whose axes lie level
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
@@ -127,21 +128,68 @@ class JointZeros(MotionEffect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Axis of every joint in the base frame, and a point on it."""
-        arm = circumstances.rig.mover(mover)
-        assert arm.table is not None  # see `places`
-        base_from_first, _ = ends_of(arm)
-        joints = base_from_joints(arm.table, circumstances.observations.motion[mover])[:N_JOINTS]
-        joints = tuple(base_from_first @ joint for joint in joints)
-        lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
-        return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
+        return _joint_axes(circumstances, mover)
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose: the last joint turns first, so that each turns about where its nominal axis is."""
-        for i in reversed(range(N_JOINTS)):
+        """Real pose."""
+        return _turned(pose, columns, {i: theta[f"q{i}_rad"][..., None] for i in range(N_JOINTS)})
+
+
+class JointSag(MotionEffect):
+    """The gears of shoulder and elbow give way under the weight that the arm carries, so that it sags with its reach.
+
+    A joint turns by its compliance times the torque of the weight, in units of that weight: the lever of the flange about the joint. The base
+    stands upright; in one that hangs, sizes are negative.
+    """
+
+    name: ClassVar[str] = "joint_sag"
+    words: ClassVar[str] = "shoulder and elbow of the arm give way under its weight"
+    source: ClassVar[str] = "gears of small arms, 10 kN m/rad and 30 N: 3 mrad for each metre of lever"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Angle by which each of the two gives way, for each metre of lever."""
+        return tuple(normal(f"q{i}_rad_per_m", "rad/m", 3e-3) for i in SAGGING)
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Arms that report joint angles."""
+        return tuple(mover.name for mover in rig.movers if mover.table is not None)
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+        """Axis of every joint in the base frame, and a point on it."""
+        return _joint_axes(circumstances, mover)
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Real pose, to first order in the angles."""
+        down = torch.tensor([0.0, 0.0, -1.0], dtype=columns.dtype)
+        turns_rad = {}
+        for i in SAGGING:
             axis, on_axis_m = columns[:, 6 * i : 6 * i + 3], columns[:, 6 * i + 3 : 6 * i + 6]
-            turn = rotation_from_vector(theta[f"q{i}_rad"][..., None, None] * axis)
-            pose = Transform(turn, on_axis_m - (turn @ on_axis_m[..., None])[..., 0]) @ pose
-        return pose
+            arm_m = pose.translation_m - on_axis_m
+            lever_m = (axis * torch.linalg.cross(arm_m, down.expand_as(arm_m))).sum(-1)
+            turns_rad[i] = theta[f"q{i}_rad_per_m"][..., None] * lever_m
+        return _turned(pose, columns, turns_rad)
+
+
+def _joint_axes(circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+    """Axis of every joint of an arm in its base frame, and a point on it."""
+    arm = circumstances.rig.mover(mover)
+    assert arm.table is not None  # see `places`
+    base_from_first, _ = ends_of(arm)
+    joints = base_from_joints(arm.table, circumstances.observations.motion[mover])[:N_JOINTS]
+    joints = tuple(base_from_first @ joint for joint in joints)
+    lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
+    return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
+
+
+def _turned(
+    pose: Transform, columns: Float[Tensor, "pose column"], turns_rad: Mapping[int, Tensor]
+) -> Transform:
+    """Pose with joints turned further: the last turns first, so that each turns about where its nominal axis is."""
+    for i in sorted(turns_rad, reverse=True):
+        axis, on_axis_m = columns[:, 6 * i : 6 * i + 3], columns[:, 6 * i + 3 : 6 * i + 6]
+        turn = rotation_from_vector(turns_rad[i][..., None] * axis)
+        pose = Transform(turn, on_axis_m - (turn @ on_axis_m[..., None])[..., 0]) @ pose
+    return pose
 
 
 class MountTilt(MountEffect):

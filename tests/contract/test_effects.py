@@ -173,7 +173,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated
     hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged segment_zero segment_gain segment_misplaced
     cross_magnetisation core_remanence rows_shifted rotation_convention position_unit current_dead_band current_asymmetry
-    current_compression current_range sensor_contact background_step offset_step noise_grows response_by_place
+    current_compression current_range sensor_contact joint_sag background_step offset_step noise_grows response_by_place
     coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders
     current_wanders current_swings room_answers guides_wander guide_swings moves_remembered axis_curves gain_curve current_pickup reading_ripples zero_swings"""
     assert set(EFFECTS) == set(stable.split())

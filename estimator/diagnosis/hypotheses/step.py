@@ -176,9 +176,8 @@ def _choice(
 ) -> Hypothesis | None:
     """The cause to take among those with sufficient evidence, given best first.
 
-    Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left; or where it leads by far, before any
-    curve too, and nothing is left of the best other cause beside it. Outliers spoil all other evidence: where they lead, they are taken
-    first.
+    Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left; or where it leads by far, before
+    any curve too, and nothing is left of the best other cause beside it. Outliers spoil all other evidence: where they lead, they come first.
 
     Args:
         earning: Causes.

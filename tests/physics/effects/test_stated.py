@@ -80,6 +80,24 @@ def test_joint_zeros_are_added_to_every_joint_angle():
     assert np.abs(of_arm_T(JOINTS_RAD + zeros_rad) / of_arm_T(JOINTS_RAD) - 1.0).max() > 1e-3
 
 
+def test_joints_sag_by_their_compliance_times_the_torque_of_virtual_work():
+    """The torque of a unit weight at the flange about a joint is how fast the flange sinks as the joint turns."""
+    given = {"joint_sag[mapper]": {"q1_rad_per_m": 2e-3, "q2_rad_per_m": -3e-3}}
+    sagging_rad = JOINTS_RAD.copy()
+    for joint, compliance in ((1, 2e-3), (2, -3e-3)):
+        step_rad = 1e-6 * np.eye(6)[joint]
+        high_m, low_m = (
+            base_from_flange("UR3e", torch.from_numpy(JOINTS_RAD + sign * step_rad))
+            .translation_m[:, 2]
+            .numpy()
+            for sign in (1.0, -1.0)
+        )
+        sagging_rad[:, joint] -= compliance * (high_m - low_m) / 2e-6
+    session = readings(JOINTS_RAD[:, :3], (1.0, 0.0), turn_rad=JOINTS_RAD[:, 3:])
+    assert_same_field(predicted_T(session, given, ARM), of_arm_T(sagging_rad), 1e-8)
+    assert np.abs(of_arm_T(sagging_rad) / of_arm_T(JOINTS_RAD) - 1.0).max() > 1e-4
+
+
 def test_field_of_a_coil_on_an_arm_with_other_zeros_is_predicted_at_its_angles_and_not_at_zero():
     on_arm = ARM.replace("{world_from_coil: {x_mm: -300, y_mm: -250, z_mm: 300},", "{carried_by: mapper,")
     rig = rig_from_text(on_arm + effects_text({"joint_zeros[mapper]": {"q1_rad": 0.01, "q4_rad": -0.02}}))
