@@ -19,7 +19,13 @@ from estimator.geometry.motion import ends_of
 from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
-SAGGING = (1, 2)  # shoulder and elbow, whose axes lie level
+SAGGING: dict[
+    str, tuple[int, int | None]
+] = {  # the joint that gives way, and that at which the weight sits; None is the flange
+    "shoulder_by_elbow_rad_per_m": (1, 2),
+    "shoulder_rad_per_m": (1, None),
+    "elbow_rad_per_m": (2, None),
+}
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
@@ -136,19 +142,21 @@ class JointZeros(MotionEffect):
 
 
 class JointSag(MotionEffect):
-    """The gears of shoulder and elbow give way under the weight that the arm carries, so that it sags with its reach.
+    """The gears of shoulder and elbow give way under the weight of the arm and of what it carries, so that it sags with its reach.
 
-    A joint turns by its compliance times the torque of the weight, in units of that weight: the lever of the flange about the joint. The base
-    stands upright; in one that hangs, sizes are negative.
+    A joint turns by its compliance times the torque, the lever of each weight about it: weights sit at the elbow and at the flange.
+    The base stands upright; where it hangs, sizes are negative.
     """
 
     name: ClassVar[str] = "joint_sag"
     words: ClassVar[str] = "shoulder and elbow of the arm give way under its weight"
-    source: ClassVar[str] = "gears of small arms, 10 kN m/rad and 30 N: 3 mrad for each metre of lever"
+    source: ClassVar[str] = (
+        "gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that"
+    )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Angle by which each of the two gives way, for each metre of lever."""
-        return tuple(normal(f"q{i}_rad_per_m", "rad/m", 3e-3) for i in SAGGING)
+        """Angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange."""
+        return tuple(normal(key, "rad/m", 0.01) for key in SAGGING)
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Arms that report joint angles."""
@@ -160,13 +168,14 @@ class JointSag(MotionEffect):
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose, to first order in the angles."""
-        down = torch.tensor([0.0, 0.0, -1.0], dtype=columns.dtype)
-        turns_rad = {}
-        for i in SAGGING:
-            axis, on_axis_m = columns[:, 6 * i : 6 * i + 3], columns[:, 6 * i + 3 : 6 * i + 6]
-            arm_m = pose.translation_m - on_axis_m
-            lever_m = (axis * torch.linalg.cross(arm_m, down.expand_as(arm_m))).sum(-1)
-            turns_rad[i] = theta[f"q{i}_rad_per_m"][..., None] * lever_m
+        turns_rad: dict[int, Tensor] = {}
+        for key, (joint, weight) in SAGGING.items():
+            axis, on_axis_m = columns[:, 6 * joint : 6 * joint + 3], columns[:, 6 * joint + 3 : 6 * joint + 6]
+            at_m = pose.translation_m if weight is None else columns[:, 6 * weight + 3 : 6 * weight + 6]
+            x_m, y_m, _ = (at_m - on_axis_m).unbind(-1)
+            lever_m = axis[:, 1] * x_m - axis[:, 0] * y_m  # of a weight along -z
+            turn_rad = theta[key][..., None] * lever_m
+            turns_rad[joint] = turns_rad[joint] + turn_rad if joint in turns_rad else turn_rad
         return _turned(pose, columns, turns_rad)
 
 

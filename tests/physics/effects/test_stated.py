@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from estimator.geometry.kinematics import base_from_flange
+from estimator.geometry.kinematics import base_from_flange, base_from_joints
 from estimator.model.room_field import RoomField
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
@@ -81,20 +81,22 @@ def test_joint_zeros_are_added_to_every_joint_angle():
 
 
 def test_joints_sag_by_their_compliance_times_the_torque_of_virtual_work():
-    """The torque of a unit weight at the flange about a joint is how fast the flange sinks as the joint turns."""
-    given = {"joint_sag[mapper]": {"q1_rad_per_m": 2e-3, "q2_rad_per_m": -3e-3}}
-    sagging_rad = JOINTS_RAD.copy()
-    for joint, compliance in ((1, 2e-3), (2, -3e-3)):
-        step_rad = 1e-6 * np.eye(6)[joint]
+    """The torque of a unit weight about a joint is how fast the weight sinks as the joint turns."""
+    compliances = {"shoulder_by_elbow": (1, 2, 4e-3), "shoulder": (1, 6, 2e-3), "elbow": (2, 6, -3e-3)}
+    sagging_rad, step_rad = JOINTS_RAD.copy(), 1e-6
+    for joint, weight, compliance in compliances.values():
         high_m, low_m = (
-            base_from_flange("UR3e", torch.from_numpy(JOINTS_RAD + sign * step_rad))
+            base_from_joints("UR3e", torch.from_numpy(JOINTS_RAD + sign * step_rad * np.eye(6)[joint]))[
+                weight
+            ]
             .translation_m[:, 2]
             .numpy()
             for sign in (1.0, -1.0)
         )
-        sagging_rad[:, joint] -= compliance * (high_m - low_m) / 2e-6
+        sagging_rad[:, joint] -= compliance * (high_m - low_m) / (2.0 * step_rad)
+    given = {f"{name}_rad_per_m": compliance for name, (_, _, compliance) in compliances.items()}
     session = readings(JOINTS_RAD[:, :3], (1.0, 0.0), turn_rad=JOINTS_RAD[:, 3:])
-    assert_same_field(predicted_T(session, given, ARM), of_arm_T(sagging_rad), 1e-8)
+    assert_same_field(predicted_T(session, {"joint_sag[mapper]": given}, ARM), of_arm_T(sagging_rad), 1e-8)
     assert np.abs(of_arm_T(sagging_rad) / of_arm_T(JOINTS_RAD) - 1.0).max() > 1e-4
 
 
