@@ -177,7 +177,7 @@ def _choice(
     """The cause to take among those with sufficient evidence, given best first.
 
     Scatter that imitates structure, such as that of a mover, is taken only when no other cause is left; or where it leads by far, before
-    any curve too, and nothing is left of the best other cause beside it. Outliers spoil all other evidence: they come first where they lead.
+    any curve too, and nothing is left of the best other cause beside it. Outliers spoil all other evidence: where they lead, they win.
 
     Args:
         earning: Causes.
