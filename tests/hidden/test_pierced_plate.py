@@ -24,9 +24,9 @@ def test_plate_is_named_and_its_place_and_opening_are_found(tmp_path, seed):
     write(tmp_path, height_m, opening_m, rng)
     rig = load_rig(tmp_path / "rig.yaml")
     found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).to_json()
-    assert found["verdict"] == "named"
     cause = found["causes"][0]
     assert cause["name"] == "pierced_plate"
+    assert not (cause["alternatives"] or cause["may_be_unknown"])
     for key, truth in {"z_m": height_m, "radius_m": opening_m, "strength": 1.0}.items():
         known = cause["parameters"][key]
         assert abs(known["median"] - truth) < 4.0 * known["sd"] + 0.01 * truth

@@ -80,7 +80,8 @@ def assert_named(diagnosis: Diagnosis, cause: Cause, twins: set[str]) -> None:
     credible = {h.name for h in diagnosis.findings.search.step_of(named.cause).credible}
     assert cause.label in credible
     assert credible <= {cause.label, *twins}
-    assert diagnosis.verdict is (Verdict.NAMED if len(credible) == 1 else Verdict.INDISTINGUISHABLE)
+    assert (len(credible) == 1) is not bool(named.alternatives)
+    assert diagnosis.verdict is (Verdict.NAMED if named.is_alone else Verdict.INDISTINGUISHABLE)
     improvement = diagnosis.fits.improvement
     assert improvement is not None
     assert improvement.elpd_difference > improvement.elpd_se
