@@ -80,7 +80,7 @@ def assert_named(diagnosis: Diagnosis, cause: Cause, twins: set[str]) -> None:
     credible = {h.name for h in diagnosis.findings.search.step_of(named.cause).credible}
     assert cause.label in credible
     assert credible <= {cause.label, *twins}
-    assert (len(credible) == 1) is not bool(named.alternatives)
+    assert bool(named.alternatives) is (len(credible) > 1)
     assert diagnosis.verdict is (Verdict.NAMED if named.is_alone else Verdict.INDISTINGUISHABLE)
     improvement = diagnosis.fits.improvement
     assert improvement is not None
