@@ -27,6 +27,7 @@ from estimator.effects.harmonic_corrections import (
     RoomAnswers,
     RoomHarmonics,
 )
+from estimator.effects.history_corrections import CurrentRemembered, FieldRemembered, SidesRemembered
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
@@ -72,6 +73,13 @@ from estimator.effects.stated import (
     NoiseMisstated,
     SensorMisplaced,
     WindingMisstated,
+)
+from estimator.effects.step_corrections import (
+    CurrentSteps,
+    GuidesStep,
+    RoomAnswersChange,
+    RoomChanges,
+    ZeroSteps,
 )
 from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
@@ -188,15 +196,21 @@ EFFECTS: dict[str, Effect] = {
         PositionJitter(),
         CurrentWanders(),
         CurrentSwings(),
+        CurrentSteps(),
+        CurrentRemembered(),
         CoilHarmonics(),
         CoilMultipoles(),
         RoomHarmonics(),
         RoomAnswers(),
         RoomWanders(),
+        RoomChanges(),
+        RoomAnswersChange(),
         GuideErrors(),
         GuidesWander(),
         GuideSwings(),
+        GuidesStep(),
         MovesRemembered(),
+        SidesRemembered(),
         SensorResponse(),
         ResponseByPlace(),
         AxisCurves(),
@@ -206,6 +220,8 @@ EFFECTS: dict[str, Effect] = {
         ResponseWanders(),
         ZeroWanders(),
         ZeroSwings(),
+        ZeroSteps(),
+        FieldRemembered(),
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}

@@ -201,6 +201,11 @@ class Circumstances:
         known = celsius[~torch.isnan(celsius)]
         return kelvin + (known.mean() - known.min()) if len(known) else kelvin
 
+    def moves_m(self, mover: str) -> Float[Tensor, "history 3"]:
+        """Translation of the mover from each row of the session's history to the next; zero at the first."""
+        here = self._poses(mover).translation_m
+        return torch.diff(here, dim=0, prepend=here[:1])
+
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Translation of the mover by its last move; zero before it first moved."""
         here = self._poses(mover).translation_m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +28,7 @@ from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
 FRACTION = 5  # of a degree to the next that is asked: between them evidence hardly changes
+PATIENCE = 2  # steps that may bring nothing by themselves: what opens and closes needs two
 STEP = 1e-3  # of the typical width of an amplitude, for derivatives; predictions are nearly linear in it
 
 
@@ -67,6 +69,12 @@ class CorrectionKind:
 
         Several starts differ in a frequency, which may have a batch.
         """
+        if len(starts) > 1:
+            factors = self.effect.factors(fit.posterior.model.circumstances, self.cause.place, starts)
+            if factors is not None:
+                reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)
+                of_component = factors[:, reading[fit.observations.is_measured]]
+                return of_component[..., None] * self.columns(fit, starts[:1], degree)
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
         keys = [key for _, key in self.keys(degree)]
         n = len(starts) * len(keys)
@@ -140,6 +148,8 @@ class CorrectionCandidate:
         weight = fit.weight_over(self.first)[:, None]
         if len(self.kind.starts) == 1:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
+        if self.kind.effect.is_stepwise:
+            return best_steps(fit, self.kind, self.columns * weight)
         families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
         by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
         top = int(by_start.argmax())
@@ -151,8 +161,58 @@ class CorrectionCandidate:
         return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
 
 
+def best_steps(
+    fit: Fit, kind: CorrectionKind, columns: Float[Tensor, "start component amplitude"]
+) -> CorrectionOption:
+    """The steps with most evidence, one found beside the other; of so many instants any may be a step's, which costs evidence.
+
+    Each new step is tried at all instants. At the end each is tried again beside the others, for the first ones stood in for several.
+    """
+    chosen: list[int] = []
+    best: tuple[float, list[int]] = (-math.inf, [])
+    for n in range(1, kind.limit.degree + 1):
+        top, evidence = _next_step(fit, columns, chosen)
+        chosen = [*chosen, top]
+        value = evidence - _log_choices(len(columns), n)
+        if value > best[0]:
+            best = (value, chosen)
+        elif n - len(best[1]) >= PATIENCE:
+            break
+    chosen = best[1]
+    for step in list(chosen):
+        others = [other for other in chosen if other != step]
+        chosen = [*others, _next_step(fit, columns, others)[0]]
+    steps = sorted(chosen)
+    start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(steps, start=1)}
+    together = columns[steps].transpose(0, 1).flatten(1)
+    option = _best_degree(fit, kind, start, together, is_all=True)
+    lost = _log_choices(len(columns), len(steps))
+    return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
+
+
+def _next_step(
+    fit: Fit, columns: Float[Tensor, "start component amplitude"], chosen: list[int]
+) -> tuple[int, float]:
+    """The start that has most evidence beside those that were chosen, and that evidence of all."""
+    free = [i for i in range(len(columns)) if i not in chosen]
+    beside = columns[chosen].transpose(0, 1).flatten(1)
+    families = [Family.of("", torch.cat((beside, columns[i]), dim=1)) for i in free]
+    evidence = torch.logsumexp(evidence_by_amplitude(fit, families), 1) - math.log(len(policy.AMPLITUDES))
+    top = int(evidence.argmax())
+    return free[top], float(evidence[top])
+
+
+def _log_choices(n: int, k: int) -> float:
+    """Logarithm of the number of ways to choose some of many."""
+    return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+
+
 def _best_degree(
-    fit: Fit, kind: CorrectionKind, start: dict[str, float], columns: Float[Tensor, "component amplitude"]
+    fit: Fit,
+    kind: CorrectionKind,
+    start: dict[str, float],
+    columns: Float[Tensor, "component amplitude"],
+    is_all: bool = False,
 ) -> CorrectionOption:
     """The degree with most evidence, averaged over the widths of its amplitudes.
 
@@ -160,7 +220,8 @@ def _best_degree(
     prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
     """
     families, by_degree = [], []
-    for degree in _asked(kind.effect.lowest, kind.limit.degree):
+    highest = columns.shape[1] // len(kind.effect.terms(1)) if is_all else kind.limit.degree
+    for degree in [highest] if is_all else _asked(kind.effect.lowest, highest):
         keys = kind.keys(degree)
         relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
         own = columns[:, : len(keys)] * relative
