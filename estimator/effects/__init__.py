@@ -29,6 +29,7 @@ from estimator.effects.harmonic_corrections import (
 )
 from estimator.effects.history_corrections import CurrentRemembered, FieldRemembered, SidesRemembered
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
+from estimator.effects.level_corrections import AxisSteps, GainSteps
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
@@ -77,8 +78,7 @@ from estimator.effects.stated import (
 from estimator.effects.step_corrections import (
     CurrentSteps,
     GuidesStep,
-    RoomAnswersChange,
-    RoomChanges,
+    RoomSteps,
     ZeroSteps,
 )
 from estimator.effects.structure import HiddenWinding, ReversedLayer
@@ -203,8 +203,7 @@ EFFECTS: dict[str, Effect] = {
         RoomHarmonics(),
         RoomAnswers(),
         RoomWanders(),
-        RoomChanges(),
-        RoomAnswersChange(),
+        RoomSteps(),
         GuideErrors(),
         GuidesWander(),
         GuideSwings(),
@@ -215,6 +214,8 @@ EFFECTS: dict[str, Effect] = {
         ResponseByPlace(),
         AxisCurves(),
         GainCurve(),
+        AxisSteps(),
+        GainSteps(),
         CurrentPickup(),
         ReadingRipples(),
         ResponseWanders(),

@@ -199,10 +199,6 @@ class RoomEffect(Effect):
         """Field in the world frame per ampere in a coil."""
         return None
 
-    def presence(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading"] | None:
-        """Share of what `steady_T` and `response` say that is there at each reading; None where it always is."""
-        return None
-
 
 class MotionEffect(Effect):
     """Changes where a mover really stands."""

@@ -11,12 +11,12 @@ from typing import ClassVar
 
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import InTime, Limit, limit_of_places, positions_m
-from estimator.effects.harmonic_corrections import RoomAnswers, RoomHarmonics
-from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect
+from estimator.effects.correction import InTime
+from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
 from estimator.frames import Transform
 
 
@@ -119,57 +119,16 @@ class GuidesStep(_Steps, MotionEffect):
         return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-class _Since(InTime):
-    """A smooth field that is there from one instant on."""
+class RoomSteps(_Steps, RoomEffect):
+    """The field of the room jumps, everywhere alike: something is brought near, or taken away."""
 
-    highest: ClassVar[int] = 3
+    name: ClassVar[str] = "room_steps"
+    words: ClassVar[str] = "the field of the room jumps"
+    highest: ClassVar[int] = 5
 
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The ball of reference, and the instant."""
-        return (*super().shapes(extent), shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True))
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The beginning, then each instant between two readings."""
-        [ball] = super().starts(circumstances, place)
-        return tuple({**ball, "since_h": instant_h} for instant_h in _instants_h(circumstances))
-
-    def factors(
-        self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
-    ) -> Float[Tensor, "start reading"]:
-        """Readings from each instant on."""
-        instants_h = torch.tensor([start["since_h"] for start in starts], dtype=torch.float64)
-        return circumstances.is_since(instants_h).double()
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places; there must have been time."""
-        return limit_of_places(positions_m(circumstances), self.n_terms)  # type: ignore[attr-defined]
-
-    def presence(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading"]:
-        """Whether it is there at a reading; in predictions it never is."""
-        if circumstances.is_moment:
-            return torch.zeros(len(circumstances), dtype=torch.float64)
-        return circumstances.is_since(theta["since_h"]).double()
-
-
-class RoomChanges(_Since, RoomHarmonics):
-    """Something is brought into the room, or taken away."""
-
-    name: ClassVar[str] = "room_changes"
-    words: ClassVar[str] = "a smooth field that stays in the room comes or goes at one instant"
-    is_background: ClassVar[bool] = False
-
-
-class RoomAnswersChange(_Since, RoomAnswers):
-    """Something that answers a coil is brought into the room, or moved: iron, a cable."""
-
-    name: ClassVar[str] = "room_answers_change"
-    words: ClassVar[str] = (
-        "a smooth field that stays in the room and goes with the coil's current comes or goes at one instant"
-    )
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried current and was moved, in a session that lasts."""
-        return InTime.concerns(self, circumstances, place) and RoomAnswers.concerns(self, circumstances, place)
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
+        """In the world frame."""
+        return self._stepped(theta, circumstances)
 
 
 def since(degree: int) -> str:

@@ -124,9 +124,7 @@ class Sources:
             theta = room.theta(values)
             steady_T = room.effect.steady_T(world_from_point.translation_m, theta)
             if steady_T is not None:
-                there_T = self._by_reading(world_from_point.unrotate(steady_T), self._every_row)
-                share = room.effect.presence(theta, self.circumstances)
-                total = total + (there_T if share is None else share[..., None] * there_T)
+                total = total + self._by_reading(world_from_point.unrotate(steady_T), self._every_row)
             drifting_T = room.effect.drifting_T(theta, self.circumstances)
             if drifting_T is not None:
                 total = total + self._unrotated(world_from_point, drifting_T)
@@ -179,15 +177,9 @@ class Sources:
         for answering in uses_of(self.rig, RoomEffect):
             if answering.effect.kind is Kind.COIL and answering.place != coil.name:
                 continue
-            theta = answering.theta(values)
-            answer = answering.effect.response(per_ampere, points_m, theta)
-            if answer is None:
-                continue
-            share = answering.effect.presence(theta, self.circumstances)
-            if share is None:
+            answer = answering.effect.response(per_ampere, points_m, answering.theta(values))
+            if answer is not None:
                 field = field + world_from_point.unrotate(answer)
-            else:
-                driven.append((world_from_point.unrotate(answer), share * current_A))
         return [(field, current_A), *driven]
 
     def _magnetised(
