@@ -169,8 +169,8 @@ class FieldRemembered(Correction, ReadingEffect):
     highest: ClassVar[int] = 4
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """A share of each component."""
-        return ("x", "y", "z")
+        """A share of all components."""
+        return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
         """None."""

@@ -31,7 +31,7 @@ class _Steps(InTime):
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
         """The instant of each step, in time since the session began."""
-        degrees = range(self.lowest, extent.degree + 1)
+        degrees = range(self.lowest, min(extent.degree, self.highest) + 1)
         return tuple(shape(since(d), "h", 0.0, extent.duration_h, is_fixed=True) for d in degrees)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
