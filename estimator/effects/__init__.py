@@ -18,6 +18,7 @@ from estimator.effects.drift_corrections import (
     GuidesWander,
     ResponseWanders,
     RoomWanders,
+    TurnsWander,
     ZeroWanders,
 )
 from estimator.effects.guide_correction import GuideErrors
@@ -78,6 +79,7 @@ from estimator.effects.stated import (
 from estimator.effects.step_corrections import (
     CurrentSteps,
     GuidesStep,
+    ResponseSteps,
     RoomSteps,
     ZeroSteps,
 )
@@ -219,9 +221,11 @@ EFFECTS: dict[str, Effect] = {
         CurrentPickup(),
         ReadingRipples(),
         ResponseWanders(),
+        TurnsWander(),
         ZeroWanders(),
         ZeroSwings(),
         ZeroSteps(),
+        ResponseSteps(),
         FieldRemembered(),
     )
 }

@@ -55,7 +55,9 @@ class AxisSteps(_AboveLevel):
         """Between any two readings of each axis."""
         shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
         return tuple(
-            {"axis": float(axis), "above_T": level_T} for axis in range(3) for level_T in _levels(shown_T[:, axis])
+            {"axis": float(axis), "above_T": level_T}
+            for axis in range(3)
+            for level_T in _levels(shown_T[:, axis])
         )
 
     def apply(

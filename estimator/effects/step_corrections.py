@@ -97,6 +97,31 @@ class ZeroSteps(_Steps, ReadingEffect):
         return field_sensor_T + self._stepped(theta, circumstances)
 
 
+class ResponseSteps(_Steps, ReadingEffect):
+    """The response of a sensor jumps, or that of iron beside it which answers much the same field: something was exchanged, turned or moved."""
+
+    name: ClassVar[str] = "response_steps"
+    words: ClassVar[str] = "gains and axes of the sensor, or of iron beside it, jump"
+    unit: ClassVar[str] = "1"
+    highest: ClassVar[int] = 2
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """For each component those that it is proportional to."""
+        return tuple(f"{axis}_{other}" for axis in "xyz" for other in "xyz")
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        matrix = self._stepped(theta, circumstances).unflatten(-1, (3, 3))
+        added_T: Tensor = (matrix @ field_sensor_T[..., None])[..., 0]
+        return field_sensor_T + added_T
+
+
 class GuidesStep(_Steps, MotionEffect):
     """Where a mover stands jumps: a slipped clamp, a lost step, a knock."""
 

@@ -74,10 +74,11 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
     parts = list[Part]()
     while candidates and len(parts) < policy.MOST_CORRECTIONS:
         options = [candidate.best_option(fit) for candidate in candidates]
-        best = max(options, key=lambda option: option.log_bayes_factor)
+        order = sorted(range(len(options)), key=lambda i: options[i].log_bayes_factor, reverse=True)
+        best = options[order[0]]
         if best.log_bayes_factor <= policy.LEAST_LOG_EVIDENCE_CORRECTED:
             break
-        candidates = [candidate for candidate in candidates if candidate.kind is not best.kind]
+        candidates = [candidates[i] for i in order[1 : policy.MOST_ASKED_AGAIN + 1]]
         rig = best.kind.rig(fit, best.start, best.widths)
         after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
         gain = held_out(fit, after, block)

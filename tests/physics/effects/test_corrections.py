@@ -142,6 +142,22 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
         {"degree1_x_T": 1e-5, "degree2_y_T": 2e-5, "since1_h": 0.1, "since2_h": 0.3},
         lambda: PLAIN_T + 1e-5 * from_instant(0.1) * UNIT[0] + 2e-5 * from_instant(0.3) * UNIT[1],
     ),
+    "turns_wander[hall]": (
+        {"degree0_x": 1e-3, "degree2_y": -2e-3, "duration_h": DURATION_H},
+        lambda: (
+            PLAIN_T
+            + 1e-3 * np.cross(PLAIN_T, UNIT[0])
+            - 2e-3 * cosines(HOURS / DURATION_H, 2)[:, None] * np.cross(PLAIN_T, UNIT[1])
+        ),
+    ),
+    "response_steps[hall]": (
+        {"degree1_x_z": 1e-3, "degree2_y_y": -2e-3, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: (
+            PLAIN_T
+            + 1e-3 * from_instant(0.1) * PLAIN_T[:, 2:] * UNIT[0]
+            - 2e-3 * from_instant(0.3) * PLAIN_T[:, 1:2] * UNIT[1]
+        ),
+    ),
     "room_steps[room]": (
         {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "since1_h": 0.1, "since2_h": 0.3},
         lambda: (
@@ -151,9 +167,7 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
     ),
     "guides_step[arm]": (
         {"degree1_x_m": 1e-4, "degree2_z_m": -2e-4, "since1_h": 0.1, "since2_h": 0.3},
-        lambda: predicted_T(
-            shift_m=1e-4 * from_instant(0.1) * UNIT[0] - 2e-4 * from_instant(0.3) * UNIT[2]
-        ),
+        lambda: predicted_T(shift_m=1e-4 * from_instant(0.1) * UNIT[0] - 2e-4 * from_instant(0.3) * UNIT[2]),
     ),
     "sides_remembered[arm]": (
         {"degree1_y_m": 1e-4, "degree1_rx_m": 2e-4, "reach_m": 0.1, **EAST},
