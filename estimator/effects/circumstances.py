@@ -105,7 +105,7 @@ class Circumstances:
         """Largest distance of a coil or sensor from the mean of their positions."""
         return float((self.positions_m - self.positions_m.mean(0)).norm(dim=-1).max())
 
-    @property
+    @cached_property
     def extent(self) -> Extent:
         """Duration, strength, width and middle of the session, the time between readings, and its segments."""
         x, y, z = self.positions_m.mean(0).tolist()

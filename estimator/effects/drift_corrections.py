@@ -135,7 +135,8 @@ class TurnsWander(_Drift, ReadingEffect):
         """Components as they are read, to first order in the turn."""
         turn_rad = self._wandering(theta, circumstances)
         field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, turn_rad)
-        return field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
+        turned_T: Tensor = field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
+        return turned_T
 
 
 class CurrentWanders(_Drift, OneCoilCurrent):

@@ -98,7 +98,7 @@ class ZeroSteps(_Steps, ReadingEffect):
 
 
 class ResponseSteps(_Steps, ReadingEffect):
-    """The response of a sensor jumps, or that of iron beside it which answers much the same field: something was exchanged, turned or moved."""
+    """The response of a sensor jumps, or that of iron beside it, which answers much the same field: it was exchanged, turned or moved."""
 
     name: ClassVar[str] = "response_steps"
     words: ClassVar[str] = "gains and axes of the sensor, or of iron beside it, jump"

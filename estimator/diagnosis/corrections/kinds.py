@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.steps import log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
@@ -28,7 +28,6 @@ from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
 FRACTION = 5  # of a degree to the next that is asked: between them evidence hardly changes
-PATIENCE = 2  # steps that may bring nothing by themselves: what opens and closes needs two
 STEP = 1e-3  # of the typical width of an amplitude, for derivatives; predictions are nearly linear in it
 
 
@@ -55,7 +54,10 @@ class CorrectionKind:
     def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
         """The rig with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
-        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free)
+        circumstances = fit.posterior.model.circumstances
+        rig = with_effect(
+            fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances
+        )
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
@@ -94,7 +96,7 @@ class CorrectionKind:
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
                 reading_T = model.predict(values).expand(n, len(fit.observations), 3)
-                change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
+                change_T = fit.posterior.measured_components(reading_T) - fit.predicted_T
         changes: Tensor = change_T * fit.whitening_per_T / step
         by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))
         return by_start.mT
@@ -149,7 +151,7 @@ class CorrectionCandidate:
         if len(self.kind.starts) == 1:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
         if self.kind.effect.is_stepwise:
-            return best_steps(fit, self.kind, self.columns * weight)
+            return _best_steps(fit, self.kind, self.columns * weight)
         families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
         by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
         top = int(by_start.argmax())
@@ -161,50 +163,17 @@ class CorrectionCandidate:
         return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
 
 
-def best_steps(
+def _best_steps(
     fit: Fit, kind: CorrectionKind, columns: Float[Tensor, "start component amplitude"]
 ) -> CorrectionOption:
-    """The steps with most evidence, one found beside the other; of so many instants any may be a step's, which costs evidence.
-
-    Each new step is tried at all instants. At the end each is tried again beside the others, for the first ones stood in for several.
-    """
-    chosen: list[int] = []
-    best: tuple[float, list[int]] = (-math.inf, [])
-    for n in range(1, kind.limit.degree + 1):
-        top, evidence = _next_step(fit, columns, chosen)
-        chosen = [*chosen, top]
-        value = evidence - _log_choices(len(columns), n)
-        if value > best[0]:
-            best = (value, chosen)
-        elif n - len(best[1]) >= PATIENCE:
-            break
-    chosen = best[1]
-    for step in list(chosen):
-        others = [other for other in chosen if other != step]
-        chosen = [*others, _next_step(fit, columns, others)[0]]
-    steps = sorted(chosen)
-    start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(steps, start=1)}
-    together = columns[steps].transpose(0, 1).flatten(1)
+    """The steps with most evidence, and the widths of their amplitudes."""
+    rows = steps_of(fit, columns, kind.limit.degree)
+    start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(rows, start=1)}
+    together = columns[rows].transpose(0, 1).flatten(1)
     option = _best_degree(fit, kind, start, together, is_all=True)
-    lost = _log_choices(len(columns), len(steps))
-    return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
-
-
-def _next_step(
-    fit: Fit, columns: Float[Tensor, "start component amplitude"], chosen: list[int]
-) -> tuple[int, float]:
-    """The start that has most evidence beside those that were chosen, and that evidence of all."""
-    free = [i for i in range(len(columns)) if i not in chosen]
-    beside = columns[chosen].transpose(0, 1).flatten(1)
-    families = [Family.of("", torch.cat((beside, columns[i]), dim=1)) for i in free]
-    evidence = torch.logsumexp(evidence_by_amplitude(fit, families), 1) - math.log(len(policy.AMPLITUDES))
-    top = int(evidence.argmax())
-    return free[top], float(evidence[top])
-
-
-def _log_choices(n: int, k: int) -> float:
-    """Logarithm of the number of ways to choose some of many."""
-    return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+    return replace(
+        option, log_bayes_factor=option.log_bayes_factor - log_choices(len(columns), len(rows))
+    )
 
 
 def _best_degree(

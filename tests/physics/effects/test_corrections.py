@@ -72,7 +72,7 @@ def cosines(way: np.ndarray, degree: int) -> np.ndarray:
 
 
 def from_instant(instant_h: float) -> np.ndarray:
-    return (HOURS >= instant_h)[:, None]
+    return (instant_h <= HOURS)[:, None]
 
 
 def side_left(unit: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ def largest_turned_A() -> np.ndarray:
     for current_A in CURRENT_A:
         step = np.sign(current_A - now_A)
         if step != 0.0:
-            if rise != 0.0 and step != rise:
+            if rise not in (0.0, step):
                 last_A = now_A
             rise = step
         now_A = current_A
