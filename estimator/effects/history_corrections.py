@@ -70,9 +70,10 @@ class SidesRemembered(Correction, MotionEffect):
         return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different moves."""
-        n_moves = len(torch.unique((1e6 * circumstances.last_move_m(place)).round(), dim=0))
-        return limit_of_number(self, n_moves, "different moves")
+        """By the number of readings, where moves left more than one side."""
+        if bool((_sides(circumstances, place) == 1.0).all()):
+            return Limit(0, "the mover went to one side only; come to some places from the other")
+        return limit_of_number(self, len(circumstances), "readings")
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """The side along each direction of the set."""
