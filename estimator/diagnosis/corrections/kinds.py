@@ -55,9 +55,7 @@ class CorrectionKind:
         """The rig with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
         circumstances = fit.posterior.model.circumstances
-        rig = with_effect(
-            fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances
-        )
+        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances)
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
@@ -171,9 +169,7 @@ def _best_steps(
     start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(rows, start=1)}
     together = columns[rows].transpose(0, 1).flatten(1)
     option = _best_degree(fit, kind, start, together, is_all=True)
-    return replace(
-        option, log_bayes_factor=option.log_bayes_factor - log_choices(len(columns), len(rows))
-    )
+    return replace(option, log_bayes_factor=option.log_bayes_factor - log_choices(len(columns), len(rows)))
 
 
 def _best_degree(

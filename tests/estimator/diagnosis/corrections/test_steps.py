@@ -65,9 +65,7 @@ def test_contact_that_opened_and_closed_is_two_steps_at_its_instants(loosened, l
     for i, instant_h in enumerate(opened_h, start=1):
         found_h = float(correction.fit.values[f"{STEPS.label}.since{i}_h"])
         assert bool(((fitted_h >= found_h) == (fitted_h >= instant_h)).all())
-    before, after = (
-        validation_scores(fit, loosened.validation) for fit in (loosened_fit, correction.fit)
-    )
+    before, after = (validation_scores(fit, loosened.validation) for fit in (loosened_fit, correction.fit))
     assert before.errors.vector_T > 2.0 * NOISE_T * 3**0.5
     assert after.errors.vector_T < 0.7 * before.errors.vector_T
 
@@ -78,7 +76,9 @@ def test_evidence_of_a_further_step_is_that_of_all_columns_together(loosened_fit
     row, evidence = _Starts.of(loosened_fit, columns).next_beside([first])
     together = Family.of("", torch.cat((columns[first], columns[row]), dim=1))
     assert row == second
-    assert evidence == pytest.approx(log_mean_exp(evidence_by_amplitude(loosened_fit, [together])[0]), rel=1e-9)
+    assert evidence == pytest.approx(
+        log_mean_exp(evidence_by_amplitude(loosened_fit, [together])[0]), rel=1e-9
+    )
 
 
 def test_any_of_many_instants_may_be_chance(small_rig: Rig, small_session: Session):
