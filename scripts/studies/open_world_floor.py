@@ -1,8 +1,8 @@
 """How near the noise any correction could come in sessions of the open world; run it after `scripts.studies.open_world`, with its file.
 
 Of each session the true disturbance is known without noise. Unlimited smooth fits (Gaussian processes over time, place, field, current,
-moves and what was before) follow it where readings were fitted, and predict it where none were; the best of them is chosen in hindsight.
-What neither they nor the corrections reach is mostly what no model can predict: a jump between two readings, or what comes after all others.
+moves and what was before) follow it where readings were fitted and predict it where none were; the best of them is chosen in hindsight.
+What neither they nor corrections reach is mostly what no model can predict: a jump between two readings, or what comes after all others.
 A perfect model too is near the noise by chance only, so corrections are also compared with what the true field leaves.
 """
 

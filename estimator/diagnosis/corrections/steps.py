@@ -17,7 +17,7 @@ PATIENCE = 2  # steps that may bring nothing by themselves: what opens and close
 
 
 def steps_of(fit: Fit, columns: Float[Tensor, "start component amplitude"], most: int) -> list[int]:
-    """The starts of the steps that have most evidence together, in their order; of so many starts any may be a step's, which costs evidence.
+    """Starts of the steps that have most evidence together, in their order; of so many starts any may be one, which costs evidence.
 
     Each new step is tried at all starts. At the end each is tried again beside the others, for the first ones stood in for several.
 
