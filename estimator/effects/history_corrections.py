@@ -97,6 +97,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
     """
 
     name: ClassVar[str] = "current_remembered"
+    is_linear: ClassVar[bool] = False
     words: ClassVar[str] = "the coil's field depends on the sign of its current and on the currents before"
     unit: ClassVar[str] = "1"
     highest: ClassVar[int] = 4
@@ -138,7 +139,6 @@ class CurrentRemembered(Correction, OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         range_A = theta["range_A"].flatten()[0]
-        commanded_A = circumstances.current_A[:, coil]
         history_A = circumstances.observations.history.current_A[:, coil]
         before_A = torch.nn.functional.pad(history_A, (1, 0))[:-1]
         step_A = history_A - before_A
@@ -146,14 +146,15 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         last = torch.cummax(torch.arange(len(history_A)) * is_step, dim=0).values
         row = circumstances.observations.row
         by_degree = {
-            1: commanded_A.abs() / range_A,
+            1: current_A.abs() / range_A,
             2: torch.where(is_step.any(), torch.sign(step_A[last]), torch.zeros_like(step_A))[row],
             3: (before_A - history_A)[row] / range_A,
             4: circumstances.last_turn_A(coil) / range_A,
         }
         share = torch.zeros((), dtype=torch.float64)
         for degree, amplitude in self.amplitudes(theta).items():
-            share = share + amplitude * by_degree[degree]
+            if degree == 1 or not circumstances.is_moment:
+                share = share + amplitude * by_degree[degree]
         return current_A + range_A * share
 
 
@@ -232,7 +233,9 @@ def _nearest(unit: Float[Tensor, "*batch 3"]) -> Tensor:
 
 
 def _sides(circumstances: Circumstances, mover: str) -> Float[Tensor, "reading direction"]:
-    """Sign of the last move along each direction; plus before the first, as after a way forwards."""
+    """Sign of the last move along each direction; plus before the first, as after a way forwards. A moment has no side."""
+    if circumstances.is_moment:
+        return torch.zeros(len(circumstances), N_DIRECTIONS, dtype=torch.float64)
     move_m = circumstances.moves_m(mover)
     length_m = move_m.norm(dim=-1)
     typical_m = float(length_m.square().mean().sqrt())
