@@ -178,8 +178,9 @@ def _judged(
         correction = best_corrected(extended, search_result.final, after, unseen, tell)
         if correction.is_taken:
             extended, after = correction.fit, correction.final
-            widening = widening.carried_to(after)
-            improvement = improvement_of(before, after, unseen) if len(unseen) else None
+            widening = widening.carried_to(after).over_blocks(extended)
+        if len(unseen):
+            improvement = improvement_of(before, after, unseen, widening.covariance)
     return Diagnosis(
         question=question,
         verdict=verdict,

@@ -64,6 +64,12 @@ class Fit:
         with torch.no_grad():
             return self.posterior.coordinates.values(self.vector)
 
+    @cached_property
+    def predicted_T(self) -> Float[Tensor, " component"]:
+        """Prediction of the measured components at the maximum."""
+        with torch.no_grad():
+            return self.posterior.predicted(self.vector)
+
     @property
     def observations(self) -> Observations:
         """The readings that were fitted."""

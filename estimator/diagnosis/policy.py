@@ -262,6 +262,10 @@ judgement. Study of 1 case: numbers change in 1."""
 MOST_CORRECTIONS = 6
 """Kinds and places that one diagnosis corrects. Effort: each is a fit with tens of amplitudes. Study of 1 case: no change."""
 
+MOST_ASKED_AGAIN = 12
+"""Kinds of corrections, with their places, that are asked again beside one that was taken: those that had most evidence before. Effort: of
+forty that a session may have, the others had none. Study: not in it."""
+
 # Widening of intervals
 
 LEAST_SHARE_JUDGED = 1e-3

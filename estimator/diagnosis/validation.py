@@ -74,9 +74,23 @@ class Improvement:
         return self.elpd_difference < -policy.LEAST_LOSS_SE * self.elpd_se
 
 
-def improvement_of(before: Fit, after: Fit, unseen: Observations) -> Improvement:
-    """Compare two fits on readings that neither has seen."""
-    scores_before, scores_after = validation_scores(before, unseen), validation_scores(after, unseen)
+def improvement_of(
+    before: Fit,
+    after: Fit,
+    unseen: Observations,
+    widened: Float[Tensor, "coordinate coordinate"] | None = None,
+) -> Improvement:
+    """Compare two fits on readings that neither has seen.
+
+    Args:
+        before, after: The fits.
+        unseen: The readings.
+        widened: Covariance that stands for the later fit's own, where something unexplained has widened it.
+    """
+    scores_before, scores_after = (
+        validation_scores(before, unseen),
+        validation_scores(after, unseen, widened),
+    )
     difference = scores_after.log_density - scores_before.log_density
     n = len(difference)
     se = float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
@@ -108,8 +122,10 @@ def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
     return is_clear and improvement_of(before, after, unseen).elpd_difference < 0.0
 
 
-def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:
-    """Errors, log predictive density and coverage of a fit's predictions; Laplace gives the uncertainty of the parameters."""
+def validation_scores(
+    fit: Fit, unseen: Observations, widened: Float[Tensor, "coordinate coordinate"] | None = None
+) -> ValidationScores:
+    """Errors, log predictive density and coverage of a fit's predictions; Laplace, or a widened covariance, gives the uncertainty."""
     fitted, unseen = fit.posterior.model, as_meant(fit.rig, unseen)
     model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fitted.rules).with_maps(fitted.sources.maps)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
@@ -118,7 +134,8 @@ def validation_scores(fit: Fit, unseen: Observations) -> ValidationScores:
         mean_T = posterior.measured_components(predicted_T)
         noise_T = posterior.component_sigma_T(fit.vector)
         jacobian: Tensor = posterior.jacobian(fit.vector)
-    parameter_variance = ((jacobian @ fit.covariance) * jacobian).sum(-1)
+    covariance = fit.covariance if widened is None else widened
+    parameter_variance = ((jacobian @ covariance) * jacobian).sum(-1)
     residual_T = posterior.measured_T - mean_T
     log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
     reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]

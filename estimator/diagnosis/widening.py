@@ -15,7 +15,7 @@ from estimator.derivatives import jacobian_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy
-from estimator.readings.split import pose_blocks
+from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
 
 LEAST_SHARE = 1e-12  # of a variance: added so that rounding leaves a correlation matrix positive definite
@@ -70,6 +70,22 @@ class Widening:
         stretched = torch.eye(len(names), dtype=among.dtype)
         stretched[:, rows] += following @ more
         return Widening(fit, stretched @ fit.covariance @ stretched.T)
+
+    def over_blocks(self, searched: Fit) -> Widening:
+        """The widening that is also nowhere surer than predictions of readings held out allow, by place and by time.
+
+        What follows a rest without a name is a wrong model where it guesses: between places, or between times. Neither the noise nor the
+        priors of its amplitudes know of that; the scatter of a fit, as one block after another is left out, does.
+
+        Args:
+            searched: The same model, fitted to the few readings of the search.
+        """
+        blocks = (
+            pose_blocks(searched.observations, np.random.default_rng(0)),
+            time_blocks(searched.observations),
+        )
+        others = (jackknife_covariance(searched, block) for block in blocks)
+        return Widening(self.fit, reduce(envelope, others, self.covariance))
 
     @cached_property
     def factors(self) -> dict[str, float]:

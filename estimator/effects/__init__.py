@@ -18,6 +18,7 @@ from estimator.effects.drift_corrections import (
     GuidesWander,
     ResponseWanders,
     RoomWanders,
+    TurnsWander,
     ZeroWanders,
 )
 from estimator.effects.guide_correction import GuideErrors
@@ -27,7 +28,9 @@ from estimator.effects.harmonic_corrections import (
     RoomAnswers,
     RoomHarmonics,
 )
+from estimator.effects.history_corrections import CurrentRemembered, FieldRemembered, SidesRemembered
 from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
+from estimator.effects.level_corrections import AxisSteps, GainSteps
 from estimator.effects.memory_correction import MovesRemembered
 from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
@@ -74,6 +77,13 @@ from estimator.effects.stated import (
     NoiseMisstated,
     SensorMisplaced,
     WindingMisstated,
+)
+from estimator.effects.step_corrections import (
+    CurrentSteps,
+    GuidesStep,
+    ResponseSteps,
+    RoomSteps,
+    ZeroSteps,
 )
 from estimator.effects.structure import HiddenWinding, ReversedLayer
 from estimator.effects.superconductor import FilamentMagnetisation
@@ -194,24 +204,35 @@ EFFECTS: dict[str, Effect] = {
         PositionJitter(),
         CurrentWanders(),
         CurrentSwings(),
+        CurrentSteps(),
+        CurrentRemembered(),
         CoilHarmonics(),
         CoilMultipoles(),
         RoomHarmonics(),
         RoomAnswers(),
         RoomWanders(),
+        RoomSteps(),
         GuideErrors(),
         GuidesWander(),
         GuideSwings(),
+        GuidesStep(),
         MovesRemembered(),
+        SidesRemembered(),
         SensorResponse(),
         ResponseByPlace(),
         AxisCurves(),
         GainCurve(),
+        AxisSteps(),
+        GainSteps(),
         CurrentPickup(),
         ReadingRipples(),
         ResponseWanders(),
+        TurnsWander(),
         ZeroWanders(),
         ZeroSwings(),
+        ZeroSteps(),
+        ResponseSteps(),
+        FieldRemembered(),
     )
 }
 ORDER = {name: i for i, name in enumerate(EFFECTS)}

@@ -13,7 +13,12 @@ from estimator.rig.rig import Cause, Rig
 
 
 def with_effect(
-    rig: Rig, cause: Cause, observations: Observations, values: Mapping[str, float], is_free: bool = True
+    rig: Rig,
+    cause: Cause,
+    observations: Observations,
+    values: Mapping[str, float],
+    is_free: bool = True,
+    circumstances: Circumstances | None = None,
 ) -> Rig:
     """The rig with an effect: its quantities at given values, else at their null, free or fixed.
 
@@ -24,8 +29,10 @@ def with_effect(
         values: Of some quantities by key, in SI: the shapes that a fit starts from, or all for a simulation. Their keys tell the degree of
             a correction.
         is_free: A fit may change them.
+        circumstances: Of the observations, where they are known already.
     """
-    circumstances, effect = Circumstances(rig, observations), EFFECTS[cause.name]
+    effect = EFFECTS[cause.name]
+    circumstances = circumstances or Circumstances(rig, observations)
     extent = replace(circumstances.extent, degree=effect.extent_of(values).degree)
     unseen = effect.unseen(circumstances, cause.place)
     parameters = [

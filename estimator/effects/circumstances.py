@@ -105,7 +105,7 @@ class Circumstances:
         """Largest distance of a coil or sensor from the mean of their positions."""
         return float((self.positions_m - self.positions_m.mean(0)).norm(dim=-1).max())
 
-    @property
+    @cached_property
     def extent(self) -> Extent:
         """Duration, strength, width and middle of the session, the time between readings, and its segments."""
         x, y, z = self.positions_m.mean(0).tolist()
@@ -200,6 +200,11 @@ class Circumstances:
         celsius = self.observations.history.temperature_C[place]
         known = celsius[~torch.isnan(celsius)]
         return kelvin + (known.mean() - known.min()) if len(known) else kelvin
+
+    def moves_m(self, mover: str) -> Float[Tensor, "history 3"]:
+        """Translation of the mover from each row of the session's history to the next; zero at the first."""
+        here = self._poses(mover).translation_m
+        return torch.diff(here, dim=0, prepend=here[:1])
 
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Translation of the mover by its last move; zero before it first moved."""

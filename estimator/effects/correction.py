@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -50,6 +50,7 @@ class Correction(Effect):
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
+        is_stepwise: Each degree is one more step, whose place is looked for beside those before.
     """
 
     is_correction: ClassVar[bool] = True
@@ -58,6 +59,7 @@ class Correction(Effect):
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
+    is_stepwise: ClassVar[bool] = False
 
     @abstractmethod
     def terms(self, degree: int) -> tuple[str, ...]:
@@ -70,6 +72,12 @@ class Correction(Effect):
     @abstractmethod
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """How high a degree the readings determine."""
+
+    def factors(
+        self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
+    ) -> Float[Tensor, "start reading"] | None:
+        """Factor of each reading by which its terms are there, where starts differ in nothing else; the first start has all of them."""
+        return None
 
     def typical_width(self, extent: Extent) -> float:
         """Width of the amplitudes of the first degree until a diagnosis sets it."""
@@ -96,7 +104,7 @@ class Correction(Effect):
             *self.shapes(extent),
             *(
                 normal(self.key(degree, term), self.unit, width * self.relative_width(degree))
-                for degree in range(self.lowest, extent.degree + 1)
+                for degree in range(self.lowest, min(extent.degree, self.highest) + 1)
                 for term in self.terms(degree)
             ),
         )

@@ -112,6 +112,33 @@ class ResponseWanders(_Drift, ReadingEffect):
         return field_sensor_T + added_T
 
 
+class TurnsWander(_Drift, ReadingEffect):
+    """A sensor is turned, by an angle that wanders: it creeps in its clamp. Degree 0 is a turn that stays."""
+
+    name: ClassVar[str] = "turns_wander"
+    words: ClassVar[str] = "the sensor turns with time"
+    unit: ClassVar[str] = "1"
+    lowest: ClassVar[int] = 0
+    highest: ClassVar[int] = 8
+
+    def relative_width(self, degree: int) -> float:
+        """That of degree 0 is that of the first."""
+        return super().relative_width(max(degree, 1))
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read, to first order in the turn."""
+        turn_rad = self._wandering(theta, circumstances)
+        field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, turn_rad)
+        turned_T: Tensor = field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
+        return turned_T
+
+
 class CurrentWanders(_Drift, OneCoilCurrent):
     """The current of a coil, or how much field an ampere makes, wanders: it warms up, sags, jumps or loosens."""
 

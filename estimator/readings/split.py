@@ -60,6 +60,13 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     return block
 
 
+def time_blocks(observations: Observations, n_blocks: int = FEWEST_BLOCKS) -> Int[np.ndarray, " reading"]:
+    """Block number of every reading, in blocks of readings that were taken one after another."""
+    order = observations.time_s.argsort(stable=True).argsort().numpy()
+    block: Int[np.ndarray, " reading"] = order * n_blocks // len(order)
+    return block
+
+
 def thinned(observations: Observations, most: int, seed: int) -> Observations:
     """At most `most` of the readings, drawn at random, in their order."""
     if len(observations) <= most:

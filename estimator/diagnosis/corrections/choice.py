@@ -16,6 +16,7 @@ from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.validation import improvement_of
+from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
@@ -49,7 +50,8 @@ def best_corrected(
         best = replace(best, final=fit_rig(polished.rig, causes.observations, polished.values, rules))
     if not len(unseen):
         return best
-    gain = improvement_of(causes, best.final, unseen)
+    widened = Widening(best.final, best.final.covariance).over_blocks(best.fit)
+    gain = improvement_of(causes, best.final, unseen, widened.covariance)
     if gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T:
         return replace(best, gain=gain, refusal="unseen readings are predicted worse with what was tried")
     return replace(best, gain=gain)
@@ -72,10 +74,11 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
     parts = list[Part]()
     while candidates and len(parts) < policy.MOST_CORRECTIONS:
         options = [candidate.best_option(fit) for candidate in candidates]
-        best = max(options, key=lambda option: option.log_bayes_factor)
+        order = sorted(range(len(options)), key=lambda i: options[i].log_bayes_factor, reverse=True)
+        best = options[order[0]]
         if best.log_bayes_factor <= policy.LEAST_LOG_EVIDENCE_CORRECTED:
             break
-        candidates = [candidate for candidate in candidates if candidate.kind is not best.kind]
+        candidates = [candidates[i] for i in order[1 : policy.MOST_ASKED_AGAIN + 1]]
         rig = best.kind.rig(fit, best.start, best.widths)
         after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
         gain = held_out(fit, after, block)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.steps import log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
@@ -53,7 +54,8 @@ class CorrectionKind:
     def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
         """The rig with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
-        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free)
+        circumstances = fit.posterior.model.circumstances
+        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances)
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
@@ -67,6 +69,12 @@ class CorrectionKind:
 
         Several starts differ in a frequency, which may have a batch.
         """
+        if len(starts) > 1:
+            factors = self.effect.factors(fit.posterior.model.circumstances, self.cause.place, starts)
+            if factors is not None:
+                reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)
+                of_component = factors[:, reading[fit.observations.is_measured]]
+                return of_component[..., None] * self.columns(fit, starts[:1], degree)
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
         keys = [key for _, key in self.keys(degree)]
         n = len(starts) * len(keys)
@@ -86,7 +94,7 @@ class CorrectionKind:
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
                 reading_T = model.predict(values).expand(n, len(fit.observations), 3)
-                change_T = fit.posterior.measured_components(reading_T) - fit.posterior.predicted(fit.vector)
+                change_T = fit.posterior.measured_components(reading_T) - fit.predicted_T
         changes: Tensor = change_T * fit.whitening_per_T / step
         by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))
         return by_start.mT
@@ -140,6 +148,8 @@ class CorrectionCandidate:
         weight = fit.weight_over(self.first)[:, None]
         if len(self.kind.starts) == 1:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
+        if self.kind.effect.is_stepwise:
+            return _best_steps(fit, self.kind, self.columns * weight)
         families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
         by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
         top = int(by_start.argmax())
@@ -151,8 +161,23 @@ class CorrectionCandidate:
         return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
 
 
+def _best_steps(
+    fit: Fit, kind: CorrectionKind, columns: Float[Tensor, "start component amplitude"]
+) -> CorrectionOption:
+    """The steps with most evidence, and the widths of their amplitudes."""
+    rows = steps_of(fit, columns, kind.limit.degree)
+    start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(rows, start=1)}
+    together = columns[rows].transpose(0, 1).flatten(1)
+    option = _best_degree(fit, kind, start, together, is_all=True)
+    return replace(option, log_bayes_factor=option.log_bayes_factor - log_choices(len(columns), len(rows)))
+
+
 def _best_degree(
-    fit: Fit, kind: CorrectionKind, start: dict[str, float], columns: Float[Tensor, "component amplitude"]
+    fit: Fit,
+    kind: CorrectionKind,
+    start: dict[str, float],
+    columns: Float[Tensor, "component amplitude"],
+    is_all: bool = False,
 ) -> CorrectionOption:
     """The degree with most evidence, averaged over the widths of its amplitudes.
 
@@ -160,7 +185,8 @@ def _best_degree(
     prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
     """
     families, by_degree = [], []
-    for degree in _asked(kind.effect.lowest, kind.limit.degree):
+    highest = columns.shape[1] // len(kind.effect.terms(1)) if is_all else kind.limit.degree
+    for degree in [highest] if is_all else _asked(kind.effect.lowest, highest):
         keys = kind.keys(degree)
         relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
         own = columns[:, : len(keys)] * relative

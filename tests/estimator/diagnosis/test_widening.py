@@ -12,7 +12,7 @@ from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.widening import Widening, envelope
 from estimator.readings.metrics import HALF_WIDTH_90
-from estimator.readings.split import pose_blocks
+from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -118,3 +118,22 @@ def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, small_c
         draws = Widening(fit, size * fit.covariance).spread(Coordinates(rig, True), small_calibration.draws)
         assert draws[RADIUS].max() == pytest.approx(1e-3 * most_mm, rel=1e-3 if size == 1.0 else 1e-12)
         assert draws[RADIUS].max() <= 1e-3 * most_mm
+
+
+def test_widening_over_blocks_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(
+    small_rig: Rig, small_session: Session
+):
+    observations = small_session.observations
+    hours = (observations.time_s - observations.time_s.min()) / 3600.0
+    wave = 1.0 + 0.03 * torch.cos(3.0 * torch.pi * hours / hours.max())[:, None]
+    fit = fit_of(small_rig, observations.with_field(wave * observations.field_sensor_T).calibration)
+    wider = Widening(fit, fit.covariance).over_blocks(fit)
+    scale = fit.covariance.diagonal().sqrt()
+    for least in (
+        fit.covariance,
+        jackknife_covariance(fit, time_blocks(fit.observations)),
+        jackknife_covariance(fit, pose_blocks(fit.observations, np.random.default_rng(0))),
+    ):
+        more = (wider.covariance - least) / (scale[:, None] * scale)
+        assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
+    assert max(wider.factors.values()) > 1.5

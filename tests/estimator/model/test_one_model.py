@@ -106,6 +106,10 @@ NOT_AT_THE_FIRST_MOMENT = {
     "current_wanders",
     "current_swings",
     "guides_wander",
+    "current_steps",
+    "room_steps",
+    "guides_step",
+    "sides_remembered",
     "moves_remembered",
 }
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
-from estimator.readings.split import block_split
+from estimator.readings.split import block_split, time_blocks
 
 
 def readings(position_m: np.ndarray, sensor: np.ndarray | None = None) -> Observations:
@@ -72,6 +72,15 @@ def test_the_seed_decides() -> None:
     observations = readings(grid(5))
     assert torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 3))
     assert not torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 4))
+
+
+def test_blocks_of_time_hold_readings_that_follow_each_other() -> None:
+    observations = readings(grid(5))
+    backwards = observations.rows(torch.arange(len(observations)).flip(0))
+    block = time_blocks(observations)
+    assert (np.diff(block) >= 0).all()
+    assert np.ptp(np.bincount(block, minlength=20)) <= 1
+    assert (time_blocks(backwards) == block[::-1]).all()
 
 
 @given(

@@ -106,6 +106,7 @@ SOURCES = {
         "middle_x_m": 0.01,
         "reach_m": 0.05,
     },
+    "room_steps": {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "since1_h": 0.6, "since2_h": 1.1},
     "room_wanders": {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "duration_h": 3.0},
 }
 MU0_RATIO = MU0_T_M_PER_A / magpylib.mu_0  # CODATA of different years

@@ -10,6 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects.attach import with_effect
+from estimator.effects.history_corrections import directions
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
@@ -29,6 +30,7 @@ RNG = np.random.default_rng(11)
 POSITIONS_M = RNG.uniform(-0.03, 0.03, (N, 3))
 HOURS = np.concatenate(([0.0], np.sort(RNG.uniform(0.0, DURATION_H, N - 2)), [DURATION_H]))
 CURRENT_A = RNG.choice([-2.0, 1.0, 3.0], N)
+RECORDED_T = RNG.uniform(-1e-3, 1e-3, (N, 3))
 SENSOR = Rotation.from_matrix(Rotation.from_rotvec([25.0, 0.0, 40.0], degrees=True).as_matrix())
 
 
@@ -46,7 +48,7 @@ def predicted_T(
         torch.zeros(N, dtype=torch.int64),
         torch.from_numpy(CURRENT_A)[:, None],
         {"arm": torch.from_numpy(motion)},
-        torch.full((N, 3), 1e-3, dtype=torch.float64),
+        torch.from_numpy(RECORDED_T),
         torch.zeros(N, dtype=torch.bool),
         torch.zeros(N, dtype=torch.int64),
         {},
@@ -69,6 +71,54 @@ def cosines(way: np.ndarray, degree: int) -> np.ndarray:
     return np.cos(np.pi * degree * way)
 
 
+def from_instant(instant_h: float) -> np.ndarray:
+    return (instant_h <= HOURS)[:, None]
+
+
+def side_left(unit: np.ndarray) -> np.ndarray:
+    """Sign of the last move along a direction, plus before the first."""
+    sides, side = [], 1.0
+    for move_m in MOVES_M:
+        along_m = sum(m * u for m, u in zip(move_m, unit, strict=True))
+        if abs(along_m) > 1e-9:
+            side = 1.0 if along_m > 0.0 else -1.0
+        sides.append(side)
+    return np.array(sides)[:, None]
+
+
+def before(values: np.ndarray, by: int) -> np.ndarray:
+    """What stood so many readings before; the first where there were none."""
+    return np.stack([values[max(i - by, 0)] for i in range(len(values))])
+
+
+def largest_turned_A() -> np.ndarray:
+    """Current from which each current last turned back; the session comes from 0."""
+    turned, last_A, now_A, rise = [], 0.0, 0.0, 0.0
+    for current_A in CURRENT_A:
+        step = np.sign(current_A - now_A)
+        if step != 0.0:
+            if rise not in (0.0, step):
+                last_A = now_A
+            rise = step
+        now_A = current_A
+        turned.append(last_A)
+    return np.array(turned)
+
+
+def came_from() -> np.ndarray:
+    """Side to which the current last changed."""
+    sides, side, now_A = [], 0.0, 0.0
+    for current_A in CURRENT_A:
+        side = np.sign(current_A - now_A) or side
+        sides.append(side)
+        now_A = current_A
+    return np.array(sides)
+
+
+LOOSE = directions()[19].numpy()
+EAST = dict(zip(("unit_x", "unit_y", "unit_z"), LOOSE.tolist(), strict=True))
+LEVEL_T, GAIN_LEVEL_T = float(np.median(PLAIN_T[:, 2])), float(np.median(np.abs(PLAIN_T).max(axis=1)))
+
 CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
     "current_wanders[coil]": (
         {"degree1_share": 0.01, "degree2_share": -0.02, "duration_h": DURATION_H},
@@ -83,6 +133,86 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
             PLAIN_T
             * (1.0 + 0.01 * np.cos(2 * np.pi * 7.3 * HOURS) + 0.02 * np.sin(2 * np.pi * 7.3 * HOURS))[:, None]
         ),
+    ),
+    "current_steps[coil]": (
+        {"degree1_share": 0.01, "degree2_share": -0.02, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: PLAIN_T * (1.0 + 0.01 * from_instant(0.1) - 0.02 * from_instant(0.3)),
+    ),
+    "zero_steps[hall]": (
+        {"degree1_x_T": 1e-5, "degree2_y_T": 2e-5, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: PLAIN_T + 1e-5 * from_instant(0.1) * UNIT[0] + 2e-5 * from_instant(0.3) * UNIT[1],
+    ),
+    "turns_wander[hall]": (
+        {"degree0_x": 1e-3, "degree2_y": -2e-3, "duration_h": DURATION_H},
+        lambda: (
+            PLAIN_T
+            + 1e-3 * np.cross(PLAIN_T, UNIT[0])
+            - 2e-3 * cosines(HOURS / DURATION_H, 2)[:, None] * np.cross(PLAIN_T, UNIT[1])
+        ),
+    ),
+    "response_steps[hall]": (
+        {"degree1_x_z": 1e-3, "degree2_y_y": -2e-3, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: (
+            PLAIN_T
+            + 1e-3 * from_instant(0.1) * PLAIN_T[:, 2:] * UNIT[0]
+            - 2e-3 * from_instant(0.3) * PLAIN_T[:, 1:2] * UNIT[1]
+        ),
+    ),
+    "room_steps[room]": (
+        {"degree1_x_T": 1e-5, "degree2_z_T": 2e-5, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: (
+            PLAIN_T
+            + SENSOR.inv().apply(1e-5 * from_instant(0.1) * UNIT[0] + 2e-5 * from_instant(0.3) * UNIT[2])
+        ),
+    ),
+    "guides_step[arm]": (
+        {"degree1_x_m": 1e-4, "degree2_z_m": -2e-4, "since1_h": 0.1, "since2_h": 0.3},
+        lambda: predicted_T(shift_m=1e-4 * from_instant(0.1) * UNIT[0] - 2e-4 * from_instant(0.3) * UNIT[2]),
+    ),
+    "sides_remembered[arm]": (
+        {"degree1_y_m": 1e-4, "degree1_rx_m": 2e-4, "reach_m": 0.1, **EAST},
+        lambda: predicted_T(
+            shift_m=1e-4 * side_left(LOOSE) * UNIT[1], turn_rad=2e-3 * side_left(LOOSE) * UNIT[0]
+        ),
+    ),
+    "current_remembered[coil]": (
+        {
+            "degree1_share": 0.01,
+            "degree2_share": 0.02,
+            "degree3_share": -0.03,
+            "degree4_share": 0.04,
+            "range_A": 3.0,
+        },
+        lambda: (
+            PLAIN_T
+            * (
+                1.0
+                + (
+                    0.01 * np.abs(CURRENT_A)
+                    + 0.06 * came_from()
+                    - 0.03 * (np.append(0.0, CURRENT_A[:-1]) - CURRENT_A)
+                    + 0.04 * largest_turned_A()
+                )
+                / CURRENT_A
+            )[:, None]
+        ),
+    ),
+    "field_remembered[hall]": (
+        {"degree1_share": 0.01, "degree2_share": 0.02, "degree3_share": 0.03, "degree4_share": -0.04},
+        lambda: (
+            PLAIN_T
+            + (0.01 + 0.02 * HOURS / DURATION_H)[:, None] * (before(RECORDED_T, 1) - PLAIN_T)
+            + 0.03 * (before(RECORDED_T, 2) - before(RECORDED_T, 1))
+            - 0.04 * (before(RECORDED_T, 3) - before(RECORDED_T, 2))
+        ),
+    ),
+    "axis_steps[hall]": (
+        {"degree1_step_T": 1e-5, "axis": 2.0, "above_T": LEVEL_T},
+        lambda: PLAIN_T + 1e-5 * (PLAIN_T[:, 2:] > LEVEL_T) * UNIT[2],
+    ),
+    "gain_steps[hall]": (
+        {"degree1_share": 0.01, "above_T": GAIN_LEVEL_T},
+        lambda: PLAIN_T * (1.0 + 0.01 * (np.abs(PLAIN_T).max(axis=1, keepdims=True) > GAIN_LEVEL_T)),
     ),
     "room_answers[coil]": (
         {"degree1_cos0_T_per_A": 2e-6, "reach_m": 0.05},

@@ -17,7 +17,14 @@ from estimator.effects.stages import (
 from estimator.model.measurement_model import NominalPrediction
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, label_of, model_of, readings
 
-UNIFORM = ("background_field", "background_drift", "background_step", "periodic_interference", "room_wanders")
+UNIFORM = (
+    "background_field",
+    "background_drift",
+    "background_step",
+    "periodic_interference",
+    "room_steps",
+    "room_wanders",
+)
 FAR_M = 1.4 * POINTS_M  # an oval loop is summed over 32 nodes: its error dies out away from the wire
 
 

@@ -24,7 +24,13 @@ CASES = {
     **{
         label_of(name): given
         for name, given in SOURCES.items()
-        if name not in ("background_drift", "periodic_interference", "room_wanders")  # these need a clock
+        if name
+        not in (
+            "background_drift",
+            "periodic_interference",
+            "room_steps",
+            "room_wanders",
+        )  # these need a clock
     },
     "current_gain[coil]": {"excess": 0.03},
     "current_offset[other]": {"offset_A": 0.07},

@@ -1,0 +1,105 @@
+"""Where the steps of a correction are: one is found beside the other, by their evidence in the linear model at a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.linear import TINY, log_bayes_factor
+
+PATIENCE = 2  # steps that may bring nothing by themselves: what opens and closes needs two
+
+
+def steps_of(fit: Fit, columns: Float[Tensor, "start component amplitude"], most: int) -> list[int]:
+    """Starts of the steps that have most evidence together, in their order; of so many starts any may be one, which costs evidence.
+
+    Each new step is tried at all starts. At the end each is tried again beside the others, for the first ones stood in for several.
+
+    Args:
+        fit: Whose residual is asked.
+        columns: Of one step at each start, whitened.
+        most: Number of steps, at most.
+    """
+    among = _Starts.of(fit, columns)
+    chosen: list[int] = []
+    best: tuple[float, list[int]] = (-math.inf, [])
+    for n in range(1, min(most, len(columns)) + 1):
+        row, evidence = among.next_beside(chosen)
+        chosen = [*chosen, row]
+        value = evidence - log_choices(len(columns), n)
+        if value > best[0]:
+            best = (value, chosen)
+        elif n - len(best[1]) >= PATIENCE:
+            break
+    chosen = best[1]
+    for step in list(chosen):
+        others = [other for other in chosen if other != step]
+        chosen = [*others, among.next_beside(others)[0]]
+    return sorted(chosen)
+
+
+def log_choices(n: int, k: int) -> float:
+    """Logarithm of the number of ways to choose some of many.
+
+    Examples:
+        >>> round(math.exp(log_choices(5, 2)))
+        10
+    """
+    return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+
+
+@dataclass(frozen=True)
+class _Starts:
+    """One step at each of many starts.
+
+    Attributes:
+        columns: Whitened.
+        own: Inner products of the columns of each after projection.
+        score: Inner products with the residual.
+        power: Mean over components of the summed squares of its columns.
+    """
+
+    fit: Fit
+    columns: Float[Tensor, "start component amplitude"]
+    own: Float[Tensor, "start amplitude amplitude"]
+    score: Float[Tensor, "start amplitude"]
+    power: Float[Tensor, " start"]
+
+    @classmethod
+    def of(cls, fit: Fit, columns: Float[Tensor, "start component amplitude"]) -> _Starts:
+        """All of them, at a fit."""
+        score = columns.mT @ fit.residual
+        return cls(fit, columns, fit.projector.grams(columns), score, columns.square().sum(-1).mean(-1))
+
+    def next_beside(self, chosen: list[int]) -> tuple[int, float]:
+        """The start that has most evidence beside those that were chosen, and the evidence of all, averaged over amplitudes."""
+        free = [i for i in range(len(self.columns)) if i not in chosen]
+        n, width = len(free), self.columns.shape[-1]
+        beside = self.columns[chosen].transpose(0, 1).flatten(1)
+        n_beside = beside.shape[1]
+        gram = torch.empty(n, n_beside + width, n_beside + width, dtype=torch.float64)
+        gram[:, n_beside:, n_beside:] = self.own[free]
+        if chosen:
+            every = self.columns[free].transpose(0, 1).flatten(1)
+            cross = self.fit.projector.gram(beside, every).unflatten(1, (n, width)).transpose(0, 1)
+            gram[:, :n_beside, :n_beside] = self.fit.projector.gram(beside, beside)
+            gram[:, :n_beside, n_beside:], gram[:, n_beside:, :n_beside] = cross, cross.mT
+        score = torch.cat((self.score[chosen].flatten().expand(n, -1), self.score[free]), dim=1)
+        power = self.power[chosen].sum() + self.power[free]
+        sd = torch.tensor(policy.AMPLITUDES, dtype=torch.float64) / power[:, None].clamp(min=TINY).sqrt()
+        shape = (n, sd.shape[1], n_beside + width)
+        evidence = log_bayes_factor(
+            gram[:, None].expand(*shape, shape[-1]),
+            score[:, None].expand(shape),
+            sd[..., None].expand(shape),
+            self.fit.free_noise,
+        )
+        mean = torch.logsumexp(evidence, 1) - math.log(sd.shape[1])
+        row = int(mean.argmax())
+        return free[row], float(mean[row])
