@@ -42,6 +42,7 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
+from estimator.effects.record_since import AxesSwappedSince, CoilsExchangedSince, CurrentSignSince
 from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
@@ -92,6 +93,7 @@ from estimator.effects.supply import (
 from estimator.effects.surroundings import (
     BackgroundDrift,
     BackgroundField,
+    BackgroundGradient,
     BackgroundStep,
     PeriodicInterference,
 )
@@ -115,7 +117,9 @@ EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         CoilsExchanged(),
+        CoilsExchangedSince(),
         CurrentSign(),
+        CurrentSignSince(),
         CurrentGain(),
         CurrentOffset(),
         CurrentDeadBand(),
@@ -145,6 +149,7 @@ EFFECTS: dict[str, Effect] = {
         MagnetisedLink(),
         FilamentMagnetisation(),
         BackgroundField(),
+        BackgroundGradient(),
         BackgroundDrift(),
         BackgroundStep(),
         PeriodicInterference(),
@@ -184,6 +189,7 @@ EFFECTS: dict[str, Effect] = {
         SegmentZero(),
         RangeClipping(),
         AxesSwapped(),
+        AxesSwappedSince(),
         SensorLag(),
         SensorsExchanged(),
         RowsShifted(),
