@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from estimator.calibration.quality import tensions
+from estimator.diagnosis.hypotheses.instants import SINCE
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
@@ -10,7 +11,7 @@ from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
-from estimator.effects.circumstances import Extent
+from estimator.effects.circumstances import SECONDS_PER_HOUR, Extent
 from estimator.reporting.numbers import interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
@@ -141,7 +142,7 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
 
 
 def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
-    """The clearest numbers of a cause with their 90 % intervals; shapes say where, not how much."""
+    """The clearest numbers of a cause with their 90 % intervals, and when it began; other shapes say where, not how much."""
     sized = next(one for one in diagnosis.sized_causes if one.cause == cause)
     shapes = {quantity.key for quantity in EFFECTS[cause.name].quantities(Extent()) if quantity.is_shape}
     clear = sorted(
@@ -153,6 +154,8 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
         f"{quantity_words(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
         for _, key, one in clear[:MOST_SIZES]
     ]
+    if SINCE in sized.quantities:
+        words.append(f"{SECONDS_PER_HOUR * sized.quantities[SINCE].median:.0f} s after the first reading")
     return f"; {', '.join(words)}" if words else ""
 
 

@@ -57,6 +57,10 @@ LARGEST_MEAN_SQUARE = 1.5
 """Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: three
 standard deviations above 1 for 72 components, more for larger sessions. Study of 5 cases: no change."""
 
+LEAST_LEFT_BY_MISTAKE = 0.05
+"""Residual over field, both rms, from which on mistakes that begin in mid-session are looked for: they have hundreds of starts. Argument:
+an axis reversed for a twenty-fifth of the readings leaves 0.2, and causes that are no mistakes leave a per cent. Study: none."""
+
 MOST_READINGS_COMPARED = 100
 """Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
 (docs/decisions/0008). Study of 1 case: no change."""

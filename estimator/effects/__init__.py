@@ -45,6 +45,7 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
+from estimator.effects.record_since import AxesSwappedSince, CoilsExchangedSince, CurrentSignSince
 from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
@@ -102,6 +103,7 @@ from estimator.effects.supply import (
 from estimator.effects.surroundings import (
     BackgroundDrift,
     BackgroundField,
+    BackgroundGradient,
     BackgroundStep,
     PeriodicInterference,
 )
@@ -125,7 +127,9 @@ EFFECTS: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         CoilsExchanged(),
+        CoilsExchangedSince(),
         CurrentSign(),
+        CurrentSignSince(),
         CurrentGain(),
         CurrentOffset(),
         CurrentDeadBand(),
@@ -155,6 +159,7 @@ EFFECTS: dict[str, Effect] = {
         MagnetisedLink(),
         FilamentMagnetisation(),
         BackgroundField(),
+        BackgroundGradient(),
         BackgroundDrift(),
         BackgroundStep(),
         PeriodicInterference(),
@@ -194,6 +199,7 @@ EFFECTS: dict[str, Effect] = {
         SegmentZero(),
         RangeClipping(),
         AxesSwapped(),
+        AxesSwappedSince(),
         SensorLag(),
         SensorsExchanged(),
         RowsShifted(),

@@ -32,9 +32,11 @@ class CurrentEffect(Effect):
 
     Attributes:
         couples_coils: One coil drives another; superposition is tested by it.
+        exchanges_coils: A coil may carry current where the record says that it has none.
     """
 
     couples_coils: ClassVar[bool] = False
+    exchanges_coils: ClassVar[bool] = False
 
     @abstractmethod
     def apply(

@@ -14,6 +14,13 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
 
 MOST_FREQUENCIES = 160
+SLOPES = (
+    "xx",
+    "yy",
+    "xy",
+    "xz",
+    "yz",
+)  # of a field, in the order of its numbers; zz is what leaves no divergence
 
 
 class BackgroundField(RoomEffect):
@@ -34,6 +41,31 @@ class BackgroundField(RoomEffect):
         """The same everywhere."""
         field = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
         return field.expand(*field.shape[:-2], points_m.shape[-2], 3)
+
+
+class BackgroundGradient(RoomEffect):
+    """The field of the room is not the same everywhere: it changes steadily across the room, as far from a magnet or from steel.
+
+    Where no current flows its divergence and curl vanish, so the matrix of its slopes is symmetric and has no trace: five numbers.
+    """
+
+    name: ClassVar[str] = "background_gradient"
+    words: ClassVar[str] = "the constant field of the room differs from place to place"
+    source: ClassVar[str] = "steel benches, cupboards and magnets some metres off: 10 to 500 uT/m"
+    is_background: ClassVar[bool] = True
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Change of the first component along the second axis in the world frame; the field is that beyond the one at the origin."""
+        return triple(SLOPES, "_T_per_m", "T/m", 200e-6)
+
+    def steady_T(
+        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """Proportional to the distance from the origin."""
+        xx, yy, xy, xz, yz = (theta[f"{key}_T_per_m"] for key in SLOPES)
+        rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, -xx - yy))
+        slopes = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+        return points_m @ slopes
 
 
 class BackgroundDrift(RoomEffect):

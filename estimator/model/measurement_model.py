@@ -85,7 +85,9 @@ class MeasurementModel:
         always = {use.place for use in uses_of(rig, CurrentEffect)}  # a coil that is off may leak
         always |= {use.place for use in uses_of(rig, SourceEffect) if use.effect.is_permanent}
         has_current = observations.current_A != 0.0
-        if any(use.effect.exchanges_coils for use in uses_of(rig, RecordEffect)):
+        exchanges = [use.effect.exchanges_coils for use in uses_of(rig, RecordEffect)]
+        exchanges += [use.effect.exchanges_coils for use in uses_of(rig, CurrentEffect)]
+        if any(exchanges):
             has_current = has_current.any(-1, keepdim=True).expand_as(has_current)
         powered = {
             coil.name: pose_row[has_current[:, i] | (coil.name in always)].unique()

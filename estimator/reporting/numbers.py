@@ -101,9 +101,11 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
 
 
 def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
-    """A value with its interval, in the unit of its order, to the first digit of the interval's half-width.
+    """A value with its interval, in the unit of its order, to the first digit of the interval's half-width; alone where it was set.
 
     Examples:
+        >>> interval_with_unit(-2.0, -2.0, -2.0, "1"), interval_with_unit(0.13831, 0.13831, 0.13831, "h")
+        ('−2', '0.1383 h')
         >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
         ('0.9 % (0.3 to 1.5 %)', '−210 µT (−212 to −207 µT)')
         >>> interval_with_unit(2.0, 1.5, 2.4, "1")
@@ -117,7 +119,9 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     else:
         factor, symbol = 1.0, f" {unit}"
     half_width = 0.5 * (high - low) / factor
-    decimals = max(0, -math.floor(math.log10(half_width))) if half_width > 0.0 else 3
+    if half_width <= 0.0:
+        return f"{value / factor:.4g}{symbol}".replace("-", "−")
+    decimals = max(0, -math.floor(math.log10(half_width)))
     middle, lower, upper = (f"{end / factor:.{decimals}f}" for end in (value, low, high))
     return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
 

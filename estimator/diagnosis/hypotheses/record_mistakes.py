@@ -16,9 +16,16 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.instants import (
+    MOST_INSTANTS,
+    SINCE,
+    best_instants,
+    has_instant,
+    starts_between,
+)
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.stages import RecordEffect
+from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.field.winding import Rule
 from estimator.inference.likelihood import LogPosterior
@@ -60,7 +67,7 @@ def rules_and_refusal(rig: Rig, observations: Observations) -> tuple[Mapping[str
         refusal = error
     circumstances = MeasurementModel.unruled(rig, observations).circumstances
     for name, effect in EFFECTS.items():
-        if effect.is_record_mistake:
+        if effect.is_record_mistake and isinstance(effect, (MotionEffect, RecordEffect)):
             for place in effect.places(rig):
                 for start in effect.starts(circumstances, place):
                     mistaken = with_effect(rig, Cause(name, place), observations, start)
@@ -140,7 +147,8 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     )
     (least_stepped,) = _after_linear_step(as_recorded, as_recorded.coordinates.start()[None])
     least_stepped -= policy.MOST_LOST_ON_FEW
-    ranked = []
+    ranked: list[tuple[float, Cause, Mapping[str, float]]] = []
+    is_absurd = _leaves_much_of_the_field(base)
     # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
     for name, effect in reversed(EFFECTS.items()):
         if not effect.is_record_mistake or name in present:
@@ -149,10 +157,12 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
             if not effect.concerns(circumstances, place):
                 continue
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
+            if has_instant(starts) and not is_absurd:
+                continue
             values = _start_log_likelihoods(base, cause, starts, few)
             ranked += [
                 (value, cause, start)
-                for value, start in zip(values, starts, strict=True)
+                for value, start in best_instants(values, starts)
                 if value > least_stepped
             ]
     if not ranked:
@@ -163,7 +173,7 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
         - policy.MOST_LOST_ON_FEW
     )
     rigs = [
-        with_effect(base.rig, cause, observations, start)
+        with_effect(base.rig, cause, observations, _at_finest_instant(base, cause, start))
         for _, cause, start in ranked[: policy.MOST_MISTAKES_FITTED]
     ]
     trials = [
@@ -174,6 +184,28 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     ]
     fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in plausible]
     return [fit for fit in fits if fit.still_has(fit.rig.effects[-1]) and _explains_a_field(fit)]
+
+
+def _at_finest_instant(base: Fit, cause: Cause, start: Mapping[str, float]) -> Mapping[str, float]:
+    """A start with its instant, where it has one, between the two readings that fit all readings best."""
+    if SINCE not in start:
+        return start
+    circumstances = base.posterior.model.circumstances
+    nearer = starts_between(circumstances, 0.0, circumstances.duration_h, start)
+    while len(nearer) > 1:
+        values = _start_log_likelihoods(base, cause, nearer, circumstances.observations)
+        top = max(range(len(nearer)), key=lambda i: values[i])
+        start, beside = nearer[top], nearer[max(top - 1, 0) : top + 2]
+        narrower = starts_between(circumstances, beside[0][SINCE], beside[-1][SINCE], start)
+        nearer = narrower if len(nearer) == MOST_INSTANTS else []
+    return start
+
+
+def _leaves_much_of_the_field(fit: Fit) -> bool:
+    """Whether the residual is a share of the field that no cause but a mistake leaves."""
+    measured = fit.posterior.measured_T * fit.whitening_per_T
+    share = float(fit.residual.square().sum() / measured.square().sum())
+    return share > policy.LEAST_LEFT_BY_MISTAKE**2
 
 
 def _explains_a_field(fit: Fit) -> bool:

@@ -40,6 +40,25 @@ def test_swapped_axes_read_the_component_they_name_negative_where_reversed():
     assert_same_field(reading_T, expected)
 
 
+def test_what_begins_in_mid_session_spares_the_readings_before():
+    time_s = 600.0 * np.arange(len(POINTS_M))
+    currents_A = np.column_stack((np.full(len(POINTS_M), 2.0), np.linspace(-1.0, 1.0, len(POINTS_M))))
+    is_late = (time_s > 1500.0)[:, None]
+    in_time = readings(POINTS_M, currents_A, time_s=time_s)
+    given = {"since_h": 1500.0 / 3600.0}
+    before_T = in_time_T = predicted_T(in_time)
+    exchanged_T = predicted_T(readings(POINTS_M, currents_A[:, ::-1].copy(), time_s=time_s))
+    reversed_T = predicted_T(readings(POINTS_M, currents_A * [1.0, -1.0], time_s=time_s))
+    swapped_T = in_time_T[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+    for cause, size, after_T in (
+        ("axes_swapped_since[probe]", {"x_reads": 2.0, "y_reads": -1.0, "z_reads": 3.0}, swapped_T),
+        ("current_sign_since[other]", {"sign": -1.0}, reversed_T),
+        ("coils_exchanged_since[coil]", {"later_by": 1.0}, exchanged_T),
+    ):
+        found_T = predicted_T(in_time, {cause: {**size, **given}})
+        assert_same_field(found_T, np.where(is_late, after_T, before_T))
+
+
 def test_axes_are_looked_for_in_every_order_and_direction_but_the_right_one_and_its_reversal():
     starts = EFFECTS["axes_swapped"].starts(Circumstances(rig_from_text(RIG), READINGS), "probe")
     tried = {tuple(start[f"{axis}_reads"] for axis in "xyz") for start in starts}

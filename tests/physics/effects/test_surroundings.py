@@ -33,6 +33,33 @@ def test_background_field_stands_still_in_the_room_whatever_the_current():
     )
 
 
+def test_a_gradient_is_that_of_a_magnet_far_away():
+    """The matrix of slopes of a dipole 2 m away at the origin, by the derivative of its field worked out by hand."""
+    moment_A_m2, away_m = np.array([300.0, -200.0, 500.0]), np.array([1.2, -1.4, 0.8])
+
+    def dipole_T(points_m: np.ndarray) -> np.ndarray:
+        from_m = points_m - away_m
+        distance_m = np.linalg.norm(from_m, axis=-1, keepdims=True)
+        along = 3.0 * from_m * (from_m @ moment_A_m2)[..., None] / distance_m**5
+        return 1e-7 * (along - moment_A_m2 / distance_m**3)
+
+    r_m, m = -away_m, moment_A_m2
+    distance_m = np.linalg.norm(r_m)
+    mixed = (
+        np.outer(r_m, m)
+        + np.outer(m, r_m)
+        + (r_m @ m) * (np.eye(3) - 5.0 * np.outer(r_m, r_m) / distance_m**2)
+    )
+    slopes = 3e-7 * mixed / distance_m**5
+    size = {
+        f"{'xyz'[i]}{'xyz'[j]}_T_per_m": slopes[i, j] for i, j in ((0, 0), (1, 1), (0, 1), (0, 2), (1, 2))
+    }
+    found_T = added_T(readings(POINTS_M, (1.0, 0.0)), {"background_gradient[room]": size})
+    near = 0.02  # of the way to each point: there the field is straight
+    expected_T = (dipole_T(near * POINTS_M) - dipole_T(np.zeros(3))) / near
+    np.testing.assert_allclose(found_T, expected_T, rtol=0.0, atol=2e-3 * np.abs(expected_T).max())
+
+
 def test_turned_sensor_sees_the_background_turned_the_other_way_and_its_own_offset_not():
     turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD)
     difference_T = added_T(turned, {"background_field[room]": EARTH})

@@ -67,9 +67,30 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.parametrize("begins_at", [8, 17])
+def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
+    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, begins_at: int
+):
+    """Not at one of the instants that fits start from."""
+    known = {name: EFFECTS[name] for name in ("axes_swapped_since", "current_sign_since", "axes_swapped")}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", known)
+    readings = small_session.observations.alone
+    field_T = readings.field_sensor_T.clone()
+    field_T[begins_at:, 1] *= -1.0
+    fit, mistakes = without_record_mistakes(fit_of(small_rig, readings.with_field(field_T)))
+    (mistake,) = mistakes
+    assert mistake.cause == Cause("axes_swapped_since", "hall")
+    since_h = float(fit.values[f"{mistake.cause.label}.since_h"])
+    noise_T = float(fit.values["hall.noise_T"])
+    is_late = torch.arange(len(readings)) >= begins_at
+    is_taken_wrongly = ((readings.time_s - readings.time_s[0]) / 3600.0 > since_h) != is_late
+    assert not (field_T[is_taken_wrongly, 1].abs() > 4.0 * noise_T).any()  # others have no sign to be seen
+    assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
+
+
 @pytest.mark.parametrize(
     "name",
-    [name for name, e in EFFECTS.items() if e.is_record_mistake and not name.endswith("_exchanged")],
+    [name for name, e in EFFECTS.items() if e.is_record_mistake and "_exchanged" not in name],
 )
 def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
     small_rig: Rig, small_session: Session, name: str
