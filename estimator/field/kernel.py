@@ -27,7 +27,9 @@ from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
 # Where the rows of a block begin. The first ones hold the points.
-X, Y, Z, Y2, RHO2, U, S, P2, MEAN, T, PRODUCT, SQUARE, H_SUM, AXIAL_SUM = (POINTS_AT_ONCE * k for k in range(14))
+X, Y, Z, Y2, RHO2, U, S, P2, MEAN, T, PRODUCT, SQUARE, H_SUM, AXIAL_SUM = (
+    POINTS_AT_ONCE * k for k in range(14)
+)
 H, H_Z, H_A, AXIAL, AXIAL_Z, AXIAL_A = (POINTS_AT_ONCE * k for k in range(14, 20))  # of one loop, for slopes
 ROWS = 20
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
