@@ -137,6 +137,10 @@ class MeasurementModel:
         """The same model for other readings at the same settings."""
         return replace(self, sources=replace(self.sources, circumstances=circumstances))
 
+    def part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
+        """The model of some of the readings."""
+        return MeasurementModel(self.sources.part(readings), self.sensor[self.pose_row[readings].unique()])
+
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """The same model with quadrature rules chosen at these values (no batch)."""
         rules = {}
@@ -227,7 +231,7 @@ class MeasurementModel:
         if has_elements.all():
             return self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
-        part, rest = self._part(apart), self._part(together)
+        part, rest = self.part(apart), self.part(together)
         apart_T = part._at_elements(values, world_from_sensor.rows(self.pose_row[apart].unique()))
         together_T = rest._field_at(values, world_from_sensor.rows(self.pose_row[together].unique()))
         batch = torch.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
@@ -252,10 +256,6 @@ class MeasurementModel:
         """Field in the sensor's frame, at its origin."""
         delivered_A = self.sources.delivered_A(self.circumstances.current_A, values)
         return self.sources.field_T(values, delivered_A, world_from_sensor)
-
-    def _part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
-        """The model of some of the readings."""
-        return MeasurementModel(self.sources.part(readings), self.sensor[self.pose_row[readings].unique()])
 
     def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
