@@ -175,6 +175,19 @@ class MeasurementModel:
         nearest_m = torch.stack([each_m.expand(len(rows)) for each_m in distances_m]).amin(0)
         return nearest_m.clamp(min=0.0)[self.pose_row]
 
+    def nearest_m(self) -> dict[str, float]:
+        """Distance of the nearest sensor from each winding that carries current, at nominal values; 0 inside it."""
+        values = nominal_tensors(self.rig)
+        return {
+            coil.name: float(
+                distance_to_coil(
+                    self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
+                ).min()
+            )
+            for coil in self.rig.wound
+            if len(rows := self.powered[coil.name])
+        }
+
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field components each reading should show, in the frame of its sensor, in tesla.
 
