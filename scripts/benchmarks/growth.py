@@ -38,7 +38,7 @@ NOISE_T = 20e-6
 # What grows, the sizes it takes, and its words.
 SIZES: dict[str, tuple[tuple[int, ...], str]] = {
     "readings": ((125, 500, 2_000, 8_000, 32_000, 200_000), "fit, and the density at 100 draws"),
-    "loops": ((64, 256, 1_024, 4_096, 16_384), "full sum at 2000 readings, 10 rows"),
+    "loops": ((64, 256, 1_024, 4_096, 16_384), "full sum at 2000 readings"),
     "coils": ((1, 2, 4, 8), "fit of all coils, 500 readings each"),
     "sensors": ((1, 2, 4, 8), "fit of all sensors, 500 readings each"),
     "walkers": ((32, 128, 512, 2_048), "density of all walkers, 2000 readings"),
@@ -120,7 +120,7 @@ def task(what: str, size: int) -> Callable[[], object]:
     model = MeasurementModel.build(rig, observations, tolerance)
     posterior = LogPosterior(Coordinates(rig), model, observations)
     start = posterior.coordinates.start()
-    n_rows = {"walkers": size, "readings": 100, "loops": 10}.get(what, 1)
+    n_rows = {"walkers": size, "readings": 100}.get(what, 1)
     near = start + 1e-3 * posterior.coordinates.scale * torch.randn(
         n_rows, len(start), dtype=torch.float64, generator=torch.Generator().manual_seed(SEED)
     )
