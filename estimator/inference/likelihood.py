@@ -22,6 +22,9 @@ from estimator.rig.coordinates import Coordinates, Values
 
 # What a batch holds at once: entries of one array of predictions, and of one of derivatives. Calculations keep a few dozen such arrays.
 COMPONENTS_AT_ONCE, DERIVATIVES_AT_ONCE = 2**20, 2**22
+DERIVATIVES_IN_A_PASS = (
+    2**19
+)  # of one part of the readings; larger parts fall out of the cache and take half as long again
 
 
 class FirstOrder(NamedTuple):
@@ -113,7 +116,7 @@ class LogPosterior:
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
         n_readings = len(self.model.circumstances)
-        at_once = max(1, DERIVATIVES_AT_ONCE // max(1, 3 * n * batch.numel()))
+        at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * n * batch.numel()))
         if n_readings > at_once:
             parts = [
                 self.part(part).to_first_order(vector) for part in torch.arange(n_readings).split(at_once)

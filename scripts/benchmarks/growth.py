@@ -229,8 +229,8 @@ def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:
     of_memory.set(
         xscale="log", xlabel="number of what grows", ylabel="peak memory of the process, GB", ylim=(0, 4.5)
     )
-    of_time.legend(fontsize=7)
-    figure.tight_layout()
+    figure.legend(loc="upper center", ncol=3, fontsize=8)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.88))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 

@@ -108,7 +108,7 @@ def test_blocks_give_what_all_readings_and_rows_at_once_give(posterior, noise, m
     density, first_order = posterior(vectors), posterior.to_first_order(vectors)
     slopes = _gradient_and_precision(posterior, vectors)
     monkeypatch.setattr(likelihood, "COMPONENTS_AT_ONCE", len(posterior.sensor))
-    monkeypatch.setattr(likelihood, "DERIVATIVES_AT_ONCE", 3 * 7 * posterior.coordinates.n_continuous)
+    monkeypatch.setattr(likelihood, "DERIVATIVES_IN_A_PASS", 3 * 7 * posterior.coordinates.n_continuous)
     monkeypatch.setattr(levenberg_marquardt, "DERIVATIVES_AT_ONCE", 1)
     torch.testing.assert_close(posterior(vectors), density, rtol=1e-13, atol=0.0)
     for blocked, whole in zip(posterior.to_first_order(vectors), first_order, strict=True):
