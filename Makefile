@@ -8,7 +8,7 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -104,6 +104,15 @@ recalibrate-mice: $(INSTALLED)    # run06 and run07 of the measured solenoid, be
 streams: $(INSTALLED)    # ten minutes of 15 kHz Senis packets, then a minute of 500 Hz RTDE beside six busy processes, none lost
 	COILCAL_SENIS_S=600 $(RUN) pytest -m slow tests/drivers/hall/test_senis_stream.py
 	COILCAL_RTDE_S=60 $(RUN) pytest tests/drivers/robots/test_rtde_reader.py -k computer_is_busy
+
+bench-kernel: $(INSTALLED)  # sums over loops beside C by hand, which gcc compiles, and the start of a second process
+	$(RUN) scripts.benchmarks.kernel
+
+bench-growth: $(INSTALLED)  # time and peak memory against readings, loops, coils, sensors, walkers and hypotheses; a figure
+	$(RUN) scripts.benchmarks.growth --figure docs/figures/growth.png
+
+bench-profile: $(INSTALLED) # where the time of a calibration, a prediction and diagnoses goes
+	$(RUN) scripts.benchmarks.where
 
 bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
 	$(RUN) scripts.benchmarks.live

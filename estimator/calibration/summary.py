@@ -175,17 +175,15 @@ def _coverage(calibration: Calibration, model: MeasurementModel, observations: O
     noise_T = torch.stack(
         [values[f"{s.name}.noise_T"].expand(n_draws) for s in calibration.rig.sensors], dim=-1
     )
-    with torch.no_grad():
-        predicted = model.predict(values).expand(
-            n_draws, len(observations), 3
-        )  # no batch where only noise is free
     generator = torch.Generator().manual_seed(0)
     tails = torch.tensor([0.05, 0.95], dtype=torch.float64)
     inside = 0
     for part in torch.arange(len(observations)).split(COVERAGE_ROWS):
         sigma_T = noise_T[:, observations.sensor[part], None]
         noise = torch.randn(n_draws, len(part), 3, generator=generator, dtype=torch.float64)
-        lower, upper = torch.quantile(predicted[:, part] + sigma_T * noise, tails, dim=0)
+        with torch.no_grad():
+            predicted = model.part(part).predict(values)  # without a batch where only noise is free
+        lower, upper = torch.quantile(predicted + sigma_T * noise, tails, dim=0)
         measured = observations.field_sensor_T[part]
         inside += int(((measured >= lower) & (measured <= upper)).sum())
     return inside / int(observations.is_measured.sum())

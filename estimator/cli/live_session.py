@@ -21,7 +21,7 @@ from estimator.store.session import Session
 if TYPE_CHECKING:
     from estimator.live.refresh import Background, Refreshed
 
-POLL_S = 0.01
+POLL_S = 0.002  # a look takes a hundredth of it
 
 
 def wait_for(path: Path, wait_s: float) -> None:

@@ -26,6 +26,7 @@ from estimator.rig.rig import Mover
 if TYPE_CHECKING:
     from estimator.live.refresh import Refreshed
 
+SCREENS_PER_S = 4
 LINE_EVERY_S = 5.0
 SILENT_S = 20.0  # without a stop for so long, somebody should look
 MOST_ALARMS = 8
@@ -167,13 +168,14 @@ class LiveView:
     """Shows each state of a session."""
 
     def __init__(self) -> None:
-        self._printed_s = -math.inf
+        self._printed_s = self._drawn_s = -math.inf
         self._n_alarms = 0
         self._verdict = ""
         self._trouble: str | None = None
         self._screen: Live | None = None
         if sys.stderr.isatty():
-            self._screen = Live(console=Console(stderr=True), refresh_per_second=4, transient=True)
+            console = Console(stderr=True)
+            self._screen = Live(console=console, refresh_per_second=SCREENS_PER_S, transient=True)
 
     def __enter__(self) -> LiveView:
         if self._screen is not None:
@@ -189,7 +191,9 @@ class LiveView:
     def __call__(self, state: LiveState) -> None:
         """Show one state; in a pipe, each alarm, verdict and failure once, and the progress at intervals."""
         if self._screen is not None:
-            self._screen.update(screen(state))
+            if time.monotonic() - self._drawn_s >= 1.0 / SCREENS_PER_S:  # more would be made than are shown
+                self._drawn_s = time.monotonic()
+                self._screen.update(screen(state))
             return
         for alarm in state.alarms[self._n_alarms :]:
             click.echo(f"alarm: {alarm.words}", err=True)

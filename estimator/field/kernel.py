@@ -1,7 +1,11 @@
 """Sums over loops in machine code, for numbers in double precision on the processor that carry no derivatives.
 
-The formulas are those of `field.loop`, which does the same with tensors of any kind. Point after point stays in the cache, so a loop takes
-a tenth of the time. numba translates the code when it is first called on a machine and keeps it on disk (`docs/decisions/0005`).
+The formulas are those of `field.loop`, which does the same with tensors of any kind. A block of points stays in the fastest cache while all
+loops pass, eight points to an instruction where the processor has AVX-512, so a loop takes a fiftieth of the time: as long as in C by hand
+(`make bench-kernel`). numba translates the code when it is first called on a machine and keeps it on disk (`docs/decisions/0005`).
+
+All numbers of a block lie in one array, row after row at offsets known to the compiler. In arrays of their own it would have to check that
+they do not overlap, gives up for this many, and takes one point after another, seven times as slowly (`docs/decisions/0042`).
 """
 
 from __future__ import annotations
@@ -18,9 +22,16 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from estimator.field.loop import FEWEST_STEPS
 from estimator.units import MU0_T_M_PER_A
 
-POINTS_AT_ONCE = 64  # whose intermediate numbers stay in the fastest cache
+POINTS_AT_ONCE = 32  # in a block
+# Where the rows of a block begin. The first ones hold the points.
+X, Y, Z, Y2, RHO2, U, S, P2, MEAN, T, PRODUCT, SQUARE, H_SUM, AXIAL_SUM = (
+    POINTS_AT_ONCE * k for k in range(14)
+)
+H, H_Z, H_A, AXIAL, AXIAL_Z, AXIAL_A = (POINTS_AT_ONCE * k for k in range(14, 20))  # of one loop, for slopes
+ROWS = 20
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 
 
@@ -54,7 +65,7 @@ def sum_of_loops(
     Args:
         points_m: Points in the coil frame.
         height_m, radius_m, weight: Of the loops of every row.
-        steps: AGM steps of each loop.
+        steps: AGM steps of each loop; at least `FEWEST_STEPS` are taken.
     """
     arrays = [_array(tensor) for tensor in (points_m, height_m, radius_m, weight)]
     field = np.empty(points_m.shape)
@@ -87,7 +98,8 @@ def _array(tensor: Tensor) -> np.ndarray:
 def machine_code(function: Callable[..., None]) -> Any:
     """Machine code of a function, kept on disk where a folder for it can be written."""
     plain = inspect.unwrap(function)  # without the checks of shapes that tests put around every function
-    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    # A product and a sum may become one instruction, which rounds once.
+    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
     try:
         return numba.njit(cache=True, **settings)(plain)
     except RuntimeError:  # neither the package's folder nor the user's can be written
@@ -95,100 +107,124 @@ def machine_code(function: Callable[..., None]) -> Any:
 
 
 @machine_code
-def _means(  # type: ignore[no-untyped-def]
-    x, y2, z, rho2, height, radius, steps, u, s, p2, mean, t, product, square
-):
-    """What `loop._means` returns, for a block of points; the last two arrays are its own."""
+def _fill(block, points, start, size):  # type: ignore[no-untyped-def]
+    """Put points into a block; the last one fills it up."""
+    for i in range(POINTS_AT_ONCE):
+        x, y, z = points[start + min(i, size - 1)]
+        block[X + i], block[Y + i], block[Z + i] = x, y, z
+        block[Y2 + i] = y * y
+        block[RHO2 + i] = x * x + y * y
+
+
+@machine_code
+def _means(block, height, radius, steps):  # type: ignore[no-untyped-def]
+    """What `loop._means` returns, for a block of points."""
     radius2 = radius * radius
     for i in range(POINTS_AT_ONCE):
-        above = z[i] - height
+        x, rho2 = block[X + i], block[RHO2 + i]
+        above = block[Z + i] - height
         z2 = above * above
-        u[i] = (radius - x[i]) * (radius + x[i]) - y2[i] + z2
-        s[i] = radius2 + rho2[i] + z2
-        p2[i] = u[i] * u[i] + 4.0 * rho2[i] * z2
-        product[i] = sqrt(p2[i])
-        mean2 = 0.5 * (s[i] + product[i])
-        mean[i] = sqrt(mean2)
-        t[i] = radius2 / mean2
-        square[i] = t[i] / 16.0
-    scale = 32.0
-    for _ in range(steps):
+        u = (radius - x) * (radius + x) - block[Y2 + i] + z2
+        s = radius2 + rho2 + z2
+        p2 = u * u + 4.0 * rho2 * z2
+        product = sqrt(p2)
+        mean2 = 0.5 * (s + product)
+        mean = sqrt(mean2)
+        t = radius2 / mean2
+        square = t / 16.0
+        scale = 32.0
+        for _ in range(FEWEST_STEPS):  # a number known to the compiler, so that nothing leaves the registers
+            geometric = sqrt(product)
+            product = mean * geometric
+            mean = 0.5 * (mean + geometric)
+            c = square / mean
+            square = rho2 * c * c
+            t += scale * square
+            scale *= 2.0
+        block[U + i], block[S + i], block[P2 + i] = u, s, p2
+        block[MEAN + i], block[T + i], block[PRODUCT + i], block[SQUARE + i] = mean, t, product, square
+    scale = 32.0 * 2.0**FEWEST_STEPS
+    for _ in range(FEWEST_STEPS, steps):
         for i in range(POINTS_AT_ONCE):
-            geometric = sqrt(product[i])
-            product[i] = mean[i] * geometric
-            mean[i] = 0.5 * (mean[i] + geometric)
-            c = square[i] / mean[i]
-            square[i] = rho2[i] * c * c
-            t[i] += scale * square[i]
+            geometric = sqrt(block[PRODUCT + i])
+            block[PRODUCT + i] = block[MEAN + i] * geometric
+            mean = 0.5 * (block[MEAN + i] + geometric)
+            c = block[SQUARE + i] / mean
+            square = block[RHO2 + i] * c * c
+            block[MEAN + i], block[SQUARE + i] = mean, square
+            block[T + i] += scale * square
         scale *= 2.0
 
 
 @machine_code
 def _sum(points, heights, radii, weights, steps, field):  # type: ignore[no-untyped-def]
-    """Fill `field` row by row, a block of points at a time; the last point fills up the last block."""
-    x, y, z, y2, rho2, u, s, p2, mean, t, product, square, h_sum, axial_sum = np.empty((14, POINTS_AT_ONCE))
+    """Fill `field` row by row, a block of points at a time."""
+    block = np.empty(ROWS * POINTS_AT_ONCE)
     n_points = points.shape[1]
     for row in range(len(points)):
         for start in range(0, n_points, POINTS_AT_ONCE):
             size = min(POINTS_AT_ONCE, n_points - start)
-            for i in range(POINTS_AT_ONCE):
-                x[i], y[i], z[i] = points[row, start + min(i, size - 1)]
-                y2[i] = y[i] * y[i]
-                rho2[i] = x[i] * x[i] + y2[i]
-            h_sum[:] = 0.0
-            axial_sum[:] = 0.0
+            _fill(block, points[row], start, size)
+            block[H_SUM : H_SUM + POINTS_AT_ONCE] = 0.0
+            block[AXIAL_SUM : AXIAL_SUM + POINTS_AT_ONCE] = 0.0
             for node in range(heights.shape[1]):
                 height, radius, weight = heights[row, node], radii[row, node], weights[row, node]
-                _means(x, y2, z, rho2, height, radius, steps, u, s, p2, mean, t, product, square)
+                _means(block, height, radius, steps)
                 radius2 = radius * radius
                 for i in range(POINTS_AT_ONCE):
-                    above = z[i] - height
-                    common = weight * QUARTER_MU0 / (mean[i] * p2[i])
-                    h_sum[i] += (4.0 * radius2 - s[i] * t[i]) * common * above
-                    v = 2.0 * above * above - u[i]
-                    axial_sum[i] += (2.0 * radius2 * u[i] + rho2[i] * t[i] * v) * common
+                    u, t, above = block[U + i], block[T + i], block[Z + i] - height
+                    common = weight * QUARTER_MU0 / (block[MEAN + i] * block[P2 + i])
+                    block[H_SUM + i] += (4.0 * radius2 - block[S + i] * t) * common * above
+                    v = 2.0 * above * above - u
+                    block[AXIAL_SUM + i] += (2.0 * radius2 * u + block[RHO2 + i] * t * v) * common
             for i in range(size):
-                field[row, start + i, 0] = x[i] * h_sum[i]
-                field[row, start + i, 1] = y[i] * h_sum[i]
-                field[row, start + i, 2] = axial_sum[i]
+                field[row, start + i, 0] = block[X + i] * block[H_SUM + i]
+                field[row, start + i, 1] = block[Y + i] * block[H_SUM + i]
+                field[row, start + i, 2] = block[AXIAL_SUM + i]
 
 
 @machine_code
 def _slopes(points, heights, radii, steps, factors):  # type: ignore[no-untyped-def]
     """Fill `factors` as `loop.loop_derivatives` has them, and with the derivatives in the radius."""
-    x, y2, z, rho2, u, s, p2, mean, t, product, square = np.empty((11, POINTS_AT_ONCE))
+    block = np.empty(ROWS * POINTS_AT_ONCE)
     n_points = points.shape[1]
     for row in range(len(points)):
         for start in range(0, n_points, POINTS_AT_ONCE):
             size = min(POINTS_AT_ONCE, n_points - start)
-            for i in range(POINTS_AT_ONCE):
-                x[i], y, z[i] = points[row, start + min(i, size - 1)]
-                y2[i] = y * y
-                rho2[i] = x[i] * x[i] + y2[i]
+            _fill(block, points[row], start, size)
             for node in range(heights.shape[1]):
                 height, radius = heights[row, node], radii[row, node]
-                _means(x, y2, z, rho2, height, radius, steps, u, s, p2, mean, t, product, square)
-                radius2 = radius * radius
+                _means(block, height, radius, steps)
+                _slopes_of_one(block, height, radius)
                 for i in range(size):
-                    above = z[i] - height
-                    q, v, inverse = rho2[i], 2.0 * above * above - u[i], 1.0 / p2[i]
-                    qt = q * t[i]
-                    common = QUARTER_MU0 / mean[i] * inverse
-                    bracket = 4.0 * radius2 - s[i] * t[i]
-                    both = 2.0 * radius2 * u[i]
-                    h, axial = bracket * common * above, (both + qt * v) * common
-                    whole = (both + v * s[i]) * inverse
-                    shared = (both * s[i] + 4.0 * v * radius2 * q) * inverse
-                    along_q = 0.25 * ((2.0 * qt + bracket) * whole + v * t[i]) - 0.5 * shared
-                    along_q += qt - 2.0 * radius2
-                    along_z2 = 0.5 * qt * whole - 0.5 * shared + 2.0 * radius2 + qt
-                    h_z = 2.0 * (common * along_q - 2.0 * axial * v * inverse)
-                    axial_z2 = common * along_z2 - axial * (2.0 * u[i] + 4.0 * q) * inverse
-                    axial_z = 2.0 * above * axial_z2
-                    # h and axial are homogeneous of degree -2 and -1 in all lengths, and obey the field laws.
-                    factors[0, row, 0, node, start + i] = h
-                    factors[1, row, 0, node, start + i] = axial
-                    factors[0, row, 1, node, start + i] = h_z
-                    factors[1, row, 1, node, start + i] = axial_z
-                    factors[0, row, 2, node, start + i] = (axial_z - above * h_z) / radius
-                    factors[1, row, 2, node, start + i] = -(axial + q * h_z + above * axial_z) / radius
+                    factors[0, row, 0, node, start + i] = block[H + i]
+                    factors[0, row, 1, node, start + i] = block[H_Z + i]
+                    factors[0, row, 2, node, start + i] = block[H_A + i]
+                    factors[1, row, 0, node, start + i] = block[AXIAL + i]
+                    factors[1, row, 1, node, start + i] = block[AXIAL_Z + i]
+                    factors[1, row, 2, node, start + i] = block[AXIAL_A + i]
+
+
+@machine_code
+def _slopes_of_one(block, height, radius):  # type: ignore[no-untyped-def]
+    """Factors of one loop and their derivatives, for a block of points with its means."""
+    radius2 = radius * radius
+    for i in range(POINTS_AT_ONCE):
+        above, u, s, t, q = block[Z + i] - height, block[U + i], block[S + i], block[T + i], block[RHO2 + i]
+        v, inverse = 2.0 * above * above - u, 1.0 / block[P2 + i]
+        qt = q * t
+        common = QUARTER_MU0 / block[MEAN + i] * inverse
+        bracket = 4.0 * radius2 - s * t
+        both = 2.0 * radius2 * u
+        h, axial = bracket * common * above, (both + qt * v) * common
+        whole = (both + v * s) * inverse
+        shared = (both * s + 4.0 * v * radius2 * q) * inverse
+        along_q = 0.25 * ((2.0 * qt + bracket) * whole + v * t) - 0.5 * shared + qt - 2.0 * radius2
+        along_z2 = 0.5 * qt * whole - 0.5 * shared + 2.0 * radius2 + qt
+        h_z = 2.0 * (common * along_q - 2.0 * axial * v * inverse)
+        axial_z = 2.0 * above * (common * along_z2 - axial * (2.0 * u + 4.0 * q) * inverse)
+        block[H + i], block[H_Z + i] = h, h_z
+        block[AXIAL + i], block[AXIAL_Z + i] = axial, axial_z
+        # h and axial are homogeneous of degree -2 and -1 in all lengths, and obey the field laws.
+        block[H_A + i] = (axial_z - above * h_z) / radius
+        block[AXIAL_A + i] = -(axial + q * h_z + above * axial_z) / radius

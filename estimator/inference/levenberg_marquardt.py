@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
-from estimator.inference.likelihood import LogPosterior
+from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, LogPosterior
 from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
@@ -158,7 +158,15 @@ def _trial(
 def _gradient_and_precision(
     posterior: LogPosterior, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient of the log posterior, the data's part of its negative Hessian, and the whole of it."""
+    """Gradient of the log posterior, the data's part of its negative Hessian, and the whole of it; some starts at a time."""
+    at_once = max(
+        1, DERIVATIVES_AT_ONCE // max(1, len(posterior.sensor) * posterior.coordinates.n_continuous)
+    )
+    if len(vector) > at_once:
+        parts = torch.arange(len(vector)).split(at_once)
+        each = [_gradient_and_precision(posterior.at(part), vector[part]) for part in parts]
+        gradient, information, precision = (torch.cat(tensors) for tensors in zip(*each, strict=True))
+        return gradient, information, precision
     predicted_T, sigma_T, jacobian_T, log_sigma_jacobian = posterior.to_first_order(vector)
     whitened = (posterior.measured_T - predicted_T) / sigma_T
     weight = posterior.weight(whitened, vector)

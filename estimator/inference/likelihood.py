@@ -20,6 +20,12 @@ from estimator.model.measurement_model import MeasurementModel, NominalPredictio
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 
+# What a batch holds at once: entries of one array of predictions, and of one of derivatives. Calculations keep a few dozen such arrays.
+COMPONENTS_AT_ONCE, DERIVATIVES_AT_ONCE = 2**20, 2**22
+DERIVATIVES_IN_A_PASS = (
+    2**19
+)  # of one part of the readings; larger parts fall out of the cache and take half as long again
+
 
 class FirstOrder(NamedTuple):
     """Predicted components with their noise, in tesla, and the derivatives of both in the continuous coordinates."""
@@ -68,6 +74,25 @@ class LogPosterior:
         """The density for some rows of a vector; the same one where all rows share the readings."""
         return self if self.measured_T.dim() == 1 else self.with_rows(self.measured_T[rows])
 
+    def part(self, readings: Int[Tensor, " part"]) -> LogPosterior:
+        """The density of some of the readings, in ascending order.
+
+        Args:
+            readings: Their numbers.
+        """
+        entries = (3 * readings[:, None] + torch.arange(3)).flatten()
+        new_entry = torch.full((3 * len(self.model.circumstances),), -1)
+        new_entry[entries] = torch.arange(len(entries))
+        mine = (new_entry[self._flat] >= 0).nonzero().flatten()
+        other = copy(self)
+        other.__dict__.pop("_for_jacobian", None)
+        other.model = self.model.part(readings)
+        other._flat = new_entry[self._flat[mine]]
+        other.measured_T, other.sensor = self.measured_T[..., mine], self.sensor[mine]
+        other.n_by_sensor = torch.bincount(other.sensor, minlength=len(self.n_by_sensor)).to(torch.float64)
+        other._noise = [noise.part(mine) for noise in self._noise]
+        return other
+
     def measured_components(
         self, field_T: Shaped[Tensor, "*batch reading 3"]
     ) -> Shaped[Tensor, "*batch component"]:
@@ -87,9 +112,23 @@ class LogPosterior:
     def to_first_order(self, vector: Float[Tensor, "*batch coordinate"]) -> FirstOrder:
         """Predictions, noise, and how both change with every continuous coordinate.
 
-        All rows of a batch take the same step, so that one pass serves all.
+        All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
+        n_readings = len(self.model.circumstances)
+        at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * n * batch.numel()))
+        if n_readings > at_once:
+            parts = [
+                self.part(part).to_first_order(vector) for part in torch.arange(n_readings).split(at_once)
+            ]
+            components, jacobians = slice(0, 2), slice(2, 4)
+            return FirstOrder(
+                *(
+                    torch.cat(each, dim=-1)
+                    for each in zip(*(part[components] for part in parts), strict=True)
+                ),
+                *(torch.cat(each, dim=-2) for each in zip(*(part[jacobians] for part in parts), strict=True)),
+            )
 
         def moved(step: Tensor) -> Tensor:
             there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
@@ -139,7 +178,11 @@ class LogPosterior:
         return (self.measured_T - self.predicted(vector)) / self.component_sigma_T(vector)
 
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log probability density of the measured components."""
+        """Log probability density of the measured components, some rows at a time where they would fill the memory."""
+        at_once = max(1, COMPONENTS_AT_ONCE // max(1, len(self._flat)))
+        if vector.dim() > 1 and len(vector) > at_once:
+            parts = torch.arange(len(vector)).split(at_once)
+            return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
         sigma_T = self.component_sigma_T(vector)
         whitened = (self.measured_T - self.predicted(vector)) / sigma_T
         log_density, _ = self._scatter(whitened, vector)
@@ -223,6 +266,11 @@ class _Noise:
         )
         exposure = use.effect.exposure(NominalPrediction(posterior.model), use.place)
         return cls(use, concerned, posterior.measured_components(exposure))
+
+    def part(self, components: Int[Tensor, " part"]) -> _Noise:
+        """The same of some components."""
+        concerned = None if self.concerned is None else self.concerned[components]
+        return _Noise(self.use, concerned, self.exposure[components])
 
     def where_concerned(self, changed: Tensor, unchanged: Tensor) -> Tensor:
         """Changed components where it concerns them."""

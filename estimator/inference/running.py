@@ -8,15 +8,17 @@ maximum.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_gradient_and_precision, solve
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
+from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -24,6 +26,8 @@ from estimator.rig.rig import Rig
 # Of the prior's width: central differences in one batched prediction take a quarter of the time of dual numbers for a few readings.
 DIFFERENCE_STEP = 1e-4
 FARTHEST_STEP = 0.5  # root mean square over the coordinates, in standard deviations
+# Of a rule that is kept for later readings: ten times as exact as usual, since they may be as near to another side of the winding.
+RULE_TOLERANCE = 0.1 * DEFAULT_TOLERANCE
 TOLERANCE = 1e-3  # of log density: leaves a running estimate within a twentieth of a standard deviation of the maximum
 
 
@@ -60,6 +64,8 @@ class RunningFit:
         self._point = self.vector
         self._gradient = torch.zeros(n, dtype=torch.float64)
         self._information = torch.zeros(n, n, dtype=torch.float64)
+        self._nearest_m: dict[str, float] = {}
+        self._rules: dict[str, Rule] = {}
         self._evaluate_prior()
 
     @property
@@ -78,7 +84,7 @@ class RunningFit:
             InvalidInput: A sensor would stand inside a winding.
         """
         block = observations.rows(torch.arange(len(observations) - n_new, len(observations)))
-        posterior = LogPosterior(self.coordinates, MeasurementModel.build(self.coordinates.rig, block), block)
+        posterior = LogPosterior(self.coordinates, self._model(block), block)
         linearisation = _Linearisation.at(posterior, self._point)
         innovation = linearisation.innovation(posterior, self.vector - self._point, self.covariance)
         gradient, information = linearisation.gradient_and_information(posterior, self._point)
@@ -102,6 +108,20 @@ class RunningFit:
         self._evaluate_prior()
         self._gradient = -self._prior_gradient  # the gradients cancel at the maximum
         self.n_fits += 1
+
+    def _model(self, block: Observations) -> MeasurementModel:
+        """Model of new readings. Rules of earlier ones serve where no sensor is nearer to a winding: to choose is a third of an update."""
+        rig = self.coordinates.rig
+        model = MeasurementModel.unruled(rig, block)
+        nearest_m = model.nearest_m()
+        is_nearer = any(distance_m < self._nearest_m.get(name, inf) for name, distance_m in nearest_m.items())
+        if not is_nearer and len(rig.wound) == len(rig.coils):
+            return model.with_rules(self._rules)
+        model = model.choose_rules(nominal_tensors(rig), RULE_TOLERANCE)
+        for name, distance_m in nearest_m.items():
+            if distance_m < self._nearest_m.get(name, inf):
+                self._nearest_m[name], self._rules[name] = distance_m, model.rules[name]
+        return model
 
     def _step(self, observations: Observations) -> None:
         self.precision = self._information + self._prior_precision

@@ -139,6 +139,10 @@ class MeasurementModel:
         """The same model for other readings at the same settings."""
         return replace(self, sources=replace(self.sources, circumstances=circumstances))
 
+    def part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
+        """The model of some of the readings."""
+        return MeasurementModel(self.sources.part(readings), self.sensor[self.pose_row[readings].unique()])
+
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """The same model with quadrature rules chosen at these values (no batch)."""
         rules = {}
@@ -172,6 +176,19 @@ class MeasurementModel:
         ]
         nearest_m = torch.stack([each_m.expand(len(rows)) for each_m in distances_m]).amin(0)
         return nearest_m.clamp(min=0.0)[self.pose_row]
+
+    def nearest_m(self) -> dict[str, float]:
+        """Distance of the nearest sensor from each winding that carries current, at nominal values; 0 inside it."""
+        values = nominal_tensors(self.rig)
+        return {
+            coil.name: float(
+                distance_to_coil(
+                    self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
+                ).min()
+            )
+            for coil in self.rig.wound
+            if len(rows := self.powered[coil.name])
+        }
 
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field components each reading should show, in the frame of its sensor, in tesla.
@@ -229,7 +246,7 @@ class MeasurementModel:
         if has_elements.all():
             return self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
-        part, rest = self._part(apart), self._part(together)
+        part, rest = self.part(apart), self.part(together)
         apart_T = part._at_elements(values, world_from_sensor.rows(self.pose_row[apart].unique()))
         together_T = rest._field_at(values, world_from_sensor.rows(self.pose_row[together].unique()))
         batch = torch.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
@@ -254,10 +271,6 @@ class MeasurementModel:
         """Field in the sensor's frame, at its origin."""
         delivered_A = self.sources.delivered_A(self.circumstances.current_A, values)
         return self.sources.field_T(values, delivered_A, world_from_sensor)
-
-    def _part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
-        """The model of some of the readings."""
-        return MeasurementModel(self.sources.part(readings), self.sensor[self.pose_row[readings].unique()])
 
     def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))

@@ -34,7 +34,7 @@ from estimator.field.magnetised import field_of_rings
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.field.zones import Zone
-from estimator.frames import Transform
+from estimator.frames import Transform, turned
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
 from estimator.model.cores import Cores
 from estimator.model.unwound import harmonic_field_per_ampere
@@ -247,8 +247,7 @@ class Sources:
         """Vectors of the readings turned into the frames of their points; poses are by row, or share one rotation."""
         is_shared = poses.rotation.shape[-3] == 1 or self.pose_row is None
         rotation = poses.rotation if is_shared else poses.rotation[..., self.pose_row, :, :]
-        turned: Tensor = (rotation.mT @ vectors[..., None])[..., 0]
-        return turned
+        return turned(rotation.mT, vectors)
 
     def _own_field(self, coil: AnyCoil, values: Values) -> Callable[[Tensor], Tensor]:
         """Field of one ampere at points of the coil frame: of the winding by the coil's rule, of the harmonics, or of a map."""

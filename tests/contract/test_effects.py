@@ -132,6 +132,22 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
         )
 
 
+@pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
+def test_some_readings_are_predicted_as_among_all_others(rig, observations, name, place):
+    """Large sessions are evaluated part by part; an effect that looks back has the whole session to look at."""
+    model, values = model_with(rig, observations, Cause(name, place))
+    for quantity in EFFECTS[name].quantities(model.circumstances.extent):
+        if not (quantity.is_shape or quantity.is_fixed):
+            values[f"{name}[{place}].{quantity.key}"] += 0.5 * quantity.prior.sd
+    part = torch.arange(5, 14)
+    torch.testing.assert_close(
+        model.part(part).predict(values).expand(9, 3),
+        model.predict(values).expand(24, 3)[part],
+        rtol=1e-12,
+        atol=1e-18,
+    )
+
+
 @pytest.mark.parametrize(("name", "place"), CASES)
 def test_fits_start_within_the_priors(rig, observations, name, place):
     circumstances = MeasurementModel.unruled(rig, observations).circumstances

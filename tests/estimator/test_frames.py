@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
-from estimator.frames import Transform, rotation_from_vector, vector_from_rotation
+from estimator.frames import Transform, rotation_from_vector, turned, vector_from_rotation
 
 # Skew matrices of x, y, z: the derivatives of a rotation matrix at zero rotation, last axis the component.
 GENERATORS = torch.tensor(
@@ -145,6 +145,19 @@ def test_from_pose_places_the_origin_and_broadcasts_one_orientation_over_many_po
     torch.testing.assert_close(transforms.rotation[3], rotation_from_vector(vector))
     one_position = Transform.from_pose(positions_m[0], random_vectors(5, seed=3))
     assert one_position.translation_m.shape == (5, 3)
+
+
+@pytest.mark.parametrize("vector_shape", [(3,), (4, 3), (5, 4, 3), (5, 1, 3), (1, 3)])
+@pytest.mark.parametrize("rotation_shape", [(3,), (1, 3), (4, 3), (5, 1, 3), (5, 4, 3)])
+def test_vectors_turn_as_by_their_own_rotation_whatever_is_shared(rotation_shape, vector_shape) -> None:
+    vector_rad, vectors = (
+        torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+        for seed, shape in enumerate((rotation_shape, vector_shape))
+    )
+    rotation = rotation_from_vector(vector_rad)
+    expected = torch.einsum("...ij,...j->...i", rotation, vectors)
+    torch.testing.assert_close(turned(rotation, vectors), expected, rtol=1e-13, atol=1e-14)
+    assert turned(rotation, vectors).shape == expected.shape
 
 
 def test_rotate_ignores_the_translation_and_unrotate_undoes_it() -> None:

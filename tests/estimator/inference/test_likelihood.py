@@ -11,10 +11,14 @@ import torch
 from scipy import stats
 from torch.func import jacfwd
 
+from estimator.effects.attach import with_effect
+from estimator.inference import levenberg_marquardt, likelihood
+from estimator.inference.levenberg_marquardt import _gradient_and_precision
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import Parameter, Tie
+from estimator.rig.rig import Cause
 
 TWO_SENSORS = """{near: {noise_uT: 0.3, carried_by: stage}, far: {carried_by: stage, flange_from_sensor: {y_mm: 15},
   noise_uT: {prior: {log_normal: {median: 0.8, relative_sd: 0.5}}}}}"""
@@ -90,6 +94,27 @@ def test_batch_equals_one_by_one(posterior):
     assert together.shape == (2, 3)
     for i, j in np.ndindex(2, 3):
         assert together[i, j].item() == pytest.approx(posterior(vectors[i, j]).item(), rel=1e-12)
+
+
+@pytest.mark.parametrize("noise", [None, Cause("position_jitter", "stage"), Cause("outliers", "far")])
+def test_blocks_give_what_all_readings_and_rows_at_once_give(posterior, noise, monkeypatch):
+    """Down to one row and a few readings at a time; some readings have no component or lack one."""
+    coordinates, model = posterior.coordinates, posterior.model
+    observations = model.circumstances.observations
+    if noise is not None:
+        rig = with_effect(coordinates.rig, noise, observations, {})
+        posterior = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations), observations)
+    vectors = prior_draws(posterior, 5)
+    density, first_order = posterior(vectors), posterior.to_first_order(vectors)
+    slopes = _gradient_and_precision(posterior, vectors)
+    monkeypatch.setattr(likelihood, "COMPONENTS_AT_ONCE", len(posterior.sensor))
+    monkeypatch.setattr(likelihood, "DERIVATIVES_IN_A_PASS", 3 * 7 * posterior.coordinates.n_continuous)
+    monkeypatch.setattr(levenberg_marquardt, "DERIVATIVES_AT_ONCE", 1)
+    torch.testing.assert_close(posterior(vectors), density, rtol=1e-13, atol=0.0)
+    for blocked, whole in zip(posterior.to_first_order(vectors), first_order, strict=True):
+        torch.testing.assert_close(blocked, whole, rtol=1e-11, atol=1e-13 * float(whole.abs().max()))
+    for blocked, whole in zip(_gradient_and_precision(posterior, vectors), slopes, strict=True):
+        torch.testing.assert_close(blocked, whole, rtol=1e-10, atol=1e-12 * float(whole.abs().max()))
 
 
 def test_outside_the_prior_the_density_is_zero_and_the_others_keep_theirs(posterior):
