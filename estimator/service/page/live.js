@@ -81,7 +81,7 @@ export class LiveView {
       <table>
         <thead><tr><th>device</th><th class="num">last shown</th><th class="num">readings</th><th>state</th></tr></thead>
         <tbody>
-          ${devices.map((one) => html`<tr><th scope="row">${DEVICES[one.kind]} ${breakable(one.name)}</th><td class="num">${shown(one)}</td>
+          ${devices.map((one) => html`<tr><th scope="row">${DEVICES[one.kind]} ${breakable(one.name)}</th><td class="num long">${shown(one)}</td>
             <td class="num">${one.n_readings}</td><td>${deviceState(one)}</td></tr>`)}
         </tbody>
       </table>

@@ -8,9 +8,8 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -27,11 +26,10 @@ from estimator.rig.rig import Cause, Rig
 from estimator.service.archives import zipped
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import with_wrong
-from tests.estimator.service.conftest import Served, append, begin_session, lines_of, upload_rig
+from tests.estimator.service.conftest import CHROMIUM, Served, append, begin_session, lines_of, upload_rig
 
-playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright.sync_api")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-CHROMIUM = shutil.which("chromium")
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
@@ -39,30 +37,6 @@ pytestmark = [
 OFFSET, OFFSET_T = Cause("sensor_offset", "hall"), 2e-4
 PATIENCE_MS = 180_000
 LOOKS = [(1280, "light"), (1280, "dark"), (390, "light"), (390, "dark")]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        made = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield made
-        made.close()
-
-
-@pytest.fixture
-def page(browser: Any) -> Iterator[Any]:
-    """A tab in which nothing may go wrong unheard: no fault of a script, nothing that the policy blocks."""
-    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
-    tab = context.new_page()
-    faults: list[str] = []
-    tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
-    tab.set_default_timeout(30_000)
-    yield tab
-    context.close()
-    assert [
-        fault for fault in faults if "401" not in fault and "422" not in fault
-    ] == []  # a browser reports every refusal
 
 
 @pytest.fixture

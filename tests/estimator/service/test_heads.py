@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import logging
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 
 import pytest
-import uvicorn
 
 from estimator.service.app import create_app
-from estimator.service.serve import config_of
 from estimator.service.settings import Settings
+from tests.estimator.service.conftest import listening
 
 RIGS = b"POST /v1/rigs HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 HEALTH = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
@@ -25,14 +23,8 @@ HIDDEN = b"GET /readyz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """Of a service in this process, behind uvicorn as `coilcal serve` has it."""
     settings = Settings(data=tmp_path_factory.mktemp("heads") / "data")
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(config_of(create_app(settings, has_workers=False), settings))
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-    thread.start()
-    yield int(listener.getsockname()[1])
-    server.should_exit = True
-    thread.join(30)
-    listener.close()
+    with listening(create_app(settings, has_workers=False), settings) as port:
+        yield port
 
 
 def answers(port: int, said: bytes) -> bytes:
