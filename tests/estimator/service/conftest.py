@@ -20,6 +20,7 @@ from typing import Any
 import httpx
 import pytest
 import uvicorn
+from distributed import LocalCluster
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
@@ -90,14 +91,19 @@ def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 
 
 @contextmanager
-def listening(app: FastAPI, settings: Settings) -> Iterator[int]:
-    """The application behind uvicorn, as `coilcal serve` has it, in a thread of this process; its port."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(config_of(app, settings))
+def listening(app: FastAPI, settings: Settings, port: int = 0, lifespan: Any = "on") -> Iterator[int]:
+    """The application behind uvicorn, as `coilcal serve` has it, in a thread of this process; its port.
+
+    At the end connections are cut, whatever is under way. `lifespan="off"` leaves the application itself alone.
+    """
+    listener = socket.create_server(("127.0.0.1", port))
+    config = config_of(app, settings)
+    config.lifespan = lifespan
+    server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     yield int(listener.getsockname()[1])
-    server.should_exit = True
+    server.should_exit = server.force_exit = True
     thread.join(30)
     listener.close()
 
@@ -130,12 +136,20 @@ def page(browser: Any) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """A service in this process, with a worker."""
-    settings = Settings(data=tmp_path_factory.mktemp("service") / "data", workers=1, most_body_MB=2.0)
-    with TestClient(
-        create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
-    ) as client:
-        yield client
+    """A service in this process, with a worker that is a thread: one of its own process loads torch for seconds (`Served`)."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as workers:
+        settings = Settings(
+            data=tmp_path_factory.mktemp("service") / "data",
+            workers=1,
+            scheduler=workers.scheduler_address,
+            most_body_MB=2.0,
+        )
+        with TestClient(
+            create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
+        ) as client:
+            yield client
 
 
 @pytest.fixture
