@@ -192,6 +192,12 @@ def test_an_open_session_is_watched_by_who_has_logged_in(
             append(client, session_id, json.dumps(reading).encode())
             time.sleep(0.05)
         page.get_by_text(f"reading {n}, hall").wait_for()
+        running = page.locator(".tile", has_text="Running diagnosis")
+        running.filter(has_text="after ").wait_for(timeout=PATIENCE_MS)
+        assert "nothing found" in running.inner_text()
+        residuals = page.locator("svg.space").inner_html()
+        page.get_by_label("Arrows").select_option("field")
+        assert page.locator("svg.space").inner_html() != residuals
         assert page.locator("figure").count() == 3
         devices = page.get_by_role("region", name="Devices").get_by_role("row")
         assert "in the last reading" in devices.filter(has_text="sensor hall").inner_text()
