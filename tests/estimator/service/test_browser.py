@@ -287,7 +287,7 @@ def test_a_rig_is_followed_over_months_and_rolled_back_after_a_question(
     )
     assert rows[0].split(",")[:2] == ["kind", "version"]
     periods = [
-        line.split(",") for line in csv if "coil1.radius_m" in line and line.startswith("version in use")
+        line.split(",") for line in rows if "coil1.radius_m" in line and line.startswith("version in use")
     ]
     assert [period[1] for period in periods] == ["1", "2", "3"]
     known = service.client.get(f"/v1/rigs/{rig_id}/registry/versions").json()["items"][0]["parameters"]
