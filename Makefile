@@ -139,7 +139,7 @@ bench-service: $(INSTALLED)  # appended batches and predictions over HTTP, by cl
 browser: $(INSTALLED)    # the page in a browser, with pictures in out/browser; needs Debian's chromium
 	$(RUN) pip install -e '.[browser]'
 	mkdir -p out/browser
-	COILCAL_SCREENSHOTS=out/browser $(RUN) pytest -m browser tests/estimator/service/test_browser.py --jaxtyping-packages=
+	COILCAL_SCREENSHOTS=out/browser $(RUN) pytest -m browser tests/estimator/service --jaxtyping-packages=
 
 bench: $(INSTALLED)       # speed beside magpylib, SciPy, plain emcee and NumPyro, which it installs
 	$(RUN) pip install -e '.[bench]'

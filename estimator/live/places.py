@@ -22,7 +22,8 @@ class Place:
         coil: Name of that coil; the first one where none carried any.
         sensor: Name of the sensor.
         position_m: Place of the sensor.
-        residual_T: Measured less predicted field; components that were not measured are 0.
+        field_T: Measured field; components that were not measured are 0.
+        residual_T: Measured less predicted field, likewise.
         rms_sigma: Root mean square of the measured components of the residual, in units of the noise.
         is_fitted: Whether the estimate holds it.
     """
@@ -31,6 +32,7 @@ class Place:
     coil: str
     sensor: str
     position_m: tuple[float, float, float]
+    field_T: tuple[float, float, float]
     residual_T: tuple[float, float, float]
     rms_sigma: float
     is_fitted: bool
@@ -61,10 +63,11 @@ def places(
         coil = int(strongest[row])
         position_m, coil_from_sensor = (part[row] for part in at_coils[coil])
         x, y, z = position_m.tolist()
-        u, v, w = (coil_from_sensor @ residual_T[row].nan_to_num()).tolist()
+        vectors_T = torch.stack([readings.field_sensor_T[row], residual_T[row]]).nan_to_num()
+        (bx, by, bz), (u, v, w) = (vectors_T @ coil_from_sensor.mT).tolist()
         sensor = rig.sensors[int(readings.sensor[row])].name
         is_fitted = not bool(readings.is_validation[row])
         sigma = float(rms_sigma[row])
         name = rig.coils[coil].name
-        result.append(Place(numbers[row], name, sensor, (x, y, z), (u, v, w), sigma, is_fitted))
+        result.append(Place(numbers[row], name, sensor, (x, y, z), (bx, by, bz), (u, v, w), sigma, is_fitted))
     return result

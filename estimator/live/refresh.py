@@ -103,7 +103,7 @@ class Background:
     def offer(self, session: Session) -> None:
         """Refresh a session if it is wanted."""
         if self.wants(len(session.observations)):
-            self._begin(session)
+            self.begin(session)
 
     def take(self) -> Refreshed | None:
         """Take the result, once; None if it is not ready, the readings do not support a fit yet, or there was trouble."""
@@ -113,7 +113,7 @@ class Background:
         """Wait for posterior and verdict of a session that has stopped growing."""
         result = self._wait()
         if len(session.observations) > self._n_seen or self.trouble is not None:
-            self._begin(session)
+            self.begin(session)
             result = self._wait() or result
         return result
 
@@ -123,7 +123,8 @@ class Background:
         start_without_main(self._process)
         child_end.close()  # so that the pipe ends with the process
 
-    def _begin(self, session: Session) -> None:
+    def begin(self, session: Session) -> None:
+        """Refresh a session, whether or not it has grown; only while the process is free."""
         self._n_seen, self._is_busy = len(session.observations), True
         if not self._process.is_alive():
             self._end()

@@ -69,7 +69,7 @@ class Core:
             self.registry_path,
         )
         self.courier = Courier(self.database, settings)
-        self.watching = Watching(self.sessions.path, settings.most_watched)
+        self.watching = Watching(self.sessions.path, settings.most_watched, settings.running_diagnosis)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
         self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
         self.tidy = Tidy(self.database, settings.keep_jobs_days, self.jobs.folder)
@@ -146,6 +146,7 @@ class Core:
         """Begin to work on jobs, to tell webhooks and to follow schedules."""
         self.tidy.remove_unknown(self.data / JOBS)
         self.jobs.start()
+        self.watching.start()
         for ticker in self._tickers:
             ticker.start()
 

@@ -21,7 +21,7 @@ from estimator.service.cookies import Cookies
 from estimator.service.database import Database
 from estimator.service.metrics import NO_ROUTE, Metrics
 from estimator.service.page_files import PAGE, page_files
-from estimator.service.problems import Problem, answer_to
+from estimator.service.problems import Problem, answer_to, failure
 from estimator.service.rate_limits import RateLimits
 from estimator.service.settings import Settings
 from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of, caller_of_id
@@ -63,9 +63,12 @@ class Guard:
         scope["request_id"] = request_id
 
         begin_s = time.monotonic()
+        has_begun = False
 
         async def send_with_headers(message: Message) -> None:
+            nonlocal has_begun
             if message["type"] == "http.response.start":
+                has_begun = True
                 self._note(scope, message["status"], time.monotonic() - begin_s)
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
@@ -76,6 +79,7 @@ class Guard:
 
         try:
             headers = Headers(scope=scope)
+            _check_framing(scope, headers)
             self._check_site(scope, headers)
             address = scope["client"][0] if scope.get("client") else ""
             scope["caller"] = await self._caller(scope, headers, address)
@@ -83,7 +87,13 @@ class Guard:
         except Problem as problem:
             await answer_to(problem, request_id)(scope, receive, send_with_headers)
             return
-        await self._app(scope, limited, send_with_headers)
+        try:
+            await self._app(scope, limited, send_with_headers)
+        except Exception as error:  # here, and not in Starlette's outermost layer, so that it is counted and has the headers too
+            if has_begun:
+                raise
+            log.error("a request failed", exc_info=error, extra={"request_id": request_id})
+            await answer_to(failure(), request_id)(scope, receive, send_with_headers)
 
     def _note(self, scope: Scope, status: int, took_s: float) -> None:
         """Log and count a request whose answer begins; a token that is guessed at the login counts as one that is guessed elsewhere."""
@@ -191,6 +201,21 @@ class Guard:
             return message
 
         return limited
+
+
+def _check_framing(scope: Scope, headers: Headers) -> None:
+    """Refuse a body whose end a proxy in front may see elsewhere, and with it a second request inside (RFC 9112, section 6.1).
+
+    h11 would go by Transfer-Encoding, which is allowed, and keep the connection open, which is not.
+    """
+    if "transfer-encoding" not in headers:
+        return
+    is_old = scope.get("http_version") == "1.0"
+    if is_old or "content-length" in headers:
+        rule = "must not be given in HTTP/1.0" if is_old else "must not stand beside Content-Length"
+        raise Problem(
+            400, "Transfer-Encoding", rule, place="header Transfer-Encoding", headers={"Connection": "close"}
+        )
 
 
 def _too_long(most: int, length: object) -> Problem:

@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import compile_path
 
@@ -169,10 +170,10 @@ def install(app: FastAPI, data: str) -> None:
         problem = Problem(error.status_code, thing, rule, value, headers=headers)
         return answer_to(problem, id_of(request))
 
-    @app.exception_handler(Exception)
-    async def failed(request: Request, error: Exception) -> Response:
-        log.error("a request failed", exc_info=error, extra={"request_id": id_of(request)})
-        return answer_to(failure(), id_of(request))
+    @app.exception_handler(ClientDisconnect)
+    async def left(request: Request, _: ClientDisconnect) -> Response:
+        problem = Problem(400, "body", "must arrive whole; the client has left")
+        return answer_to(problem, id_of(request))
 
 
 def _methods(app: FastAPI, path: str) -> list[str]:

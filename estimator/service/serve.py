@@ -8,6 +8,7 @@ import webbrowser
 from collections.abc import Callable
 
 import uvicorn
+from fastapi import FastAPI
 
 from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
@@ -37,7 +38,16 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     allow_files()
     listener = _bound(settings)
     app = create_app(settings)
-    config = uvicorn.Config(
+    address = address_of(settings, listener.getsockname()[1])
+    tell(address)
+    if opens:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    uvicorn.Server(config_of(app, settings)).run(sockets=[listener])
+
+
+def config_of(app: FastAPI, settings: Settings) -> uvicorn.Config:
+    """How uvicorn serves the application."""
+    return uvicorn.Config(
         app,
         http=PromptHttp,
         limit_concurrency=MOST_CONNECTIONS,
@@ -50,11 +60,6 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
         ssl_certfile=settings.tls_certificate or None,
         ssl_keyfile=settings.tls_key or None,
     )
-    address = address_of(settings, listener.getsockname()[1])
-    tell(address)
-    if opens:
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-    uvicorn.Server(config).run(sockets=[listener])
 
 
 def plan_of(settings: Settings) -> dict[str, object]:

@@ -47,6 +47,7 @@ class Settings:
         most_grid_points: Points of one prediction on a grid.
         most_predictions: Predictions that may be at work or wait at once.
         most_watched: Open sessions whose estimate is followed at once.
+        running_diagnosis: Diagnose watched sessions as they grow, in one process of low priority.
         most_streams: Event streams that may be followed at once.
         most_streams_per_user: Event streams of one user.
         keep_jobs_days: Days after which jobs that have ended are removed, judgements of sessions excepted; 0 keeps them for ever.
@@ -79,6 +80,7 @@ class Settings:
     most_grid_points: int = 100_000
     most_predictions: int = 200
     most_watched: int = 8
+    running_diagnosis: bool = True
     most_streams: int = 100
     most_streams_per_user: int = 60
     keep_jobs_days: float = 0.0

@@ -7,20 +7,25 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from estimator.errors import CoilcalError
 from estimator.live.places import Place, places
+from estimator.live.refresh import FEWEST_READINGS, Refreshed
+from estimator.live.refresh import GROWTH as GROWTH_OF_DIAGNOSIS
 from estimator.live.stream import Interval, Stream
 from estimator.service.devices import Device, updated
+from estimator.service.news import News, Verdict, Widths
 from estimator.service.problems import Problem
+from estimator.service.running_diagnosis import RunningDiagnosis
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import Entry
+from estimator.store.session import Session
 
 LOOK_EVERY_S = 1.0  # for the end of the session, and whether anybody watches still
 FIRST, GROWTH = (
@@ -31,43 +36,6 @@ REDRAWN_AT = 1.25  # growth of a session after which the residuals of all its re
 MOST_PLACES = 2_000  # that are shown, the last ones
 HISTORY_STEP = 1.01  # growth of a session between two entries of its history
 RETRY_AFTER_S = 60
-
-
-@dataclass(frozen=True)
-class Widths:
-    """Standard deviation of every free parameter after a number of fitted readings."""
-
-    n_readings: int
-    sd: dict[str, float]
-
-
-@dataclass(frozen=True)
-class News:
-    """What a watcher is told.
-
-    Attributes:
-        n_appended: Readings that were appended and taken.
-        n_readings: Those of them that the estimate holds; the others are for validation.
-        intervals: Of every free parameter; empty before the first reading.
-        alarms: All alarms so far, in words.
-        is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
-        places: Where readings were taken, and what the estimate left of them when it was last computed.
-        history: How the intervals shrank.
-        devices: What each instrument showed last.
-        fault: Why no estimate can follow.
-        has_ended: Whether nothing follows.
-    """
-
-    n_appended: int
-    n_readings: int
-    intervals: dict[str, Interval]
-    alarms: list[str]
-    is_redrawn: bool
-    places: list[Place]
-    history: list[Widths]
-    devices: list[Device]
-    fault: str | None
-    has_ended: bool
 
 
 class Watched:
@@ -89,6 +57,10 @@ class Watched:
         self._devices: list[Device] = []
         self._intervals: dict[str, Interval] = {}
         self._n_readings, self._n_drawn, self._drawing = 0, 0, 0
+        self._verdict: Verdict | None = None
+        self._refreshed: Refreshed | None = None
+        self._n_diagnosed = 0
+        self._waits_since_s: float | None = None
         self._fault: str | None = None
         self._has_ended, self._is_left = False, False
         self._wake, self._lock = threading.Event(), threading.Lock()
@@ -127,6 +99,28 @@ class Watched:
         self._is_left = True
         self._wake.set()
 
+    @property
+    def is_left(self) -> bool:
+        """Whether nobody watches, or no reading follows."""
+        return self._is_left or self._has_ended
+
+    @property
+    def waits_since_s(self) -> float | None:
+        """When the session had grown enough for another diagnosis, by the monotonic clock; None if it has not."""
+        return self._waits_since_s
+
+    def so_far(self) -> Session:
+        """The readings that were taken up to now."""
+        with self._lock:
+            entries, self._waits_since_s = list(self._entries), None
+            self._n_diagnosed = len(entries)
+        return Session(self._rig, observations_of(entries, self._rig), str(self._follower.header["source"]))
+
+    def take(self, refreshed: Refreshed) -> None:
+        """Tell of a diagnosis, and go on from its optimum where that is better."""
+        self._refreshed = refreshed
+        self._wake.set()
+
     def _news(self, drawing: int, n_places: int, n_history: int) -> tuple[int, int, News]:
         """What a watcher is to be told that knows one drawing, its places up to a number and its history up to one.
 
@@ -144,6 +138,7 @@ class Watched:
                 places=[one for one in self._places if one.number > after],
                 history=[one for one in self._history if is_redrawn or one.n_readings > n_history],
                 devices=list(self._devices),
+                diagnosis=self._verdict,
                 fault=self._fault,
                 has_ended=self._has_ended,
             )
@@ -153,6 +148,7 @@ class Watched:
         try:
             while not self._is_left:
                 self._wake.clear()
+                self._take_diagnosis()
                 has_ended = self._follower.has_ended
                 entries = self._follower.entries()
                 if entries:
@@ -171,6 +167,17 @@ class Watched:
         finally:
             self._has_ended = True
             self._tell()
+
+    def _take_diagnosis(self) -> None:
+        refreshed, self._refreshed = self._refreshed, None
+        if refreshed is None:
+            return
+        self._stream.improve(refreshed.best)
+        with self._lock:
+            causes = list(refreshed.causes)
+            self._verdict = Verdict(refreshed.n_readings, refreshed.verdict, causes, refreshed.took_s)
+            self._intervals = self._stream.intervals()
+        self._tell()
 
     def _take(self, entries: list[Entry]) -> None:
         """Take readings into the estimate, tell of it, and compute old residuals anew where it has moved since."""
@@ -197,6 +204,9 @@ class Watched:
             self._devices = devices
             self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
             self._places = [*self._places, *new][-MOST_PLACES:]
+            wanted = max(FEWEST_READINGS, GROWTH_OF_DIAGNOSIS * self._n_diagnosed)
+            if self._waits_since_s is None and len(self._entries) >= wanted:
+                self._waits_since_s = time.monotonic()
             last = self._history[-1].n_readings if self._history else 0
             if estimate.n_readings > HISTORY_STEP * last:
                 self._history.append(widths)
@@ -221,14 +231,25 @@ class Watching:
     Args:
         path: Folder of a session, by its id.
         most: Sessions that may be watched at once.
+        is_diagnosed: Whether they are diagnosed as they grow.
     """
 
-    def __init__(self, path: Callable[[str], Path], most: int) -> None:
+    def __init__(self, path: Callable[[str], Path], most: int, is_diagnosed: bool) -> None:
         self._path, self._most = path, most
         self._watched: dict[str, Watched] = {}
         self._n_watchers: Counter[str] = Counter()
         self._lock = threading.Lock()
         self.is_stopping = False
+        self._diagnosis = RunningDiagnosis(self._all) if is_diagnosed else None
+
+    def start(self) -> None:
+        """Begin to diagnose what is watched."""
+        if self._diagnosis is not None:
+            self._diagnosis.start()
+
+    def _all(self) -> list[Watched]:
+        with self._lock:
+            return list(self._watched.values())
 
     def wake(self, session_id: str) -> None:
         """A session has new readings, or was closed."""
@@ -265,6 +286,8 @@ class Watching:
     def stop(self) -> None:
         """End all threads."""
         self.is_stopping = True
+        if self._diagnosis is not None:
+            self._diagnosis.stop()
         with self._lock:
             for watched in self._watched.values():
                 watched.leave()

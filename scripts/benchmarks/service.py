@@ -8,6 +8,7 @@ Starts a service in a process of its own, calibrates a small simulated session t
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -44,7 +45,7 @@ def main() -> None:
             for n_clients in (1, 10):
                 appends(url, n_clients)
             watched(url)
-            predictions(url, Path(folder))
+            predictions(url, Path(folder), process.pid)
         finally:
             process.terminate()
             process.communicate()
@@ -122,8 +123,11 @@ def watched(url: str) -> None:
         tell(f"from an appended reading to its estimate, readings {first + 1} to {last}", times_s[first:last])
 
 
-def predictions(url: str, data: Path) -> None:
-    """Predictions of a thousand points, and many small ones from several clients at once, beside the same in process."""
+def predictions(url: str, data: Path, pid: int) -> None:
+    """Predictions of a thousand points, and many small ones from several clients at once, beside the same in process.
+
+    Processor time of the service for each does not depend on what else the computer does.
+    """
     rig = load_rig(RIG)
     session = Session(rig, simulate(rig, load_plan(PLAN, rig), {}, seed=1), "simulated")
     currents_A = {coil.name: 2.0 for coil in rig.coils}
@@ -139,32 +143,48 @@ def predictions(url: str, data: Path) -> None:
     for n_points in SMALL:
         for name in ("field", "field_interval"):
             what = f"{name} of {n_points} points"
-            here_by_s = rate(asked(here, name, points(n_points, 0), currents_A))
-            print(f"{what}, in process, one after another: {here_by_s:.0f} a second", flush=True)
+            before_s = time.process_time()
+            n, here_by_s = rate(asked(here, name, points(n_points, 0), currents_A))
+            cpu_s = (time.process_time() - before_s) / (n + 1)
+            print(
+                f"{what}, in process, one after another: {here_by_s:.0f} a second, {1e3 * cpu_s:.0f} ms of a processor each"
+            )
             for n_clients in CLIENTS:
 
-                def ask(number: int, name: str = name, n_points: int = n_points) -> float:
+                def ask(number: int, name: str = name, n_points: int = n_points) -> tuple[int, float]:
                     with Client(url) as client:
                         calibration = client.calibration(there.id)
                         return rate(asked(calibration, name, points(n_points, number), currents_A))
 
+                before_s = cpu_of(pid)
                 with ThreadPoolExecutor(n_clients) as pool:
-                    by_s = sum(pool.map(ask, range(n_clients)))
-                print(f"{what}, {n_clients} clients: {by_s:.0f} a second", flush=True)
+                    done = list(pool.map(ask, range(n_clients)))
+                cpu_s = (cpu_of(pid) - before_s) / sum(n + 1 for n, _ in done)
+                by_s = sum(each_by_s for _, each_by_s in done)
+                print(
+                    f"{what}, {n_clients} clients: {by_s:.0f} a second, {1e3 * cpu_s:.0f} ms of a processor each",
+                    flush=True,
+                )
 
 
 def points(n: int, seed: int) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(seed).uniform(-0.02, 0.02, (n, 3)))
 
 
-def rate(call: Callable[[], object]) -> float:
-    """Calls a second, one after another."""
+def cpu_of(pid: int) -> float:
+    """Processor time of a process, its workers excepted, in s."""
+    numbers = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(numbers[11]) + int(numbers[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def rate(call: Callable[[], object]) -> tuple[int, float]:
+    """Calls one after another, besides a first one: their number, and calls a second."""
     call()
     n, begin_s = 0, time.perf_counter()
     while (passed_s := time.perf_counter() - begin_s) < FOR_S:
         call()
         n += 1
-    return n / passed_s
+    return n, n / passed_s
 
 
 def asked(

@@ -4,7 +4,7 @@
 
 The same jobs of every kind run twice, in two services: first undisturbed, then while a worker is killed with SIGKILL every few seconds.
 Where they are done before the last kill, they are asked for again. A job on which four workers died is given up, so none loses more than
-three. Ends with 1 where one did not finish, or a file differs.
+three. Ends with 1 where one did not finish, or a file differs. Leave the checkout alone meanwhile: fits name the commit that made them.
 """
 
 from __future__ import annotations

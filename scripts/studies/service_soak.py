@@ -2,9 +2,10 @@
 
     python -m scripts.studies.service_soak --minutes 25
 
-Clients do little things as fast as the service takes them. Every half minute the script notes memory, threads and open files of the
-service and its workers, and bytes on disk. In the end it prints a table, and growth per thousand operations over the second half: what a
-service remembers for ever shows there. Data folder and log may grow, for they are what was asked for.
+Clients do little things as fast as the service takes them, and delete all but the last jobs and sessions. Every half minute the script
+notes memory, threads and open files of the service and its workers, and bytes on disk. In the end it prints a table, and growth per
+thousand operations over the second half: what a service remembers for ever shows there. The log may grow, and the data folder until as
+much is deleted as comes.
 """
 
 from __future__ import annotations
@@ -41,12 +42,14 @@ MEGA = 1e6
 class Work:
     """What the clients share: the address, what there is to ask about, and how often each thing was done."""
 
-    def __init__(self, url: str, folder: Path) -> None:
-        self.url, self.folder, self.rig = url, folder, load_rig(RIG)
+    def __init__(self, url: str, folder: Path, keep: int) -> None:
+        self.url, self.folder, self.keep, self.rig = url, folder, keep, load_rig(RIG)
         self.done: Counter[str] = Counter()
         self.faults: Counter[str] = Counter()
         self.is_over = threading.Event()
         self.calibrations: list[str] = []
+        self.ended_jobs: list[str] = []
+        self.closed_sessions: list[str] = []
         with httpx.Client(base_url=url, timeout=60) as http:
             text = RIG.read_text(encoding="utf-8")
             self.rig_id = _posted(http, "/v1/rigs", "application/yaml", text)["id"]
@@ -92,6 +95,7 @@ class Work:
                 break
         http.post(f"/v1/sessions/{session_id}/close").raise_for_status()
         watcher.join(timeout=60)
+        self.closed_sessions.append(session_id)
 
     def _watch(self, session_id: str) -> None:
         """Every other watcher leaves before the end, without a word."""
@@ -123,7 +127,9 @@ class Work:
         name = random.choice(self.calibrations[-MOST_CALIBRATIONS:])
         point = [random.uniform(-0.02, 0.02), 0.0, 0.02]
         body = {"points_m": [point], "currents_A": {self.rig.coils[0].name: 3.0}}
-        http.post(f"/v1/calibrations/{name}/predict", json=body).raise_for_status()
+        answer = http.post(f"/v1/calibrations/{name}/predict", json=body)
+        if answer.status_code != 404 or name in self.calibrations:  # else it was deleted just now
+            answer.raise_for_status()
 
     def calibrate(self, http: httpx.Client) -> None:
         """Ask for a job and follow it to its end; every tenth is cancelled."""
@@ -140,6 +146,21 @@ class Work:
         assert job["state"] == "done" or is_cancelled, job["fault"]
         if job["state"] == "done":
             self.calibrations.append(http.get(f"/v1/jobs/{job_id}/result").json()["calibration_id"])
+        self.ended_jobs.append(job_id)
+
+    def delete(self, http: httpx.Client) -> None:
+        """Delete all but the last jobs and streamed sessions, as `keep_jobs_days` and users do."""
+        for kind, ids in (("jobs", self.ended_jobs), ("sessions", self.closed_sessions)):
+            while len(ids) > self.keep:
+                if kind == "jobs" and (calibration := self._calibration_of(http, ids[0])) is not None:
+                    self.calibrations.remove(calibration)
+                http.delete(f"/v1/{kind}/{ids[0]}").raise_for_status()
+                assert http.get(f"/v1/{kind}/{ids.pop(0)}").status_code == 404
+                self.done[f"deleted {kind}"] += 1
+
+    def _calibration_of(self, http: httpx.Client, job_id: str) -> str | None:
+        answer = http.get(f"/v1/jobs/{job_id}/result")  # a cancelled job has none
+        return str(answer.json()["calibration_id"]) if answer.is_success else None
 
     def look(self, http: httpx.Client) -> None:
         """What a page, a monitor and somebody who errs ask for."""
@@ -229,6 +250,9 @@ def main() -> None:
     )
     parser.add_argument("--minutes", type=float, default=25.0)
     parser.add_argument("--pause", type=float, default=0.05, help="seconds between two requests of a client")
+    parser.add_argument(
+        "--keep", type=int, default=10, help="jobs and streamed sessions that are not deleted"
+    )
     options = parser.parse_args()
     os.environ[f"{ENVIRONMENT}WEBHOOK_NETWORKS"] = "127.0.0.0/8"
     receiver = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Receiver)
@@ -236,7 +260,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data"
         service = ServiceProcess(data)
-        work = Work(service.url, Path(folder))
+        work = Work(service.url, Path(folder), options.keep)
         with httpx.Client(base_url=service.url) as http_client:
             http_client.post("/v1/webhooks", json={"url": f"http://127.0.0.1:{receiver.server_port}/"})
             schedule = {"rig_id": work.rig_id, "every_s": 60}
@@ -248,6 +272,7 @@ def main() -> None:
             ("jobs", work.calibrate, options.pause),
             ("looks", work.look, 4 * options.pause),
             ("sessions to judge", work.new_session, 45.0),
+            ("rounds of deletions", work.delete, 1.0),
         ]
         threads = [threading.Thread(target=work.repeat, args=client) for client in clients]
         for thread in threads:

@@ -13,6 +13,15 @@ export function ticks(low, high, n = 5) {
   return found;
 }
 
+// Exponents of round numbers across a range of powers of ten.
+function logTicks(low, high) {
+  const decades = [];
+  for (let k = Math.floor(low); k <= high; k++) decades.push(k);
+  if (high - low > 3) return decades.filter((k) => k >= low);
+  const steps = high - low > 0.7 ? [1, 2, 5] : [1, 1.5, 2, 3, 4, 5, 6, 8];
+  return decades.flatMap((k) => steps.map((step) => k + Math.log10(step))).filter((t) => t >= low - 1e-9 && t <= high + 1e-9);
+}
+
 const number = (value) => minus(Number(value.toPrecision(6)).toString());
 
 function scale([low, high], [from, to]) {
@@ -91,7 +100,7 @@ export function lines(name, series, { xLabel, yLabel, log = false, mark = null, 
   if (yDomain[1] === yDomain[0]) yDomain[1] += 1;
   const x = scale(xDomain, [left, width - right]);
   const y = scale(yDomain, [bottom, top]);
-  const yTicks = log ? ticks(...yDomain, 4).filter((t) => Number.isInteger(t) || yDomain[1] - yDomain[0] < 2) : ticks(...yDomain);
+  const yTicks = log ? logTicks(...yDomain) : ticks(...yDomain);
   return svg`<svg class="chart" viewBox="0 0 ${width} ${height}" role="img" aria-label=${name}>
     ${xAxis(x, xDomain, bottom, top, xLabel, (left + width - right) / 2)}
     ${yTicks.map(

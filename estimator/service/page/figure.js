@@ -10,7 +10,7 @@ const STYLES = [
 
 // A figure; `rows` are those of the CSV, the header first.
 export function figure(name, title, caption, drawing, rows) {
-  const drawn = (event) => event.currentTarget.closest("figure").querySelector("svg");
+  const drawn = (event) => event.currentTarget.closest("figure").querySelector("svg[role=img]"); // not a key in its caption
   const tool = (kind, act) =>
     html`<button class="tool" aria-label="${title} as ${kind}" @click=${act}>${kind}</button>`;
   return html`<figure>

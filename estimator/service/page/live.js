@@ -66,6 +66,7 @@ export class LiveView {
     return html`<dl class="tiles" aria-live="off">
         ${tile("Readings", state.n_appended, `${state.n_readings} in the estimate`)}
         ${tile("Last residual", last ? `${last.rms_sigma.toFixed(1)} σ` : "none yet", last ? `reading ${last.number}, ${last.sensor}` : "")}
+        ${tile("Running diagnosis", ...verdict(state))}
         ${tile("Alarms", state.alarms.length || "none", state.alarms.at(-1) ?? "")}
       </dl>
       <div role="status" class="alarms">${state.alarms.map((words) => html`<p class="warn card">${words}</p>`)}</div>
@@ -81,7 +82,7 @@ export class LiveView {
       <table>
         <thead><tr><th>device</th><th class="num">last shown</th><th class="num">readings</th><th>state</th></tr></thead>
         <tbody>
-          ${devices.map((one) => html`<tr><th scope="row">${DEVICES[one.kind]} ${breakable(one.name)}</th><td class="num">${shown(one)}</td>
+          ${devices.map((one) => html`<tr><th scope="row">${DEVICES[one.kind]} ${breakable(one.name)}</th><td class="num long">${shown(one)}</td>
             <td class="num">${one.n_readings}</td><td>${deviceState(one)}</td></tr>`)}
         </tbody>
       </table>
@@ -93,19 +94,23 @@ export class LiveView {
     const coil = coils.includes(this.coil) ? this.coil : coils[0];
     const here = this.places.filter((one) => one.coil === coil);
     const points = here.map((one) => one.position_m);
-    const vectors = here.map((one) => one.residual_T);
+    const isField = this.arrows === "field";
+    const vectors = here.map((one) => (isField ? one.field_T : one.residual_T));
     const field = arrowScale(vectors);
     const last = this.places.at(-1);
-    const kinds = here.map((one) => (one === last ? "last" : one.rms_sigma > STRONG_SIGMA ? "strong" : "weak"));
+    const kinds = here.map((one) => (one === last ? "last" : isField || one.rms_sigma > STRONG_SIGMA ? "strong" : "weak"));
     const choice = coils.length < 2 ? null
       : html`<label>around <select @change=${(e) => { this.coil = e.target.value; this.update(); }}>
           ${coils.map((name) => html`<option ?selected=${name === coil}>${name}</option>`)}</select></label>`;
+    const arrows = html`<label>Arrows <select @change=${(e) => { this.arrows = e.target.value; this.update(); }}>
+      <option value="residual">what the estimate leaves</option><option value="field">the field</option></select></label>`;
+    const caption = isField ? "Measured field" : "Measured less predicted field, in colour over three standard deviations,";
     return figure(
-      "places", "Places taken, and what the estimate leaves",
-      html`Measured less predicted field in the frame of ${coil}. Over three standard deviations in colour, the newest reading thick. ${choice}`,
-      space({ name: "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, view: this.view }),
-      () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "rms_sigma"],
-        ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.residual_T, one.rms_sigma])],
+      "places", "Places taken",
+      html`${caption} in the frame of ${coil}; the newest reading thick. ${arrows} ${choice}`,
+      space({ name: isField ? "Places and field" : "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, view: this.view }),
+      () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "residual_x_T", "residual_y_T", "residual_z_T", "rms_sigma"],
+        ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.field_T, ...one.residual_T, one.rms_sigma])],
     );
   }
 
@@ -159,12 +164,21 @@ function shown({ values, unit, commanded_A: commanded }) {
   const millimetres = (v) => `${minus((1e3 * v).toFixed(2))} mm`;
   const degrees = (v) => `${minus(((180 * v) / Math.PI).toFixed(2))}°`;
   const digits = { T: (v) => size(v, "T", 4), m: millimetres, rad: degrees, A: (v) => `${minus(v.toPrecision(5))} A`, "°C": (v) => `${minus(v.toFixed(1))} °C` }[unit];
-  const told = values.map((v) => (v === null ? "out of range" : digits(v))).join(", ");
-  return commanded === null ? told : `${told} of ${minus(String(commanded))} A`;
+  const told = values.map((v, i) => html`${i ? ", " : ""}<span class="nobr">${v === null ? "out of range" : digits(v)}</span>`);
+  return commanded === null ? told : html`${told} of <span class="nobr">${minus(String(commanded))} A</span>`;
 }
 
 const deviceState = ({ n_silent: n }) =>
   n === 0 ? "in the last reading" : html`<strong class="warn">silent for ${n} ${n === 1 ? "reading" : "readings"}</strong>`;
+
+const VERDICTS = { nothing_found: "nothing found", unexplained: "something unexplained" };
+
+// What the latest diagnosis of the readings so far says, and of how many.
+function verdict({ diagnosis, has_ended: hasEnded }) {
+  if (!diagnosis) return ["none yet", hasEnded ? "" : "from 15 readings on, in the background"];
+  const after = `after ${diagnosis.n_readings} readings`;
+  return [diagnosis.causes.length ? diagnosis.causes.join(", ") : (VERDICTS[diagnosis.verdict] ?? diagnosis.verdict), after];
+}
 
 const tile = (name, value, more) =>
   html`<div class="tile"><dt>${name}</dt><dd>${value}</dd>${more ? html`<dd class="muted">${more}</dd>` : null}</div>`;

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+import uvicorn
+from distributed import LocalCluster
+from fastapi import FastAPI
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
 from estimator.service.app import create_app
+from estimator.service.serve import config_of
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token
 from estimator.store.importers.readings_csv import write_readings_csv
@@ -27,6 +36,8 @@ ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 QUICK = {"n_walkers": 16, "target_ess": 200.0, "largest_rhat": 1.05}
 PATIENCE_S = 240
+CHROMIUM = shutil.which("chromium")
+ON_BREACH = "addEventListener('securitypolicyviolation', (e) => console.error(`policy: ${e.violatedDirective} ${e.blockedURI}`))"
 STEPS = 400
 LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}  # a chain that a kill meets at work
 
@@ -79,14 +90,66 @@ def served(tmp_path: Path) -> Iterator[Callable[..., Served]]:
         service.log.close()
 
 
+@contextmanager
+def listening(app: FastAPI, settings: Settings, port: int = 0, lifespan: Any = "on") -> Iterator[int]:
+    """The application behind uvicorn, as `coilcal serve` has it, in a thread of this process; its port.
+
+    At the end connections are cut, whatever is under way. `lifespan="off"` leaves the application itself alone.
+    """
+    listener = socket.create_server(("127.0.0.1", port))
+    config = config_of(app, settings)
+    config.lifespan = lifespan
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    yield int(listener.getsockname()[1])
+    server.should_exit = server.force_exit = True
+    thread.join(30)
+    listener.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        made = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield made
+        made.close()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A tab in which nothing may go wrong unheard: no fault of a script, nothing that the policy blocks, no dialog."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    context.add_init_script(ON_BREACH)
+    tab = context.new_page()
+    faults: list[str] = []
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    tab.on("dialog", lambda dialog: (faults.append(f"dialog: {dialog.message}"), dialog.dismiss()))
+    tab.set_default_timeout(30_000)
+    yield tab
+    context.close()
+    refused = re.compile(r"the server responded with a status of (401|404|422) ")  # a browser reports each
+    assert [fault for fault in faults if not refused.search(fault)] == []
+
+
 @pytest.fixture(scope="session")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """A service in this process, with a worker."""
-    settings = Settings(data=tmp_path_factory.mktemp("service") / "data", workers=1, most_body_MB=2.0)
-    with TestClient(
-        create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
-    ) as client:
-        yield client
+    """A service in this process, with a worker that is a thread: one of its own process loads torch for seconds (`Served`)."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as workers:
+        settings = Settings(
+            data=tmp_path_factory.mktemp("service") / "data",
+            workers=1,
+            scheduler=workers.scheduler_address,
+            most_body_MB=2.0,
+        )
+        with TestClient(
+            create_app(settings), base_url="http://127.0.0.1:8765", raise_server_exceptions=False
+        ) as client:
+            yield client
 
 
 @pytest.fixture

@@ -8,12 +8,13 @@ import json
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import httpx
 import pytest
 import torch
+from starlette.testclient import TestClient
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
@@ -35,32 +36,52 @@ from estimator.client.connection import AsyncConnection, Connection
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.rig import Rig
+from estimator.service.core import Core
+from estimator.service.work import PROGRESS
 from estimator.store.session import Session
-from tests.estimator.service.conftest import QUICK, Served, lines_of
+from tests.estimator.service.conftest import QUICK, Served, lines_of, listening
 
 SETTINGS = SamplerSettings(**QUICK)
 
 
-def test_a_calibration_there_is_read_as_one_here(
-    served: Callable[..., Served], small_session: Session, tmp_path: Path
-) -> None:
-    """The service is killed as soon as it has the job; the script does not notice."""
-    service = served()
-    port = int(service.url.rpartition(":")[2])
-    restarted: list[Served] = []
+@pytest.fixture
+def url(api: TestClient) -> Iterator[str]:
+    """Where the service in this process is reached."""
+    with listening(api.app, api.app.state.core.settings, lifespan="off") as port:
+        yield f"http://127.0.0.1:{port}"
 
-    def kill() -> None:
-        while not list((tmp_path / "data").glob("jobs/*/progress.jsonl")):
-            time.sleep(0.01)
-        service.kill()
-        restarted.append(served("--port", port))
 
-    killer = threading.Thread(target=kill)
-    killer.start()
+@pytest.fixture
+def interrupted(api: TestClient) -> Iterator[str]:
+    """Address of a service that is gone as soon as it has a job, and comes back."""
+    core: Core = api.app.state.core
+    known = set(core.data.glob("jobs/*"))
+    is_done, ports = threading.Event(), SimpleQueue[int]()
+
+    def serve() -> None:
+        with listening(api.app, core.settings, lifespan="off") as port:
+            ports.put(port)
+            while not is_done.is_set() and not begun():
+                time.sleep(0.01)
+        time.sleep(0.2)
+        with listening(api.app, core.settings, port, lifespan="off"):
+            is_done.wait()
+
+    def begun() -> bool:
+        return any((job / PROGRESS).exists() for job in set(core.data.glob("jobs/*")) - known)
+
+    service = threading.Thread(target=serve)
+    service.start()
+    yield f"http://127.0.0.1:{ports.get(timeout=30)}"
+    is_done.set()
+    service.join(60)
+
+
+def test_a_calibration_there_is_read_as_one_here(interrupted: str, small_session: Session) -> None:
+    """The script does not notice that the service was gone."""
     told: list[Any] = []
-    with Client(service.url) as client:
+    with Client(interrupted) as client:
         there = client.calibrate(small_session, seed=2, settings=SETTINGS, on_progress=told.append)
-        killer.join()
         here = calibrate(small_session, seed=2, settings=SETTINGS)
         assert there.summary() == json.loads(json.dumps(here.summary()))
         assert there.best == dict(here.best)
@@ -86,7 +107,6 @@ def test_a_calibration_there_is_read_as_one_here(
             there.field(points_m, {"coil9": 1.0})
         first = client.upload(small_session)
         assert client.upload(small_session) == first
-    restarted[0].end()
 
 
 @pytest.mark.slow
@@ -112,11 +132,10 @@ def test_sessions_are_judged_designed_for_and_fitted_together_there(
 
 
 def test_readings_are_streamed_and_a_job_that_fails_says_why(
-    served: Callable[..., Served], small_session: Session, small_rig: Rig
+    api: TestClient, url: str, small_session: Session, small_rig: Rig
 ) -> None:
-    service = served()
     readings = [json.loads(line) for line in lines_of(small_session, small_rig).splitlines()]
-    with Client(service.url) as client:
+    with Client(url) as client:
         session = client.begin(small_rig, "a stream")
         assert [session.append(readings[:20]), session.append(readings[10:])] == [20, len(readings)]
         session.close()
@@ -125,14 +144,15 @@ def test_readings_are_streamed_and_a_job_that_fails_says_why(
             client.calibrate(small_session, fixed)
 
     async def awaited() -> None:
-        async with AsyncClient(service.url) as client:
+        async with AsyncClient(url) as client:
             session = await client.begin(small_rig, "a stream", key="second")
             assert (await client.begin(small_rig, "a stream", key="second")).id == session.id
             assert await session.append(readings) == len(readings)
             assert (await session.close())["state"] == (await session.info())["state"] == "closed"
             with pytest.raises(JobFailed, match="must have a free parameter besides loop counts"):
                 await client.calibrate(small_session, fixed)
-            assert len([job async for job in client.pages("/v1/jobs", limit=1)]) == 2
+            jobs = [job["id"] async for job in client.pages("/v1/jobs", limit=1)]
+            assert jobs == [job["id"] for job in api.get("/v1/jobs", params={"limit": 500}).json()["items"]]
 
     asyncio.run(awaited())
 

@@ -109,7 +109,8 @@ def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api: TestClien
     cancelled = api.post(f"/v1/jobs/{first['id']}/cancel").json()
     assert cancelled["state"] == "cancelled"
     assert api.post(f"/v1/jobs/{first['id']}/cancel").json() == cancelled
-    second = api.post("/v1/jobs/calibrate", json={"session_id": session_id, "settings": QUICK}).json()
+    short = {"n_walkers": 16, "max_steps": 20}
+    second = api.post("/v1/jobs/calibrate", json={"session_id": session_id, "settings": short}).json()
     assert wait_for(api, second["id"])["state"] == "done"
     assert api.get(f"/v1/jobs/{first['id']}").json()["state"] == "cancelled"
 

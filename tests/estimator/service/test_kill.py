@@ -72,6 +72,8 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
     expected = [json.loads(line)["field_T"]["hall"] for line in lines[: first + 60]]
     assert stored.field_sensor_T.tolist() == expected
     assert closed["n_readings"] == first + 60
+    design = client.post("/v1/jobs/design", json={"session_id": session_id}).json()["id"]
+    assert wait_for(client, design)["fault"].startswith("a design must split")  # says a worker process
     service.end()
 
 

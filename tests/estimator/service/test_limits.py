@@ -136,3 +136,21 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     assert counted["coilcal_request_duration_seconds_count", durations] == 2
     assert counted["coilcal_request_duration_seconds_sum", durations] > 0
     assert not any(session_id in str(key) for key in counted)
+
+
+def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
+    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fails(*_: object) -> None:
+        raise RuntimeError("a secret")
+
+    monkeypatch.setattr("estimator.service.routes.rigs.page_of", fails)
+    client = idle()
+    answer = client.get("/v1/rigs")
+    told = refusal(answer, 500)
+    assert "a secret" not in answer.text
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    labels = ("method", "GET"), ("route", "/v1/rigs"), ("status", "500")
+    assert samples(client)["coilcal_requests_total", labels] == 1
+    (fault,) = (record for record in caplog.records if record.levelname == "ERROR")
+    assert (fault.request_id, str(fault.exc_info[1])) == (told["request_id"], "a secret")

@@ -16,7 +16,9 @@ from starlette.testclient import TestClient
 
 from estimator.cli.serve import serve_group
 from estimator.errors import InvalidInput
+from estimator.service import serve
 from estimator.service.app import create_app
+from estimator.service.dispatcher import END_S
 from estimator.service.guard import PUBLIC
 from estimator.service.settings import ENVIRONMENT, Settings, load_settings
 from estimator.service.tokens import Scope, create_token
@@ -91,6 +93,45 @@ def test_kubernetes_runs_the_same_command_of_the_same_image_with_settings_that_a
     dockerfile = (CONFIGS / "kubernetes/Dockerfile").read_text(encoding="utf-8")
     assert "'.[service]'" in dockerfile
     assert f"EXPOSE {loaded.port}" in dockerfile
+
+
+def test_names_in_the_manifest_are_those_of_things_that_are_there() -> None:
+    deployment, service = yaml.safe_load_all(
+        (CONFIGS / "kubernetes/coilcal-serve.yaml").read_text(encoding="utf-8")
+    )
+    spec, (container,), (first,) = pod(), pod()["containers"], pod()["initContainers"]
+    labels = deployment["spec"]["template"]["metadata"]["labels"]
+    assert deployment["spec"]["selector"]["matchLabels"] == service["spec"]["selector"] == labels
+    ports = {port["name"] for port in container["ports"]}
+    assert {port["targetPort"] for port in service["spec"]["ports"]} <= ports
+    assert {probe["httpGet"]["port"] for key, probe in container.items() if key.endswith("Probe")} <= ports
+    volumes = {volume["name"] for volume in spec["volumes"]}
+    for each in (container, first):
+        assert {mount["name"] for mount in each["volumeMounts"]} == volumes
+        assert each["securityContext"]["readOnlyRootFilesystem"]  # so what is written is mounted:
+        assert {"/tmp", "/var/cache/coilcal"} <= {mount["mountPath"] for mount in each["volumeMounts"]}
+    assert spec["terminationGracePeriodSeconds"] > serve.GRACE_S + END_S
+    words = shlex.split(first["command"][2])
+    create = serve_group.commands["token"].commands["create"]
+    options = {option for parameter in create.params for option in parameter.opts} | OPTIONS
+    assert {word for word in words if word.startswith("--")} <= options
+    assert words[words.index("--scope") + 1] in set(Scope)
+
+
+def test_the_image_is_made_of_files_that_are_there_and_runs_as_the_user_of_the_pod() -> None:
+    dockerfile = (CONFIGS / "kubernetes/Dockerfile").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    lines = [shlex.split(line, comments=True) for line in dockerfile.splitlines()]
+    copied = {word for line in lines if line[:1] == ["COPY"] for word in line[1:-1]}
+    assert all((ROOT / name).exists() for name in copied)
+    packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert {*packages, "pyproject.toml", project["project"]["readme"]} <= copied
+    assert f"--tag coilcal:{project['project']['version']} " in dockerfile
+    (base,), (user,) = ([line[1] for line in lines if line[:1] == [key]] for key in ("FROM", "USER"))
+    assert base.removeprefix("python:").removesuffix("-slim") in project["project"]["requires-python"]
+    context = pod()["securityContext"]
+    assert user == f"{context['runAsUser']}:{context['runAsGroup']}"
+    assert "--no-cache-dir --constraint constraints.txt" in dockerfile
 
 
 def test_only_named_proxies_are_believed(tmp_path: Path) -> None:

@@ -1,0 +1,65 @@
+"""What a watcher of an open session is told: the data of its events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from estimator.live.places import Place
+from estimator.live.stream import Interval
+from estimator.service.devices import Device
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Standard deviation of every free parameter after a number of fitted readings."""
+
+    n_readings: int
+    sd: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis of the first readings of a session says.
+
+    Attributes:
+        n_readings: Number of these readings.
+        verdict: As in `diagnosis.json`.
+        causes: Named causes, each with those that it cannot be told from.
+        took_s: How long it took.
+    """
+
+    n_readings: int
+    verdict: str
+    causes: list[str]
+    took_s: float
+
+
+@dataclass(frozen=True)
+class News:
+    """What a watcher is told.
+
+    Attributes:
+        n_appended: Readings that were appended and taken.
+        n_readings: Those of them that the estimate holds; the others are for validation.
+        intervals: Of every free parameter; empty before the first reading.
+        alarms: All alarms so far, in words.
+        is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
+        places: Where readings were taken, and what the estimate left of them when it was last computed.
+        history: How the intervals shrank.
+        devices: What each instrument showed last.
+        diagnosis: The latest running diagnosis; None before the first.
+        fault: Why no estimate can follow.
+        has_ended: Whether nothing follows.
+    """
+
+    n_appended: int
+    n_readings: int
+    intervals: dict[str, Interval]
+    alarms: list[str]
+    is_redrawn: bool
+    places: list[Place]
+    history: list[Widths]
+    devices: list[Device]
+    diagnosis: Verdict | None
+    fault: str | None
+    has_ended: bool

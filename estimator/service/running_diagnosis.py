@@ -1,0 +1,103 @@
+"""Diagnoses sessions while they are watched and grow, one after another in one process of low priority.
+
+A diagnosis takes as long as hundreds of estimates, so it must not hold them up, and a process for each session would fill the memory. It
+is no job: nobody asked for it, and nothing is kept of it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from estimator.errors import CoilcalError
+from estimator.live.refresh import Background, Refreshed
+from estimator.store.session import Session
+
+LOOK_EVERY_S = 0.25
+SEED = 0
+log = logging.getLogger("coilcal.service")
+
+
+class Growing(Protocol):
+    """A session that is watched."""
+
+    @property
+    def is_left(self) -> bool:
+        """Whether nobody watches it any more, or it has ended."""
+
+    @property
+    def waits_since_s(self) -> float | None:
+        """When it had grown enough for another diagnosis, by the monotonic clock; None if it has not."""
+
+    def so_far(self) -> Session:
+        """Its readings up to now; it does not wait any more then."""
+
+    def take(self, refreshed: Refreshed) -> None:
+        """Posterior and verdict of readings that `so_far` gave."""
+
+
+class RunningDiagnosis:
+    """A thread that gives the process its work; the process lives while sessions are watched.
+
+    Args:
+        sessions: Those that are watched now.
+    """
+
+    def __init__(self, sessions: Callable[[], Sequence[Growing]]) -> None:
+        self._sessions, self._stopping = sessions, threading.Event()
+        self._thread = threading.Thread(target=self._run, name="coilcal running diagnosis", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for sessions."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            if self._next() is None:
+                self._stopping.wait(LOOK_EVERY_S)
+                continue
+            with Background(SEED) as background:
+                while self._sessions() and self._turn(background):
+                    pass
+
+    def _next(self) -> Growing | None:
+        """The session that waits longest."""
+        waiting = [
+            (since_s, session)
+            for session in self._sessions()
+            if (since_s := session.waits_since_s) is not None and not session.is_left
+        ]
+        return min(waiting, key=lambda pair: pair[0])[1] if waiting else None
+
+    def _turn(self, background: Background) -> bool:
+        """Diagnose one session, if one waits; False if the process is at work that nobody wants any more."""
+        session = self._next()
+        if session is None:
+            self._stopping.wait(LOOK_EVERY_S)
+            return not self._stopping.is_set()
+        begin_s = time.monotonic()
+        try:
+            background.begin(session.so_far())
+        except CoilcalError:
+            return True  # readings that no session holds: the estimate of the session says why
+        while background.is_busy:
+            refreshed = background.take()
+            if refreshed is not None:
+                session.take(refreshed)
+                log.info("running diagnosis", extra={"took_s": round(time.monotonic() - begin_s, 1)})
+            elif self._stopping.is_set() or session.is_left:
+                return False
+            elif background.is_busy:
+                self._stopping.wait(LOOK_EVERY_S)
+        if background.trouble is not None:
+            log.warning("running diagnosis failed", extra={"fault": background.trouble})
+        return True
