@@ -86,7 +86,10 @@ SIZES: dict[str, dict[str, float]] = {
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
+    "position_unit": {"x_factor": 10.0},
     "range_clipping": {"limit_T": 0.006},
+    "rotation_convention": {"convention": 1.0},
+    "rows_shifted": {"rows": 1.0},
     "sensor_lag": {"tau_s": 10.0},
     "lead_wire": {"gap_m": 0.01, "length_m": 0.2},
     "unit_error": {"field_factor": 1.1},
@@ -175,6 +178,8 @@ def _observations(rig: Rig) -> Observations:
     displacement = np.zeros((n, 6))
     displacement[:, :3] = places_m.repeat(len(currents_A), axis=0)
     joints = np.radians([0.0, -90.0, -90.0, 0.0, 90.0, 0.0]) + rng.uniform(-0.03, 0.03, (n, 6))
+    if len(rig.movers) > 1:  # a stage that turns too: what needs turns shows in this session
+        displacement[:, 3:] = rng.uniform(-0.2, 0.2, (n, 3))
     columns = {"stage": torch.from_numpy(displacement), "arm": torch.from_numpy(joints)}
     time_s = 15.0 * torch.arange(n, dtype=torch.float64)
     warmer_K = torch.linspace(0.0, 3.0, n, dtype=torch.float64) ** 2 / 3.0
