@@ -38,7 +38,16 @@ GROUPS = {  # page: title and what a declaration says of itself; the first that 
     "of-sensors": ("Sensors", lambda effect: effect.kind is Kind.SENSOR),
     "of-the-record": ("What was written down", lambda effect: effect.kind is Kind.RECORD),
 }
-SHOWN = ("of-the-coil", "of-the-current", "of-places", "of-movers", "of-sensors", "of-the-room", "of-noise", "of-the-record")
+SHOWN = (
+    "of-the-coil",
+    "of-the-current",
+    "of-places",
+    "of-movers",
+    "of-sensors",
+    "of-the-room",
+    "of-noise",
+    "of-the-record",
+)
 # Methods of a declaration that say where and when it is asked, not what it does.
 BOOKKEEPING = (
     "quantities",
