@@ -96,9 +96,8 @@ def test_what_multipoles_cannot_hold_is_refused(
     model: Calibration, motion: dict[str, Tensor], tmp_path: Path
 ) -> None:
     path = tmp_path / "mpem.yaml"
-    around = Grid(
-        np.linspace(-0.031, 0.031, 2), np.linspace(-0.005, 0.005, 2), np.linspace(-0.055, -0.045, 2)
-    )
+    wide_m = np.linspace(-0.06, 0.06, 2)
+    around = Grid(wide_m, wide_m, np.linspace(-0.034, -0.028, 2))
     with pytest.raises(
         InvalidInput, match="must lie well away from the windings for multipoles; with degree 12"
     ):
