@@ -13,6 +13,18 @@ from estimator.field.straight import MU0_OVER_4PI
 from estimator.rig.rig import Point
 
 SMALLEST_RHO2_M2 = 1e-300
+CURRENTS = (
+    (1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (-1.0, 0.0, 0.0),
+    (0.0, -1.0, 0.0),
+)  # along the sides, from the one at negative y on
+CORNERS = (
+    (1.0, 1.0),
+    (-1.0, 1.0),
+    (-1.0, -1.0),
+    (1.0, -1.0),
+)  # signs of x and y, in the order of the current
 FieldAndSlopes = tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]
 
 
@@ -76,15 +88,16 @@ def sided_per_ampere(
     height, half_x, half_y, radius, weight = _loops(coil, winding)[rule].unbind(-1)
     up = points_m[:, 2, None] - height
     x, y = (points_m[:, i, None].expand_as(up) for i in range(2))
-    fields, slopes = torch.zeros(3), torch.zeros(3, 3)
-    for number, (along_x, along_y) in enumerate(((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))):
-        half, out = (half_x, half_y) if number % 2 == 0 else (half_y, half_x)
-        along = torch.tensor((along_x, along_y, 0.0), dtype=points_m.dtype)
-        away = torch.stack(
-            (x - along_y * out, y + along_x * out, up), dim=-1
-        )  # outwards is right of the current
-        field, slope = straight(away, along, (half - radius)[..., None])
-        fields, slopes = fields + field, slopes + slope
+    along = torch.tensor(CURRENTS, dtype=points_m.dtype)
+    halves = torch.stack((half_x, half_y, half_x, half_y), dim=-1)
+    outs = torch.stack((half_y, half_x, half_y, half_x), dim=-1)
+    away_x, away_y = (
+        x[..., None] - along[:, 1] * outs,
+        y[..., None] + along[:, 0] * outs,
+    )  # sides lie right of their current
+    away = torch.stack((away_x, away_y, up[..., None].expand_as(outs)), dim=-1)
+    field, slope = straight(away, along, (halves - radius[..., None])[..., None])
+    fields, slopes = field.sum(-2), slope.sum(-3)
     if winding.is_rounded:
         field, slope = _arcs((x, y, up), (half_x - radius, half_y - radius, radius), _arc_points(coil)[rule])
         fields, slopes = fields + field, slopes + slope
@@ -95,25 +108,20 @@ def sided_per_ampere(
 def _arcs(
     point_m: tuple[Tensor, Tensor, Tensor],
     shape_m: tuple[Tensor, Tensor, Tensor],
-    arc: Float[Tensor, "point node 3"],
+    arc: Float[Tensor, "point node 5"],
 ) -> FieldAndSlopes:
-    """4 pi B / mu0 of the arcs of each loop."""
+    """4 pi B / mu0 of the arcs of each loop, without a matrix for each of their many points."""
     x, y, up = (value[..., None] for value in point_m)
     middle_x, middle_y, radius = (value[..., None] for value in shape_m)
-    cos0, sin0, share = (part[:, None] for part in arc.unbind(-1))
+    cos, sin, share, right, back = (part[:, None] for part in arc.unbind(-1))
+    away_x, away_y = x - right * middle_x - radius * cos, y - back * middle_y - radius * sin
+    r2 = away_x**2 + away_y**2 + up**2
+    near = radius * share * r2**-1.5
+    fall, out = 3.0 * near / r2, sin * away_y + cos * away_x
+    parts = [weight * part for weight in (near, fall) for part in (cos, sin, out)]
+    parts += [fall * part * away for part in (cos, sin, out) for away in (away_x, away_y)]
+    c, s, o, fc, fs, fo, cx, cy, sx, sy, ox, oy = (part.sum(-1) for part in parts)
     up = up[..., 0]
-    each = []
-    for quarter, (right, back) in enumerate(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))):
-        turn_c, turn_s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
-        cos, sin = turn_c * cos0 - turn_s * sin0, turn_s * cos0 + turn_c * sin0
-        away_x, away_y = x - right * middle_x - radius * cos, y - back * middle_y - radius * sin
-        r2 = away_x**2 + away_y**2 + up[..., None] ** 2
-        near = radius * share * r2**-1.5
-        fall, out = 3.0 * near / r2, sin * away_y + cos * away_x
-        parts = [weight * part for weight in (near, fall) for part in (cos, sin, out)]
-        parts += [fall * part * away for part in (cos, sin, out) for away in (away_x, away_y)]
-        each.append([part.sum(-1) for part in parts])  # no 3 x 3 for every point of an arc: these are many
-    c, s, o, fc, fs, fo, cx, cy, sx, sy, ox, oy = (sum(four) for four in zip(*each, strict=True))
     field = torch.stack((up * c, up * s, -o), dim=-1)
     rows = (
         torch.stack((-up * cx, -up * cy, c - up**2 * fc), dim=-1),
@@ -148,9 +156,18 @@ def _loops(coil: PlainCoil, winding: SidedWinding) -> Float[Tensor, "rule loop 5
     return _padded(rows, 4)
 
 
-def _arc_points(coil: PlainCoil) -> Float[Tensor, "rule node 3"]:
-    """Points along the first arc for every rule; shorter rows end in points that weigh nothing."""
-    return _padded([first_arc(rule.steps) for rule in coil.rules], 2)
+def _arc_points(coil: PlainCoil) -> Float[Tensor, "rule node 5"]:
+    """Cosine, sine, weight and signs of the corner of the points of all four arcs, by rule; shorter rows end in weightless points."""
+    rows = []
+    for rule in coil.rules:
+        cos, sin, share = first_arc(rule.steps).unbind(-1)
+        turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))
+        arcs = [
+            torch.stack((c, s, share, torch.full_like(c, right), torch.full_like(c, back)), dim=-1)
+            for (c, s), (right, back) in zip(turned, CORNERS, strict=True)
+        ]
+        rows.append(torch.cat(arcs))
+    return _padded(rows, 2)
 
 
 def _padded(rows: list[Tensor], weight: int) -> Tensor:

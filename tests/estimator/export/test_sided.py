@@ -21,6 +21,7 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.json_model import calibration_schema, json_model
 from estimator.export.magnet import Magnet
+from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -175,13 +176,16 @@ def test_octave_has_field_and_gradient(magnet: Calibration, around_m: Tensor, tm
     )
 
 
+@pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_program_of_torch_has_field_and_gradient(
-    magnet: Calibration, around_m: Tensor, tmp_path: Path
+    magnet: Calibration, around_m: Tensor, tmp_path: Path, is_exported: bool
 ) -> None:
-    """In the process of the test; `test_torch_program` runs one without coilcal."""
-    path = magnet.export("torch", tmp_path / "magnet.pt2")
+    """As the module that is exported, and as the file; `test_torch_program` runs one without coilcal."""
+    program = MagnetProgram(Magnet.of(magnet).model("torch"))
+    if is_exported:
+        program = torch.export.load(magnet.export("torch", tmp_path / "magnet.pt2")).module()
     currents_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
-    field_T, gradient = torch.export.load(path).module()(around_m, currents_A, MOTION["stage"][None])
+    field_T, gradient = program(around_m, currents_A, MOTION["stage"][None])
     compared(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet, around_m)
 
 
