@@ -1,8 +1,8 @@
 """Factory corrections of an arm of Universal Robots from the file that `ur_calibration`, a part of its ROS driver, extracts.
 
 The file has the six links with joints at zero: `x`, `y`, `z` in metres and `roll`, `pitch`, `yaw`. The driver takes the controller's
-Denavit-Hartenberg table, moves far offsets of nearly parallel axes from link to link, and writes what is left. The kinematics stay the same,
-so that the table follows again.
+Denavit-Hartenberg table, moves far offsets of nearly parallel axes from link to link, and writes what is left. The kinematics stay the
+same, so that the table follows again.
 """
 
 from __future__ import annotations
