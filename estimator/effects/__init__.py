@@ -71,6 +71,7 @@ from estimator.effects.stated import (
     CoilMisplaced,
     NoiseMisstated,
     SensorMisplaced,
+    SidesMisstated,
     WindingMisstated,
 )
 from estimator.effects.structure import HiddenWinding, ReversedLayer
@@ -123,6 +124,7 @@ EFFECTS: dict[str, Effect] = {
         CoilHeating(),
         NeighbourCoil(),
         WindingMisstated(),
+        SidesMisstated(),
         AxialPitch(),
         RadialPitch(),
         TurnsGradient(),
