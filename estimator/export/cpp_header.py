@@ -79,7 +79,7 @@ FILTERS: Filters = {
     "pose": _pose,
     "sides": _sides,
     "is_rounded": is_rounded,
-    "radius": lambda coil: getattr(coil.winding, "radius_m", 0.0),
+    "radius": lambda coil: coil.winding.radius_m if isinstance(coil.winding, Winding) else 0.0,
     "padded": lambda row, n: torch.cat((row, row.new_zeros(n - len(row)))),
     "arc": first_arc,
 }

@@ -43,7 +43,7 @@ class Box:
     @property
     def middle_m(self) -> Float[np.ndarray, " 3"]:
         """Where the sources are."""
-        return 0.5 * (self.low_m + self.high_m)
+        return np.asarray(0.5 * (self.low_m + self.high_m))
 
     @property
     def reach_m(self) -> float:
@@ -52,7 +52,7 @@ class Box:
 
     def points_m(self, share: Points) -> Points:
         """Points by their place between the corners, each coordinate from -1 to 1."""
-        return self.middle_m + 0.5 * (self.high_m - self.low_m) * share
+        return np.asarray(self.middle_m + 0.5 * (self.high_m - self.low_m) * share)
 
 
 def mpem_yaml(request: Request) -> str:

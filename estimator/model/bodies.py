@@ -93,8 +93,8 @@ def winding_of(rig: Rig, coil: WoundCoil, values: Values) -> AnyWinding:
         of = {key: values[f"{coil.name}.{key}"] for key in keys}
         of.setdefault(CORNER, torch.zeros_like(of[SIDED_KEYS[0]]))
         sided = SidedWinding(coil.is_rounded, *torch.broadcast_tensors(*(of[key] for key in SIDED_KEYS)))
-        for use in uses_of(rig, SidesEffect, coil.name):
-            sided = use.effect.apply(sided, use.theta(values))
+        for misstated in uses_of(rig, SidesEffect, coil.name):
+            sided = misstated.effect.apply(sided, misstated.theta(values))
         return sided
     numbers = (values[f"{coil.name}.{key}"] for key in WINDING_KEYS)
     winding = Winding(*torch.broadcast_tensors(*numbers))

@@ -83,7 +83,8 @@ def _links(path: Path) -> list[Matrix]:
                 "it has none"
             )
         matrix = np.eye(4)
-        matrix[:3, 3] = numbers[:3]
-        matrix[:3, :3] = Rotation.from_euler("XYZ", numbers[3:]).as_matrix()
+        values = np.array(numbers, dtype=float)
+        matrix[:3, 3] = values[:3]
+        matrix[:3, :3] = Rotation.from_euler("XYZ", values[3:]).as_matrix()
         found.append(matrix)
     return found

@@ -79,6 +79,27 @@ sensors:
   hall: {noise_uT: 20}
   other: {noise_uT: 20, world_from_sensor: {y_mm: 15, rx_deg: 90}}
 """
+SIDES = """
+schema_version: 1
+name: a coil with straight sides on a stage, and a sensor that stands still
+movers:
+  stage: {motion: displacement}
+coils:
+  coil1:
+    model: racetrack
+    carried_by: stage
+    inner_side_x_mm: 90
+    inner_side_y_mm: 60
+    inner_corner_radius_mm: 10
+    wire_radius_mm: 0.5
+    axial_loops: 20
+    radial_loops: 8
+    world_from_coil0:
+      {x_mm: &place {prior: {normal: {mean: 0, sd: 3}}}, y_mm: *place, z_mm: {prior: {normal: {mean: -40, sd: 3}}},
+      tilt_x_deg: &turn {prior: {normal: {mean: 0, sd: 2}}}, tilt_y_deg: *turn}
+sensors:
+  hall: {noise_uT: 20}
+"""
 # Sizes of causes that are there or not, or whose prior does not say where they would be.
 SIZES: dict[str, dict[str, float]] = {
     "axes_swapped": {"x_reads": 2.0, "y_reads": -1.0},
@@ -142,7 +163,7 @@ class Pattern:
 
 def grounds() -> tuple[Ground, ...]:
     """The sessions that causes are shown in; the first in which a cause can be is taken."""
-    return _ground(ONE_COIL), _ground(TWO_COILS)
+    return _ground(ONE_COIL), _ground(TWO_COILS), _ground(SIDES)
 
 
 def pattern(name: str, grounds: Sequence[Ground]) -> Pattern:
