@@ -17,6 +17,7 @@ from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.recalibration.registry import LOG, VERSIONS, Registry
+from estimator.reporting.numbers import displays
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import FIELD
 from estimator.store.session import Session, is_growing, is_session, load_session
@@ -184,12 +185,15 @@ def _calibration(path: Path) -> Contents:
 
 
 def _parameter_lines(parameters: dict[str, Any]) -> list[str]:
-    width = max(map(len, parameters), default=0)
+    """Medians and intervals in the units that other commands print: mm, mrad, µT."""
+    shown_as = displays(list(parameters))
+    width = max((len(each.words) for each in shown_as.values()), default=0)
     lines = []
     for name, told in list(parameters.items())[:MOST_LINES]:
-        low, high = told["ci90"]
-        words = f"{told['median']:.6g}  90 %: {low:.6g} to {high:.6g}  {told['unit'].removeprefix('1')}"
-        lines.append(f"  {name:{width}}  {words.rstrip()}")
+        each = shown_as[name]
+        median, low, high = (f"{each.factor * value:.6g}" for value in (told["median"], *told["ci90"]))
+        words = f"{median}  90 %: {low} to {high}  {each.unit}"
+        lines.append(f"  {each.words:{width}}  {words.rstrip()}")
     more = len(parameters) - len(lines)
     return lines if more <= 0 else [*lines, f"  and {more} more"]
 

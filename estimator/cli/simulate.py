@@ -82,10 +82,15 @@ def simulate_command(
     if csv_path is not None:
         write_readings_csv(session, csv_path)
     session.save(out, overwrite)
+    from estimator.reporting.numbers import displays
+
     n_validation = int(readings.is_validation.sum())
     result = {"session": str(out), "readings": len(readings), "validation": n_validation, "truth": values}
     text = f"{len(readings)} readings ({n_validation} of them for validation) written to {out}; truth:\n"
-    text += "\n".join(f"  {name} = {value:.6g}" for name, value in values.items())
+    shown_as = displays(list(values))
+    text += "\n".join(
+        f"  {name} = {each.factor * values[name]:.6g} {each.unit}".rstrip() for name, each in shown_as.items()
+    )
     show(result, text, as_json)
 
 

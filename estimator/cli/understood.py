@@ -133,8 +133,8 @@ def _prior_shown(parameter: Parameter) -> str:
     assert parameter.prior is not None
     unit = UNITS.get(SHOWN_IN.get(parameter.unit, ""))
     if unit is None:
-        return f"{prior_words(parameter.prior)} {parameter.unit.removeprefix('1')}".rstrip()
-    return f"{prior_words(parameter.prior, 1.0 / unit.to_si)} {unit.symbol}"
+        return prior_words(parameter.prior, unit=parameter.unit.removeprefix("1"))
+    return prior_words(parameter.prior, 1.0 / unit.to_si, unit.symbol)
 
 
 def _columns(table: Table) -> dict[str, dict[str, Any]]:

@@ -24,21 +24,24 @@ def duration_words(time_s: float) -> str:
     return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"
 
 
-def prior_words(prior: Prior, factor: float = 1.0) -> str:
-    """Format a prior, its values times a factor.
+def prior_words(prior: Prior, factor: float = 1.0, unit: str = "") -> str:
+    """Format a prior, its values times a factor and with a unit.
 
     Examples:
         >>> prior_words(Normal(0.05, 0.003, lower=0.04), 1e3), prior_words(LogNormal(2e-5, 0.5), 1e6)
         ('50 ± 3, at least 40', 'median 20, relative sd 0.5')
+        >>> prior_words(Normal(0.05, 0.003, lower=0.04), 1e3, "mm"), prior_words(LogNormal(2e-5, 0.5), 1e6, "uT")
+        ('50 ± 3, at least 40 mm', 'median 20 uT, relative sd 0.5')
     """
+    unit = f" {unit}" if unit else ""
     if isinstance(prior, LogNormal):
-        return f"median {factor * prior.median:g}, relative sd {prior.relative_sd:.3g}"
+        return f"median {factor * prior.median:g}{unit}, relative sd {prior.relative_sd:.3g}"
     low, high = factor * prior.lower, factor * prior.upper
     if isinstance(prior, Normal):
         at_least = f", at least {low:g}" if math.isfinite(low) else ""
         at_most = f", at most {high:g}" if math.isfinite(high) else ""
-        return f"{factor * prior.mean:g} ± {factor * prior.standard_deviation:.3g}{at_least}{at_most}"
-    return f"{low:.3g} to {high:.3g}"
+        return f"{factor * prior.mean:g} ± {factor * prior.standard_deviation:.3g}{at_least}{at_most}{unit}"
+    return f"{low:.3g} to {high:.3g}{unit}"
 
 
 def motion_words(mover: Mover, motion: Sequence[float]) -> str:

@@ -16,7 +16,7 @@ from estimator.units import UNITS
 
 SEPARATORS = re.compile(r"[;,\t]|\s{2,}")
 COLUMN = re.compile(
-    r"^(?:.*\.)?(?P<name>[xyz]|B_?[xyz])\s*(?:[_ ]\s*)?(?:\(?(?P<unit>[mcun\u00b5\u03bc]?[mTG])\)?)?(?:\s*@.*)?$"
+    r"^(?:.*\.)?(?P<name>[xyzXYZ]|B_?[xyz])\s*(?:[_ ]\s*)?(?:\(?(?P<unit>[mcun\u00b5\u03bc]?[mTG])\)?)?(?:\s*@.*)?$"
 )
 LENGTH_UNIT = re.compile(r"^%\s*Length unit\W+(\w+)", re.MULTILINE)
 MOST_BYTES = 400_000_000
@@ -82,6 +82,7 @@ def _columns(cells: list[str], length: re.Match[str] | None, path: Path) -> list
         if match is None:
             continue
         name = match["name"].replace("_", "")
+        name = name if name.startswith("B") else name.lower()  # of the material frame, COMSOL writes X, Y, Z
         symbol = (
             (match["unit"] or (length[1] if length and name in "xyz" else ""))
             .replace("\u00b5", "u")

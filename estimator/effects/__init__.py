@@ -77,6 +77,7 @@ from estimator.effects.stated import (
     CoilMisplaced,
     NoiseMisstated,
     SensorMisplaced,
+    SidesMisstated,
     WindingMisstated,
 )
 from estimator.effects.step_corrections import (
@@ -141,6 +142,7 @@ EFFECTS: dict[str, Effect] = {
         CoilHeating(),
         NeighbourCoil(),
         WindingMisstated(),
+        SidesMisstated(),
         AxialPitch(),
         RadialPitch(),
         TurnsGradient(),

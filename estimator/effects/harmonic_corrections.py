@@ -13,8 +13,10 @@ from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.correction import Correction, Limit, limit_of_places, positions_m
 from estimator.effects.stages import PerAmpere, RoomEffect, SourceEffect
 from estimator.field import harmonics
-from estimator.field.winding import Rule, Winding
+from estimator.field.coil import AnyWinding
+from estimator.field.winding import Rule
 from estimator.rig.harmonic_terms import terms
+from estimator.rig.rig import Rig
 
 LEAST_REACH_M = 1e-6
 NEAREST = 0.5  # of the mean distance of the readings from a coil: nearer to it multipoles grow beyond what the others tell
@@ -70,6 +72,11 @@ class _CoilHarmonics(_Harmonics, SourceEffect):
     """A field that moves with a coil and is proportional to its current."""
 
     unit: ClassVar[str] = "T/A"
+    needs_winding: ClassVar[bool] = False
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Coils with a winding of any shape."""
+        return tuple(coil.name for coil in rig.wound)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the coil carried current."""
@@ -98,7 +105,7 @@ class CoilHarmonics(_CoilHarmonics):
         return (_about(self.read_at_m(circumstances, place)),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: AnyWinding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field in the coil frame per ampere."""
         return harmonics.interior_field(_in_reach(points_coil_m, theta), self.amplitudes(theta))
@@ -128,7 +135,7 @@ class CoilMultipoles(_CoilHarmonics):
         return (_ball(middle_m, float(from_middle_m.norm(dim=-1).min())),)
 
     def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: AnyWinding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field in the coil frame per ampere."""
         return harmonics.exterior_field(_in_reach(points_coil_m, theta), self.amplitudes(theta))
@@ -177,6 +184,11 @@ class RoomAnswers(_Harmonics, RoomEffect):
     kind: ClassVar[Kind] = Kind.COIL
     words: ClassVar[str] = "a smooth field that stays in the room and goes with the coil's current"
     unit: ClassVar[str] = "T/A"
+    needs_winding: ClassVar[bool] = False
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Coils with a winding of any shape."""
+        return tuple(coil.name for coil in rig.wound)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the coil carried current and was moved; of one that stands still, it is the coil's own field."""

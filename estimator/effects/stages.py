@@ -20,9 +20,10 @@ from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.field.core import Core
 from estimator.field.magnetised import Rings
+from estimator.field.sided import SidedWinding
 from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
-from estimator.rig.rig import Coil, Rig
+from estimator.rig.rig import Coil, Rig, SidedCoil
 
 FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
 
@@ -86,6 +87,20 @@ class WindingEffect(Effect):
 
     @abstractmethod
     def apply(self, winding: Winding, theta: Theta) -> Winding:
+        """The winding as it really is."""
+
+
+class SidesEffect(Effect):
+    """Changes the geometry of a winding with straight sides."""
+
+    kind = Kind.COIL
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Coils with straight sides."""
+        return tuple(coil.name for coil in rig.wound if isinstance(coil, SidedCoil))
+
+    @abstractmethod
+    def apply(self, winding: SidedWinding, theta: Theta) -> SidedWinding:
         """The winding as it really is."""
 
 

@@ -23,8 +23,10 @@ from estimator.effects.stages import (
     NoiseEffect,
     NoiseEstimate,
     Prediction,
+    SidesEffect,
     WindingEffect,
 )
+from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import LogNormal
@@ -158,6 +160,36 @@ class WindingMisstated(WindingEffect):
             winding.radial_pitch_m * wire,
         )
         return Winding(*torch.broadcast_tensors(*numbers))
+
+
+class SidesMisstated(SidesEffect):
+    """The winding with straight sides has other sides, corners, wire or number of loops than the rig file says."""
+
+    name: ClassVar[str] = "sides_misstated"
+    words: ClassVar[str] = "the winding has other sides, corners, wire or number of loops than stated"
+    source: ClassVar[str] = (
+        "formers by calliper under a wire that bulges, 2 %; corners by radius gauge, 10 %; enamelled wire, 2 %; loops from outside, 3 %"
+    )
+    is_structural: ClassVar[bool] = True
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Relative excess of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops."""
+        widths = {"side_x": 0.02, "side_y": 0.02, "corner": 0.1, "wire": 0.02}
+        counts = {"axial_loops": 0.03, "radial_loops": 0.03}
+        return tuple(normal(key, "1", sd) for key, sd in (widths | counts).items())
+
+    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
+        """The corner of a winding with sharp ones; the wire where the rig file leaves a pitch open, as for `winding_misstated`."""
+        parameters = circumstances.rig.parameters
+        is_open = any(parameters[f"{place}.{key}_pitch_m"].is_free for key in ("axial", "radial"))
+        has_corner = f"{place}.inner_corner_radius_m" in parameters
+        return frozenset((*(() if has_corner else ("corner",)), *(("wire",) if is_open else ())))
+
+    def apply(self, winding: SidedWinding, theta: Theta) -> SidedWinding:
+        """The winding as it really is."""
+        keys = ("side_x", "side_y", "corner", "axial_loops", "radial_loops", "wire", "wire")
+        numbers = (number * (1.0 + theta[key]) for number, key in zip(winding.numbers, keys, strict=True))
+        return SidedWinding(winding.is_rounded, *torch.broadcast_tensors(*numbers))
 
 
 class NoiseMisstated(NoiseEffect):

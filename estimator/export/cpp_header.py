@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from estimator.export.labels import identifier, plain_words
 from estimator.export.magnet import Magnet
+from estimator.export.plain_model import PlainCoil, numbers_of
+from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, template
-from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.sided import SidedWinding
+from estimator.field.winding import DEFAULT_TOLERANCE, Winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.units import MU0_T_M_PER_A
@@ -20,8 +24,14 @@ def cpp_header(magnet: Magnet) -> str:
         InvalidInput: The rig has something that the header cannot express.
     """
     model = magnet.model("cpp")
+    sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
+    has_leads = any(coil.leads for coil in model.coils)
     return template("cpp_header.hpp.j2", FILTERS).render(
         model=model,
+        sided=sided,
+        has_leads=has_leads,
+        wires=sided or has_leads,
+        n_numbers=max(len(numbers_of(coil.winding)) for coil in model.coils),
         changes=magnet.changes,
         title=plain_words(model.name),
         name=identifier(model.name),
@@ -40,12 +50,36 @@ def _numbers(values: Tensor | tuple[float, ...]) -> str:
     return "{" + ", ".join(map(number, values)) + "}"
 
 
+def _rows(rows: Tensor) -> str:
+    return "{" + ", ".join(map(_numbers, rows)) + "}"
+
+
 def _matrix(rows: Tensor) -> str:
-    return "{ {" + ", ".join(map(_numbers, rows)) + "} }"
+    return "{ " + _rows(rows) + " }"
 
 
 def _pose(pose: Transform) -> str:
     return "{ " + _matrix(pose.rotation) + ", " + _numbers(pose.translation_m) + " }"
 
 
-FILTERS: Filters = {"numbers": _numbers, "array": _numbers, "matrix": _matrix, "pose": _pose}
+def _sides(coil: PlainCoil) -> str:
+    """Whether a coil has sides and round corners, then its sides and corner radius."""
+    winding = coil.winding
+    if isinstance(winding, Winding):
+        return "false, false, 0.0, 0.0, 0.0"
+    sizes_m = (winding.side_x_m, winding.side_y_m, winding.corner_radius_m)
+    return f"true, {str(winding.is_rounded).lower()}, {', '.join(map(number, sizes_m))}"
+
+
+FILTERS: Filters = {
+    "numbers": _numbers,
+    "array": _numbers,
+    "matrix": _matrix,
+    "table": _rows,
+    "pose": _pose,
+    "sides": _sides,
+    "is_rounded": is_rounded,
+    "radius": lambda coil: coil.winding.radius_m if isinstance(coil.winding, Winding) else 0.0,
+    "padded": lambda row, n: torch.cat((row, row.new_zeros(n - len(row)))),
+    "arc": first_arc,
+}

@@ -97,6 +97,12 @@ def _mag_manip(request: Request) -> None:
     _text(request, vfield_yaml(request))
 
 
+def _mpem(request: Request) -> None:
+    from estimator.export.mpem import mpem_yaml
+
+    _text(request, mpem_yaml(request))
+
+
 def _urdf(request: Request) -> None:
     from estimator.export.frames_urdf import urdf
 
@@ -135,6 +141,7 @@ FORMATS: Mapping[str, Format] = {
     "urdf": Format(".urdf", "calibrated frames as a URDF", _urdf),
     "tf": Format(".launch.py", "ROS 2 launch file of the calibrated transforms", _tf),
     "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
+    "mpem": Format(".yaml", "multipoles (MPEM) for ETH mag_manip", _mpem, ("grid", "motion")),
 }
 
 

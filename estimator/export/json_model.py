@@ -35,6 +35,7 @@ CONVENTIONS = {
     " (axial node - axial_loops / 2) of the coil frame counts axial weight * radial weight times",
     "sides": "a coil with corners winds around a bore of side_x_m times side_y_m instead; a loop lies radial_pitch_m * (radial_loops / 2 +"
     " radial node) outside it all around, and round corners have corner_radius_m more than that",
+    "leads": "straight wires from point to point of the coil frame, in the order of the current, which add the field of one ampere in them",
     "rules": f"at a distance d from the cross-section of the winding, level floor({ZONES_PER_OCTAVE} * log2(d)) - first_level, held"
     " between 0 and the last, tells the number of the rule",
     "directions": "how all numbers move along independent standard normal directions of the posterior, to first order; base and flange are"
@@ -48,7 +49,7 @@ def json_model(magnet: Magnet) -> str:
     Raises:
         InvalidInput: The rig has something that the file cannot express.
     """
-    model = magnet.model("json", takes_sides=True)
+    model = magnet.model("json")
     regions_m = [magnet.region_m(coil.name) for coil in model.coils]
     document = {
         "format": "coilcal calibration",
@@ -104,6 +105,7 @@ def calibration_schema() -> dict[str, Any]:
             first_level=whole,
             rule_of_level=_list(whole),
             rules=_list(rule),
+            leads_m=_list(_list(three, 2)),
             measured_low_m=_or_null(three),
             measured_high_m=_or_null(three),
         )
@@ -193,6 +195,7 @@ def _coil(coil: PlainCoil, region_m: Tensor, movers: tuple[PlainMover, ...]) -> 
         "first_level": coil.first_level,
         "rule_of_level": list(coil.rule_of_level),
         "rules": rules,
+        "leads_m": [list(map(list, piece)) for piece in coil.leads],
         "measured_low_m": region_m.amin(0).tolist() if len(region_m) else None,
         "measured_high_m": region_m.amax(0).tolist() if len(region_m) else None,
     }

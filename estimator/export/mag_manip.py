@@ -48,10 +48,13 @@ def vfield_yaml(request: Request) -> str:
 
 
 def per_ampere_on(
-    calibrated: Calibrated, points_m: Float[Tensor, "point 3"], motion: Motion
+    calibrated: Calibrated, points_m: Float[Tensor, "point 3"], motion: Motion, to: str = "mag_manip"
 ) -> Float[Tensor, "coil point 3"]:
     """Field per ampere of every coil of a calibration.
 
+    Args:
+        calibrated, points_m, motion: The calibration, points in the world frame, and poses of its movers.
+        to: What is exported to, for the message.
     Raises:
         InvalidInput: A point inside a winding, or a field that is not proportional to the currents.
     """
@@ -64,13 +67,13 @@ def per_ampere_on(
     field_T = room.field_T(best, currents_A)
     if room.is_inside.any():
         raise InvalidInput(
-            f"grid of mag_manip must lie outside the windings; {int(room.is_inside.sum())} of {len(points_m)} points do not"
+            f"grid of {to} must lie outside the windings; {int(room.is_inside.sum())} of {len(points_m)} points do not"
         )
     per_ampere, together_T, off_T = field_T[:n], field_T[n], field_T[n + 1]
     error_T = (together_T - torch.einsum("c,cpx->px", probe_A, per_ampere)).norm(dim=-1) + off_T.norm(dim=-1)
     if (error_T > PROPORTIONAL * together_T.norm(dim=-1)).any():
         raise InvalidInput(
-            f"export to mag_manip must have a field proportional to the currents; that of rig {calibrated.rig.name!r} is not, "
+            f"export to {to} must have a field proportional to the currents; that of rig {calibrated.rig.name!r} is not, "
             "or is there without current"
         )
     return per_ampere

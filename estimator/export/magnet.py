@@ -50,16 +50,16 @@ class Magnet:
         """The calibration and the description of each coil, by its name."""
         return {coil.name: (part, coil) for part in self.parts for coil in part.rig.coils}
 
-    def model(self, to: str, takes_sides: bool = False) -> PlainModel:
+    def model(self, to: str, only_round: bool = False) -> PlainModel:
         """The model in plain numbers.
 
         Args:
             to: What is exported to, for the message.
-            takes_sides: It can express windings with straight sides, not only round ones.
+            only_round: It can express neither windings with straight sides nor leads.
         Raises:
             InvalidInput: A rig has something that the numbers cannot express.
         """
-        models = [plain_model(part.rig, part.best_values(), to, takes_sides) for part in self.parts]
+        models = [plain_model(part.rig, part.best_values(), to, only_round) for part in self.parts]
         return joined(models, self.coils, self.name)
 
     @cached_property

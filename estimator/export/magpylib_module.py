@@ -48,7 +48,8 @@ def winding(coil, current_A):
     axial = coil["axial_pitch_m"] * (np.arange(round(coil["axial_loops"])) - coil["axial_loops"] + 0.5)
     outwards = coil["radial_pitch_m"] * (np.arange(round(coil["radial_loops"])) + 0.5)
     loops = [loop(coil, out_m, current_A).move((0.0, 0.0, height_m)) for height_m in axial for out_m in outwards]
-    collection = magpylib.Collection(loops, style_label=coil["name"])
+    leads = [magpylib.current.Polyline(vertices=piece, current=current_A) for piece in coil["leads_m"]]
+    collection = magpylib.Collection(loops + leads, style_label=coil["name"])
     collection.rotate(Rotation.from_matrix(coil["rotation"]), anchor=(0.0, 0.0, 0.0))
     return collection.move(coil["translation_m"])
 
@@ -86,7 +87,7 @@ def magpylib_module(magnet: Magnet, motion: Motion) -> str:
     Raises:
         InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that loops cannot express.
     """
-    model = magnet.model("magpylib", takes_sides=True)
+    model = magnet.model("magpylib")
     origin_m = torch.zeros(1, 3, dtype=torch.float64)
     coils: list[dict[str, Any]] = []
     for plain in model.coils:
@@ -102,7 +103,8 @@ def magpylib_module(magnet: Magnet, motion: Motion) -> str:
         rotation, translation_m = pose.rotation.reshape(3, 3).tolist(), pose.translation_m.reshape(3).tolist()
         corners = {"is_rounded": int(coil.is_rounded)} if isinstance(coil, SidedCoil) else {}
         coils.append(
-            {"name": coil.name, **corners, **numbers, "rotation": rotation, "translation_m": translation_m}
+            {"name": coil.name, **corners, **numbers, "leads_m": plain.leads}
+            | {"rotation": rotation, "translation_m": translation_m}
         )
     poses = ", ".join(f"{name} {[round(x, 6) for x in row.tolist()]}" for name, row in motion.items())
     return MODULE.format(

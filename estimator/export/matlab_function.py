@@ -10,9 +10,11 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.export.labels import plain_words
-from estimator.export.linearised import WINDING_NUMBERS
 from estimator.export.magnet import Magnet
+from estimator.export.plain_model import numbers_of
+from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, template
+from estimator.field.sided import SidedWinding
 from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
@@ -37,6 +39,8 @@ def matlab_function(magnet: Magnet, name: str) -> str:
             f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {name!r}"
         )
     model = magnet.model("matlab")
+    sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
+    has_leads = any(coil.leads for coil in model.coils)
     text = template("matlab_function.m.j2", FILTERS).render(
         model=model,
         name=name,
@@ -45,7 +49,9 @@ def matlab_function(magnet: Magnet, name: str) -> str:
         origin=magnet.origin,
         coil_names=", ".join(coil.name for coil in model.coils),
         mover_names=", ".join(mover.name for mover in model.movers) or "none",
-        winding_numbers=WINDING_NUMBERS,
+        sided=sided,
+        has_leads=has_leads,
+        wires=sided or has_leads,
         quarter_mu0=number(0.25 * MU0_T_M_PER_A),
         tolerance=f"{DEFAULT_TOLERANCE:g}",
         zones_per_octave=ZONES_PER_OCTAVE,
@@ -81,5 +87,11 @@ FILTERS: Filters = {
     "rows": _rows,
     "homogeneous": _homogeneous,
     "table": _table,
+    "winding": lambda coil: numbers_of(coil.winding).items(),
+    "is_rounded": is_rounded,
+    "arc": first_arc,
+    "pieces": lambda leads: (
+        _rows(torch.tensor(leads, dtype=torch.float64).reshape(-1, 6)) if leads else "zeros(0, 6)"
+    ),
     "capitalize_first": lambda line: line[:1].upper() + line[1:],
 }

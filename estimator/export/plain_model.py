@@ -41,6 +41,7 @@ from estimator.rig.rig import (
     FieldSum,
     MotionKind,
     Mover,
+    Point,
     Rig,
     SidedCoil,
     WoundCoil,
@@ -75,12 +76,13 @@ class PlainCoil:
 
     Attributes:
         name: As in the rig.
-        winding: Its geometry, no batch; with straight sides only where `plain_model` was told so.
+        winding: Its geometry, no batch.
         mover: Number of the mover that carries it; -1 where none does.
         world_from_base, flange_from_coil: Poses; the second one is no motion where nothing carries the coil.
         first_level: Level of distance to which the first entry of `rule_of_level` belongs.
         rule_of_level: Number of the rule by level; a distance d has the level floor(2 log2 d).
         rules: Each rule once.
+        leads: Ends of the straight wires that bring its current and take it away, in the frame of the coil and the order of the current.
     """
 
     name: str
@@ -91,6 +93,7 @@ class PlainCoil:
     first_level: int
     rule_of_level: tuple[int, ...]
     rules: tuple[NodeRule, ...]
+    leads: tuple[tuple[Point, Point], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,19 +130,19 @@ class PlainModel:
     background_T: Float[Tensor, " 3"]
 
 
-def plain_model(rig: Rig, values: Values, to: str, takes_sides: bool = False) -> PlainModel:
+def plain_model(rig: Rig, values: Values, to: str, only_round: bool = False) -> PlainModel:
     """The model of a rig in plain numbers, which predicts what `RoomField` predicts.
 
     Args:
         rig: Coils, movers and effects.
         values: Every number of the rig, no batch.
         to: What is exported to, for the message.
-        takes_sides: It can express windings with straight sides, not only round ones.
+        only_round: It can express neither windings with straight sides nor leads.
     Raises:
         InvalidInput: The rig has something that the numbers cannot express; the message names it.
     """
     sources = at_one_moment(rig)
-    missing = [*_inexpressible(rig, takes_sides), *_bent(rig, sources, values), *_uneven(rig, values)]
+    missing = [*_inexpressible(rig, only_round), *_bent(rig, sources, values), *_uneven(rig, values)]
     if missing:
         raise InvalidInput(
             f"export to {to} must express the whole model; it has no place for {', '.join(missing)} of rig {rig.name!r} "
@@ -195,11 +198,11 @@ def numbers_of(winding: AnyWinding) -> dict[str, Tensor]:
     return {name: getattr(winding, name) for name in names if name != "is_rounded"}
 
 
-def _inexpressible(rig: Rig, takes_sides: bool) -> list[str]:
+def _inexpressible(rig: Rig, only_round: bool) -> list[str]:
     """Coils and effects that never have a place."""
     missing = [f"{coil.name} (a coil without a winding)" for coil in rig.unwound]
-    missing += [f"{coil.name} (leads)" for coil in rig.wound if coil.leads is not None]
-    if not takes_sides:
+    if only_round:
+        missing += [f"{coil.name} (leads)" for coil in rig.wound if coil.leads is not None]
         missing += [
             f"{c.name} (a winding with straight sides)" for c in rig.wound if isinstance(c, SidedCoil)
         ]
@@ -270,7 +273,8 @@ def _coil(rig: Rig, coil: WoundCoil, sources: Sources, values: Values, carriers:
     mover = names.index(coil.carried_by) if coil.carried_by is not None else -1
     poses = poses_of(rig, coil, sources, values)
     levels = tuple(distinct.index(rule) for rule in rules)
-    return PlainCoil(coil.name, winding, mover, *poses, first_level, levels, nodes)
+    leads = coil.leads.pieces if coil.leads is not None else ()
+    return PlainCoil(coil.name, winding, mover, *poses, first_level, levels, nodes, leads)
 
 
 def _flange_from_report(mover: Mover) -> Transform:

@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from torch import Tensor
 
-Filters = Mapping[str, Callable[[Any], str]]  # how values are written in a language, by name
+Filters = Mapping[str, Callable[..., Any]]  # how values are written in a language, by name
 
 
 def template(name: str, filters: Filters) -> jinja2.Template:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover
+from estimator.export.torch_wires import of_leads, sided_per_ampere
 from estimator.field.loop import loop_derivatives
 from estimator.field.node_sum import SMALLEST_RHO2_M2
+from estimator.field.sided import SidedWinding, distance_to_sided
 from estimator.field.winding import Winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
@@ -108,17 +109,38 @@ def _per_ampere(
     coil: PlainCoil, points_m: Float[Tensor, "point 3"]
 ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
     """Field and gradient per ampere in the frame of the coil, each point with the rule of its distance."""
-    x, y, z = points_m.unbind(-1)
-    rho2 = x * x + y * y
-    distance_m = _distance_m(coil, rho2, z)
+    winding = coil.winding
+    if isinstance(winding, SidedWinding):
+        distance_m = distance_to_sided(points_m, winding)
+        field, slopes = sided_per_ampere(coil, winding, points_m, _rule_numbers(coil, distance_m))
+    else:
+        distance_m = _distance_m(winding, points_m)
+        field, slopes = _round_per_ampere(coil, winding, points_m, _rule_numbers(coil, distance_m))
+    if coil.leads:
+        of_wires = of_leads(points_m, coil.leads)
+        field, slopes = field + of_wires[0], slopes + of_wires[1]
+    is_outside = distance_m > 0.0
+    return (
+        torch.where(is_outside[:, None], field, torch.nan),
+        torch.where(is_outside[:, None, None], slopes, torch.nan),
+    )
+
+
+def _rule_numbers(coil: PlainCoil, distance_m: Float[Tensor, " point"]) -> Int[Tensor, " point"]:
     level = torch.floor(ZONES_PER_OCTAVE * torch.log2(distance_m.clamp(min=1e-12))).to(torch.int64)
     level = (level - coil.first_level).clamp(0, len(coil.rule_of_level) - 1)
-    rule_number = torch.tensor(coil.rule_of_level)[level]
-    heights_m, radii_m, weights = (table[rule_number] for table in _loops(coil))
+    return torch.tensor(coil.rule_of_level)[level]
+
+
+def _round_per_ampere(
+    coil: PlainCoil, winding: Winding, points_m: Float[Tensor, "point 3"], rule: Int[Tensor, " point"]
+) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3 3"]]:
+    x, y, z = points_m.unbind(-1)
+    rho2 = x * x + y * y
+    heights_m, radii_m, weights = (table[rule] for table in _loops(coil, winding))
     steps = max(rule.steps for rule in coil.rules)  # more steps than a rule needs change nothing
     of_loops = loop_derivatives(x[:, None], y[:, None], z[:, None] - heights_m, radii_m, steps)
-    sums = torch.stack([(weights * part).sum(-1) for part in of_loops])
-    h, axial, h_z, axial_z = torch.where(distance_m > 0.0, sums, torch.nan)
+    h, axial, h_z, axial_z = ((weights * part).sum(-1) for part in of_loops)
     # div B = 0 and curl B = 0 give the derivatives across the axis.
     is_on_axis = rho2 < SMALLEST_RHO2_M2
     across = torch.where(is_on_axis, 0.0, (2.0 * h + axial_z) / torch.where(is_on_axis, 1.0, rho2))
@@ -131,9 +153,9 @@ def _per_ampere(
     return torch.stack((x * h, y * h, axial), dim=-1), torch.stack(rows, dim=-2)
 
 
-def _loops(coil: PlainCoil) -> tuple[Tensor, Tensor, Tensor]:
+def _loops(coil: PlainCoil, winding: Winding) -> tuple[Tensor, Tensor, Tensor]:
     """Heights, radii and weights of the loops of every rule, a row each; shorter rows end in loops that weigh nothing."""
-    winding, rows = _round(coil), []
+    rows = []
     for rule in coil.rules:
         heights_m = winding.axial_pitch_m * (rule.axial.nodes - 0.5 * winding.axial_loops)
         radii_m = winding.radius_m + winding.radial_pitch_m * (rule.radial.nodes - 0.5 * winding.radial_loops)
@@ -153,18 +175,11 @@ def _loops(coil: PlainCoil) -> tuple[Tensor, Tensor, Tensor]:
     return heights_m, radii_m, weights
 
 
-def _distance_m(
-    coil: PlainCoil, rho2: Float[Tensor, " point"], z: Float[Tensor, " point"]
-) -> Float[Tensor, " point"]:
+def _distance_m(winding: Winding, points_m: Float[Tensor, "point 3"]) -> Float[Tensor, " point"]:
     """From the cross-section of the winding; 0 inside it."""
-    winding = _round(coil)
-    rho = rho2.sqrt()
+    x, y, z = points_m.unbind(-1)
+    rho = (x * x + y * y).sqrt()
     inner_m = winding.radius_m - winding.radial_pitch_m * winding.radial_loops
     radial = torch.maximum(inner_m - rho, rho - winding.radius_m).clamp(min=0.0)
     axial = torch.maximum(-winding.axial_pitch_m * winding.axial_loops - z, z).clamp(min=0.0)
     return (radial * radial + axial * axial).sqrt()
-
-
-def _round(coil: PlainCoil) -> Winding:
-    """Its winding; `plain_model` has refused others."""
-    return cast(Winding, coil.winding)

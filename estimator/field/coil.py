@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -65,10 +63,9 @@ def field_of_leads(
         leads: Where the current comes and goes.
     """
     total = torch.zeros_like(points_coil_m)
-    for path in (leads.towards, leads.away):
-        ends = torch.tensor(path, dtype=points_coil_m.dtype, device=points_coil_m.device).reshape(-1, 3)
-        for start_m, end_m in pairwise(ends):
-            total = total + segment_field(points_coil_m, start_m, end_m)
+    for piece in leads.pieces:
+        start_m, end_m = torch.tensor(piece, dtype=points_coil_m.dtype, device=points_coil_m.device)
+        total = total + segment_field(points_coil_m, start_m, end_m)
     return total
 
 

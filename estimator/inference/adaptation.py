@@ -44,9 +44,15 @@ def adapted(
     for _ in range(ROUNDS):
         fresh, log_drawn = _draws(proposal, random)
         log_target = log_prob(fresh)
-        if not np.isfinite(log_target).any():
+        is_there = np.isfinite(log_target)
+        if not is_there.any():
             break
-        efficiency = efficiency_of(proposal.log_density(fresh), log_target, log_drawn)
+        # Heavy tails and a bend throw some draws far out, even to infinity, where no density has a value; that of the target is zero there.
+        log_target = np.where(is_there, log_target, -np.inf)
+        log_drawn = np.where(is_there, log_drawn, 0.0)
+        log_own = np.zeros(len(fresh))
+        log_own[is_there] = proposal.log_density(fresh[is_there])
+        efficiency = efficiency_of(log_own, log_target, log_drawn)
         if efficiency > best_efficiency:
             best, best_efficiency = proposal, efficiency
         if efficiency >= ENOUGH:
@@ -82,9 +88,11 @@ def _draws(proposal: MixtureProposal, random: np.random.RandomState) -> tuple[np
     wide = MixtureProposal(proposal.mixture, proposal.bend, wider, proposal.weight)
     n_wide = int(WIDE_SHARE * DRAWS)
     vectors = np.concatenate((proposal.draw(DRAWS - n_wide, random), wide.draw(n_wide, random)))
-    log_drawn = np.logaddexp(
-        np.log1p(-WIDE_SHARE) + proposal.log_density(vectors), np.log(WIDE_SHARE) + wide.log_density(vectors)
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # far out; no such draw counts
+        log_drawn = np.logaddexp(
+            np.log1p(-WIDE_SHARE) + proposal.log_density(vectors),
+            np.log(WIDE_SHARE) + wide.log_density(vectors),
+        )
     return vectors, np.asarray(log_drawn)
 
 
@@ -98,6 +106,8 @@ def _truncated(log_weight: np.ndarray) -> np.ndarray:
 def _fitted(
     proposal: MixtureProposal, vectors: np.ndarray, weight: np.ndarray, random: np.random.RandomState
 ) -> MixtureProposal:
+    counts = weight > 0.0
+    vectors, weight = vectors[counts], weight[counts]
     row = proposal.rows(vectors)
     white = proposal.white(row, vectors)
     bend = Bend.fitted(white, weight)

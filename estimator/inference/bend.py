@@ -69,7 +69,8 @@ class Bend:
 
     def straightened(self, white: np.ndarray) -> np.ndarray:
         """Coordinates less what the bend adds, shape (point, n)."""
-        return np.asarray(white - self._added(white))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(white - self._added(white))
 
     def bent(self, straight: np.ndarray) -> np.ndarray:
         """Inverse of `straightened`.
@@ -80,8 +81,9 @@ class Bend:
             array([[2., 3.]])
         """
         white = straight.copy()
-        for i in range(straight.shape[1]):
-            white[:, i] += self._added_to(i, white)
+        with np.errstate(over="ignore", invalid="ignore"):  # squares of squares, in the far tails
+            for i in range(straight.shape[1]):
+                white[:, i] += self._added_to(i, white)
         return white
 
     def _added(self, white: np.ndarray) -> np.ndarray:

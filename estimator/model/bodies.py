@@ -13,7 +13,7 @@ from torch import Tensor
 
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import MotionEffect, MountEffect, WindingEffect
+from estimator.effects.stages import MotionEffect, MountEffect, SidesEffect, WindingEffect
 from estimator.effects.use import uses_of
 from estimator.field.coil import AnyWinding
 from estimator.field.sided import SidedWinding
@@ -92,7 +92,10 @@ def winding_of(rig: Rig, coil: WoundCoil, values: Values) -> AnyWinding:
         keys = tuple(key for key in SIDED_KEYS if coil.is_rounded or key != CORNER)
         of = {key: values[f"{coil.name}.{key}"] for key in keys}
         of.setdefault(CORNER, torch.zeros_like(of[SIDED_KEYS[0]]))
-        return SidedWinding(coil.is_rounded, *torch.broadcast_tensors(*(of[key] for key in SIDED_KEYS)))
+        sided = SidedWinding(coil.is_rounded, *torch.broadcast_tensors(*(of[key] for key in SIDED_KEYS)))
+        for misstated in uses_of(rig, SidesEffect, coil.name):
+            sided = misstated.effect.apply(sided, misstated.theta(values))
+        return sided
     numbers = (values[f"{coil.name}.{key}"] for key in WINDING_KEYS)
     winding = Winding(*torch.broadcast_tensors(*numbers))
     for use in uses_of(rig, WindingEffect, coil.name):

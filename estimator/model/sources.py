@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import cast
 
 import torch
 from jaxtyping import Float, Int
@@ -159,12 +160,18 @@ class Sources:
         field = self._zoned(coil, points_m, values) if coil.name in self.zones else own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
-            assert isinstance(coil, Coil)  # the others are no place of such effects
-            winding, theta = winding_of(self.rig, coil, values), use.theta(values)
-            if use.effect.is_correction:  # polynomials, whose second derivatives cost little
+            theta = use.theta(values)
+            if (
+                use.effect.is_correction
+            ):  # polynomials, whose second derivatives cost little, beside a winding of any shape
+                assert not isinstance(coil, HarmonicCoil)
+                winding = cast(Winding, winding_of(self.rig, coil, values))
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
             else:
-                more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
+                assert isinstance(coil, Coil)  # the others are no place of such effects
+                more = self._sloped(
+                    coil, use.effect.apply, points_m, winding_of(self.rig, coil, values), theta
+                )
             drive = use.effect.drive(current_A, theta)
             if drive is current_A:
                 field = field + more

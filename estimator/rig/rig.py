@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
@@ -109,7 +110,8 @@ class Body:
     carried_by: str | None = None
 
 
-Path = tuple[tuple[float, float, float], ...]  # of a wire, from point to point, in m
+Point = tuple[float, float, float]
+Path = tuple[Point, ...]  # of a wire, from point to point, in m
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,11 @@ class Leads:
 
     towards: Path = ()
     away: Path = ()
+
+    @property
+    def pieces(self) -> tuple[tuple[Point, Point], ...]:
+        """Ends of each piece of wire, in the order of the current."""
+        return (*pairwise(self.towards), *pairwise(self.away))
 
 
 @dataclass(frozen=True)

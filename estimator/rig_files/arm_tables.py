@@ -5,10 +5,12 @@ from __future__ import annotations
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
 from estimator.rig.rig import MotionKind
+from estimator.rig_files.ur_kinematics import corrections_from_ros
 from estimator.rig_files.urdf import arm_from_urdf
 from estimator.yaml_section import LARGEST, Section
 
 TABLE, CORRECTIONS, URDF = "denavit_hartenberg", "factory_corrections", "urdf"
+FILE = "file"  # of `ur_calibration`
 ENDS = ("base_from_first", "last_from_flange")
 POSE = (("x", "length"), ("y", "length"), ("z", "length"), ("rx", "angle"), ("ry", "angle"), ("rz", "angle"))
 COLUMNS = (("theta", "angle"), ("a", "length"), ("d", "length"), ("alpha", "angle"))
@@ -43,6 +45,8 @@ def read_own_table(section: Section, motion: MotionKind) -> tuple[DenavitHartenb
             section.refuse("motion", words, "none")
         return None, None
     below = section.section(key)
+    if motion is not MotionKind.JOINTS and FILE in below:
+        return _from_ros(section, below, motion), None
     columns = [_column(below, quantity, dimension) for quantity, dimension in COLUMNS]
     has_ends = motion is MotionKind.JOINTS and bool([end for end in ENDS if end in below])
     ends = ArmEnds(*(_end(below.section(end)) for end in ENDS)) if has_ends else None
@@ -72,6 +76,24 @@ def _from_urdf(section: Section) -> tuple[DenavitHartenberg, ArmEnds]:
     except InvalidInput as error:
         raise InvalidInput(
             f"{section.path_of(URDF)}: {error} ({section.where(URDF)})", section.place(URDF)
+        ) from None
+
+
+def _from_ros(section: Section, below: Section, motion: MotionKind) -> DenavitHartenberg:
+    file = str(below.required(FILE))
+    below.finish()
+    if section.folder is None:
+        section.refuse(
+            CORRECTIONS,
+            "must stand in a rig file on disk, beside its file of links; a session or calibration holds the table",
+            file,
+        )
+    try:
+        return corrections_from_ros(section.folder / file, str(motion))
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"{section.path_of(CORRECTIONS)}: {error} ({section.where(CORRECTIONS)})",
+            section.place(CORRECTIONS),
         ) from None
 
 

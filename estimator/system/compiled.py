@@ -43,7 +43,7 @@ class CompiledSystem:
         Raises:
             InvalidInput: A rig has something besides windings, poses, linear supplies and a uniform field; the message names it.
         """
-        model = Magnet(tuple(parts), tuple(coils)).model("machine code")
+        model = Magnet(tuple(parts), tuple(coils)).model("machine code", only_round=True)
         return cls(tuple(coils), tuple(mover.name for mover in model.movers), _tables(model))
 
     def field_and_gradient(

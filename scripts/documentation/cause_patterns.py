@@ -79,6 +79,27 @@ sensors:
   hall: {noise_uT: 20}
   other: {noise_uT: 20, world_from_sensor: {y_mm: 15, rx_deg: 90}}
 """
+SIDES = """
+schema_version: 1
+name: a coil with straight sides on a stage, and a sensor that stands still
+movers:
+  stage: {motion: displacement}
+coils:
+  coil1:
+    model: racetrack
+    carried_by: stage
+    inner_side_x_mm: 90
+    inner_side_y_mm: 60
+    inner_corner_radius_mm: 10
+    wire_radius_mm: 0.5
+    axial_loops: 20
+    radial_loops: 8
+    world_from_coil0:
+      {x_mm: &place {prior: {normal: {mean: 0, sd: 3}}}, y_mm: *place, z_mm: {prior: {normal: {mean: -40, sd: 3}}},
+      tilt_x_deg: &turn {prior: {normal: {mean: 0, sd: 2}}}, tilt_y_deg: *turn}
+sensors:
+  hall: {noise_uT: 20}
+"""
 # Sizes of causes that are there or not, or whose prior does not say where they would be.
 SIZES: dict[str, dict[str, float]] = {
     "axes_swapped": {"x_reads": 2.0, "y_reads": -1.0},
@@ -86,7 +107,10 @@ SIZES: dict[str, dict[str, float]] = {
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
+    "position_unit": {"x_factor": 10.0},
     "range_clipping": {"limit_T": 0.006},
+    "rotation_convention": {"convention": 1.0},
+    "rows_shifted": {"rows": 1.0},
     "sensor_lag": {"tau_s": 10.0},
     "lead_wire": {"gap_m": 0.01, "length_m": 0.2},
     "unit_error": {"field_factor": 1.1},
@@ -139,7 +163,7 @@ class Pattern:
 
 def grounds() -> tuple[Ground, ...]:
     """The sessions that causes are shown in; the first in which a cause can be is taken."""
-    return _ground(ONE_COIL), _ground(TWO_COILS)
+    return _ground(ONE_COIL), _ground(TWO_COILS), _ground(SIDES)
 
 
 def pattern(name: str, grounds: Sequence[Ground]) -> Pattern:
@@ -175,6 +199,8 @@ def _observations(rig: Rig) -> Observations:
     displacement = np.zeros((n, 6))
     displacement[:, :3] = places_m.repeat(len(currents_A), axis=0)
     joints = np.radians([0.0, -90.0, -90.0, 0.0, 90.0, 0.0]) + rng.uniform(-0.03, 0.03, (n, 6))
+    if len(rig.movers) > 1:  # a stage that turns too: what needs turns shows in this session
+        displacement[:, 3:] = rng.uniform(-0.2, 0.2, (n, 3))
     columns = {"stage": torch.from_numpy(displacement), "arm": torch.from_numpy(joints)}
     time_s = 15.0 * torch.arange(n, dtype=torch.float64)
     warmer_K = torch.linspace(0.0, 3.0, n, dtype=torch.float64) ** 2 / 3.0

@@ -22,18 +22,32 @@ from matplotlib.axes import Axes
 
 from estimator.cli.main import main as coilcal
 from estimator.effects import EFFECTS
-from estimator.effects.base import Effect
+from estimator.effects.base import Effect, Kind
 from estimator.effects.circumstances import Extent
+from estimator.effects.stages import CurrentEffect, MountEffect, NoiseEffect
 from estimator.reporting.plots.style import COMPONENT, COMPONENT_MARKER, GREY, NOISE, figure, styled
 from scripts.documentation.cause_patterns import MOST_ALIKE, NOISE_T, Pattern, grounds, pattern
 
-KINDS = {
-    "coil": "Supply and coil",
-    "room": "The room",
-    "mover": "Arms and stages",
-    "sensor": "Sensors",
-    "record": "What was written down",
+GROUPS = {  # page: title and what a declaration says of itself; the first that fits is taken
+    "of-noise": ("Scatter", lambda effect: isinstance(effect, NoiseEffect)),
+    "of-the-current": ("Supplies and currents", lambda effect: isinstance(effect, CurrentEffect)),
+    "of-places": ("Where bodies stand", lambda effect: isinstance(effect, MountEffect)),
+    "of-the-coil": ("Coils and cores", lambda effect: effect.kind is Kind.COIL),
+    "of-the-room": ("The room", lambda effect: effect.kind is Kind.ROOM),
+    "of-movers": ("Arms and stages", lambda effect: effect.kind is Kind.MOVER),
+    "of-sensors": ("Sensors", lambda effect: effect.kind is Kind.SENSOR),
+    "of-the-record": ("What was written down", lambda effect: effect.kind is Kind.RECORD),
 }
+SHOWN = (
+    "of-the-coil",
+    "of-the-current",
+    "of-places",
+    "of-movers",
+    "of-sensors",
+    "of-the-room",
+    "of-noise",
+    "of-the-record",
+)
 # Methods of a declaration that say where and when it is asked, not what it does.
 BOOKKEEPING = (
     "quantities",
@@ -68,17 +82,20 @@ def main() -> None:
         draw(found, folder / "pictures" / f"{name}.png")
         words = templates.get_template("cause.md.j2").render(**of_page(EFFECTS[name], said[name], found))
         (folder / f"{name}.md").write_text(words, encoding="utf-8")
-    kinds = {title: [n for n in library() if said[n]["kind"] == kind] for kind, title in KINDS.items()}
+    groups = grouped()
     corrections = [name for name, effect in EFFECTS.items() if effect.is_correction]
     of_all = {
         "said": said,
-        "kinds": kinds,
-        "library": library(),
+        "groups": groups,
+        "titles": {page: title for page, (title, _) in GROUPS.items()},
         "corrections": corrections,
         "n": len(library()),
     }
     for page, template in (("index", "causes"), ("corrections", "corrections")):
         words = templates.get_template(f"{template}.md.j2").render(**of_all)
+        (folder / f"{page}.md").write_text(words, encoding="utf-8")
+    for page, names in groups.items():
+        words = templates.get_template("group.md.j2").render(**of_all, title=GROUPS[page][0], names=names)
         (folder / f"{page}.md").write_text(words, encoding="utf-8")
     print(f"{len(library())} pages of causes written to {folder}")
 
@@ -90,6 +107,14 @@ def library() -> list[str]:
         for name, effect in EFFECTS.items()
         if not effect.is_correction and type(effect).__module__.startswith("estimator.")
     ]
+
+
+def grouped() -> dict[str, list[str]]:
+    """Names of causes by the page that lists them."""
+    page_of = {
+        name: next(page for page, (_, fits) in GROUPS.items() if fits(EFFECTS[name])) for name in library()
+    }
+    return {page: [name for name in library() if page_of[name] == page] for page in SHOWN}
 
 
 def explained(name: str) -> dict[str, Any]:

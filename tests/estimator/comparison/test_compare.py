@@ -121,6 +121,50 @@ def test_spline_is_that_of_scipy_and_its_slope_the_difference() -> None:
     np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-9)
 
 
+COMSOL_CSV = """% Model,coil.mph
+% Version,COMSOL 6.1.0.252
+% Date,"Mar 13 2023, 16:27"
+% Dimension,3
+% Nodes,343
+% Expressions,3
+% Description,"Magnetic flux density, x-component, Magnetic flux density, y-component, Magnetic flux density, z-component"
+% Length unit,µm
+% x,y,z,mf.Bx (mT) @ I0=3,mf.By (mT) @ I0=3,mf.Bz (mT) @ I0=3
+"""
+COMSOL_TEXT = """% Model:              coil.mph
+% Version:            COMSOL 6.1.0.252
+% Date:               Mar 13 2023, 16:27
+% Dimension:          3
+% Nodes:              343
+% Expressions:        3
+% Description:        Magnetic flux density, x-component, Magnetic flux density, y-component, Magnetic flux density, z-component
+% Length unit:        mm
+% X                       Y                        Z                        mf.Bx (T)                mf.By (T)                mf.Bz (T)
+"""
+
+
+@pytest.mark.parametrize(
+    ("header", "separator", "to_length", "to_field"),
+    [(COMSOL_CSV, ",", 1e6, 1e3), (COMSOL_TEXT, "       ", 1e3, 1.0)],
+    ids=["csv", "text"],
+)
+def test_what_comsol_exports_is_read_with_its_whole_header(
+    header: str, separator: str, to_length: float, to_field: float, tmp_path: Path
+) -> None:
+    """Headers as its spreadsheet format has them, as CSV and as text; x runs fastest."""
+    axis_m = np.linspace(-0.03, 0.03, 7)
+    z, y, x = np.meshgrid(axis_m + 0.05, axis_m, axis_m, indexing="ij")
+    points_m = np.stack((x, y, z), axis=-1).reshape(-1, 3)
+    field_T = 1e-3 * np.stack((points_m[:, 0], 2.0 * points_m[:, 1], 1.0 - 3.0 * points_m[:, 2]), axis=-1)
+    rows = np.hstack((to_length * points_m, to_field * field_T))
+    path = tmp_path / "fem.csv"
+    lines = (separator.join(f"{number:.17g}" for number in row) for row in rows)
+    path.write_text(header + "\n".join(lines) + "\n", encoding="utf-8")
+    there_m = torch.tensor([[0.004, -0.01, 0.055]], dtype=torch.float64)
+    expected = 1e-3 * np.array([[0.004, -0.02, 1.0 - 0.165]]) / 3.0
+    np.testing.assert_allclose(read_map(path, 3.0).field(there_m).numpy(), expected, rtol=1e-9)
+
+
 def test_comsol_and_plain_csv_give_the_same_map(tmp_path: Path) -> None:
     grid_mm = 1e3 * np.stack(np.meshgrid(*AXES_M, indexing="ij"), axis=-1).reshape(-1, 3)
     rows = np.hstack((grid_mm, 2.0 * made_by_magpylib().reshape(-1, 3)))[::-1]  # at 2 A, in another order

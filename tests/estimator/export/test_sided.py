@@ -1,9 +1,11 @@
-"""Windings with straight sides for other programs: JSON with a reader of its own, magpylib, and formats that have no place for them."""
+"""Windings with straight sides and coils with leads for other programs: JSON with a reader of its own, magpylib, g++, Octave, PyTorch."""
 
 from __future__ import annotations
 
 import json
 import runpy
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,10 +21,14 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.json_model import calibration_schema, json_model
 from estimator.export.magnet import Magnet
+from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
+from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.system import System
+from tests.estimator.export.compared import assert_close
+from tests.estimator.export.test_cpp_header import PROGRAM
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 
 TEXT = """
@@ -31,11 +37,12 @@ name: three shapes
 movers: {stage: {motion: pose}}
 coils:
   sharp: {model: rectangular, carried_by: stage, inner_side_x_mm: {value: 60, prior: {normal: {mean: 60, sd: 0.1}}},
-          inner_side_y_mm: 40, wire_radius_mm: 0.5, axial_loops: 8, radial_loops: 5, flange_from_coil: {y_mm: 70, rx_deg: 40}}
-  rounded: {model: racetrack, inner_side_x_mm: 80, inner_side_y_mm: 50, inner_corner_radius_mm: 12,
-            wire_radius_mm: {value: 0.5, prior: {normal: {mean: 0.5, sd: 0.001}}}, axial_loops: 6, radial_loops: 4,
+          inner_side_y_mm: 40, wire_radius_mm: 0.5, axial_loops: 4, radial_loops: 3, flange_from_coil: {y_mm: 70, rx_deg: 40}}
+  rounded: {model: racetrack, lead_in_mm: [[300, 0, 5], [45, 0, 3]], lead_out_mm: [[45, 0, 0], [300, 5, 0], [300, 50, 0]],
+            inner_side_x_mm: 80, inner_side_y_mm: 50, inner_corner_radius_mm: 12,
+            wire_radius_mm: {value: 0.5, prior: {normal: {mean: 0.5, sd: 0.001}}}, axial_loops: 3, radial_loops: 2,
             world_from_coil: {x_mm: -60, ry_deg: 80}}
-  circle: {radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {z_mm: -50}}
+  circle: {lead_in_mm: [[300, 0, 5], [45, 0, 3]], lead_out_mm: [[45, 0, 0], [300, 5, 0]], radius_mm: 40, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3, world_from_coil: {z_mm: -50}}
 sensors: {hall: {noise_uT: 20}}
 """
 CURRENTS_A = {"sharp": 3.0, "rounded": -2.0, "circle": 1.0}
@@ -83,6 +90,8 @@ def loops_T(coil: dict[str, Any], points_m: np.ndarray) -> np.ndarray:
             wire = np.column_stack((flat, np.full(len(flat), height_m)))
             loop = magpylib.current.Polyline(vertices=wire, current=axial_weight * radial_weight)
             total += loop.getB(points_m) / MAGPYLIB_OVER_OURS
+    for piece in coil["leads_m"]:
+        total += magpylib.current.Polyline(vertices=piece, current=1.0).getB(points_m) / MAGPYLIB_OVER_OURS
     return total
 
 
@@ -95,13 +104,89 @@ def test_magpylib_has_the_field_of_all_loops(magnet: Calibration, points_m: Tens
     assert "Arcs are 90 chords each" in path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("to", ["cpp", "matlab"])
-def test_formats_for_round_windings_refuse_in_one_sentence(
-    magnet: Calibration, to: str, tmp_path: Path
+@pytest.fixture(scope="module")
+def around_m() -> Tensor:
+    """Points in the workspace, far away, beside wires and arcs, on the extension of a side, on an axis, and inside a winding."""
+    rng = np.random.default_rng(1)
+    spread_m = np.concatenate(
+        (rng.uniform(-0.025, 0.025, (6, 3)), rng.normal(size=(3, 3)), 30.0 * rng.normal(size=(2, 3)))
+    )
+    beside_m = [
+        [0.0, 0.0, 0.0],
+        [0.0, 0.0, -0.02],
+        [0.0405, 0.0, -0.049],
+        [-0.0595, 0.0405, 0.0255],
+        [-0.06, 0.03, 0.041],
+    ]
+    return torch.from_numpy(np.concatenate((spread_m, beside_m, [[0.0395, 0.0, -0.052]])))
+
+
+def compared(rows: np.ndarray, magnet: Calibration, points_m: Tensor) -> None:
+    """Field and gradient are those of predict; the last point is inside."""
+    expected_T = magnet.field(points_m, CURRENTS_A, MOTION)
+    assert torch.isnan(expected_T).any(1).tolist() == [False] * (len(points_m) - 1) + [True]
+    assert_close(rows[:, :3], expected_T)
+    assert_close(rows[:, 3:12], magnet.gradient(points_m, CURRENTS_A, MOTION))
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+def test_cpp_has_field_gradient_and_standard_deviation(
+    magnet: Calibration, around_m: Tensor, tmp_path: Path
 ) -> None:
-    words = r"no place for sharp \(a winding with straight sides\), rounded \(a winding with straight sides\) of rig 'three shapes'"
-    with pytest.raises(InvalidInput, match=words):
-        magnet.export(to, tmp_path / "magnet.out")
+    magnet.export("cpp", tmp_path / "magnet.hpp")
+    program = PROGRAM.replace("coilcal_three_coils_two_movers", "coilcal_three_shapes")
+    (tmp_path / "main.cpp").write_text(program, encoding="utf-8")
+    strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
+    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)
+    numbers = [*MOTION["stage"].tolist(), *CURRENTS_A.values(), *around_m.flatten().tolist()]
+    printed = subprocess.run(
+        [tmp_path / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
+    )
+    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    compared(rows, magnet, around_m)
+    coordinates = Coordinates(magnet.rig)
+    draws = {name: torch.from_numpy(array.ravel()) for name, array in magnet.draws.items()}
+    drawn_T = magnet.room(around_m, MOTION).field_T(
+        coordinates.values(coordinates.vector(draws)), magnet.currents(CURRENTS_A)
+    )
+    ratio = rows[:11, -3:] / drawn_T.std(0).numpy()[:11]
+    assert np.abs(ratio - 1.0).max() < 0.02  # to first order, of draws of a narrow posterior
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
+def test_octave_has_field_and_gradient(magnet: Calibration, around_m: Tensor, tmp_path: Path) -> None:
+    magnet.export("matlab", tmp_path / "magnet.m")
+    main = """
+        points_m = dlmread("points.txt");
+        [b, g] = magnet(points_m, dlmread("currents.txt"), dlmread("motion.txt"));
+        printf([repmat("%.17g ", 1, 12), "\\n"], [b, reshape(permute(g, [1 3 2]), [], 9)]');
+    """
+    (tmp_path / "main.m").write_text(main, encoding="utf-8")
+    for name, values in (
+        ("points", around_m.numpy()),
+        ("currents", np.array([list(CURRENTS_A.values())])),
+        ("motion", MOTION["stage"].numpy()[None]),
+    ):
+        np.savetxt(tmp_path / f"{name}.txt", values, fmt="%.17g")
+    command = ["octave-cli", "--norc", "--no-history", "--quiet", "main.m"]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert printed.stderr == ""
+    compared(
+        np.array([list(map(float, line.split())) for line in printed.stdout.splitlines()]), magnet, around_m
+    )
+
+
+@pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_program_of_torch_has_field_and_gradient(
+    magnet: Calibration, around_m: Tensor, tmp_path: Path, is_exported: bool
+) -> None:
+    """As the module that is exported, and as the file; `test_torch_program` runs one without coilcal."""
+    program = MagnetProgram(Magnet.of(magnet).model("torch"))
+    if is_exported:
+        program = torch.export.load(magnet.export("torch", tmp_path / "magnet.pt2")).module()
+    currents_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
+    field_T, gradient = program(around_m, currents_A, MOTION["stage"][None])
+    compared(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet, around_m)
 
 
 def test_a_system_has_their_field_but_not_in_machine_code(magnet: Calibration, points_m: Tensor) -> None:

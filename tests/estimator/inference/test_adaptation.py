@@ -68,6 +68,35 @@ def test_density_that_is_zero_everywhere_leaves_the_proposal():
     assert adapted(laplace, lambda v: np.full(len(v), -np.inf), np.random.RandomState(0)) is laplace
 
 
+def test_draws_that_a_bend_throws_to_infinity_do_not_count():
+    """A chain of squares leaves the range of numbers within its tails."""
+    n = 14
+    bend = Bend.none(n)
+    for i in range(1, n):
+        bend.curvature[i, i - 1, i - 1] = 1.0
+    law = CountMixture(
+        torch.zeros(1, 0).double(),
+        torch.ones(1).double(),
+        torch.zeros(1, n).double(),
+        torch.eye(n)[None].double(),
+    )
+    begin = MixtureProposal(law, bend)
+    assert not np.isfinite(begin.draw(2000, np.random.RandomState(0))).all()
+
+    def log_normal(vectors: np.ndarray) -> np.ndarray:
+        is_near = (np.abs(vectors) < 10.0).all(1)
+        return np.where(is_near, -0.5 * (np.where(is_near[:, None], vectors, 0.0) ** 2).sum(1), -np.inf)
+
+    def share_that_counts(proposal: MixtureProposal) -> float:
+        draws = proposal.draw(20_000, np.random.RandomState(2))
+        draws = draws[np.isfinite(log_normal(draws))]
+        log_density = proposal.log_density(draws)
+        return efficiency_of(log_density, log_normal(draws), log_density)
+
+    found = adapted(begin, log_normal, np.random.RandomState(1))
+    assert share_that_counts(found) > 0.01  # a chain of squares is no easy place to begin from
+
+
 def test_efficiency_is_that_of_the_textbook():
     """A normal law of half the spread of its proposal: 1 / integral p^2 / q = sqrt(7) / 4."""
     points, spacing = np.linspace(-30.0, 30.0, 200_001, retstep=True)

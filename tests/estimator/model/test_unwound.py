@@ -193,6 +193,8 @@ def test_causes_that_need_a_winding_have_no_place_at_a_coil_without_one() -> Non
     at = {name: effect.places(rig) for name, effect in EFFECTS.items()}
     assert {name for name, places in at.items() if "c1" in places} >= {"current_gain", "neighbour_coil"}
     needing = {name for name, effect in EFFECTS.items() if effect.needs_winding}
-    assert {"winding_misstated", "hidden_winding", "coil_harmonics", "magnetised_link"} <= needing
-    assert all("c1" not in at[name] for name in needing)
+    assert {"winding_misstated", "hidden_winding", "magnetised_link"} <= needing
+    assert all(
+        "c1" not in at[name] for name in (*needing, "coil_harmonics", "coil_multipoles", "sides_misstated")
+    )
     assert at["winding_misstated"] == ("c2",)

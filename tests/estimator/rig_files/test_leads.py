@@ -91,7 +91,7 @@ def test_a_path_of_another_form_is_refused(old: str, new: str, message: str) -> 
         rig_from_text(ROUND.replace(old, new))
 
 
-def test_formats_of_plain_numbers_name_them() -> None:
+def test_machine_code_for_round_windings_names_them() -> None:
     rig = rig_from_text(ROUND)
     with pytest.raises(InvalidInput, match=r"no place for c1 \(leads\)"):
-        plain_model(rig, nominal_tensors(rig), "json", takes_sides=True)
+        plain_model(rig, nominal_tensors(rig), "machine code", only_round=True)

@@ -1,0 +1,30 @@
+"""What formats with windings of straight sides share: whether corners are round, and the points along an arc."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.export.plain_model import PlainCoil
+from estimator.field.sided import SidedWinding
+
+
+def is_rounded(coil: PlainCoil) -> bool:
+    """Whether a coil has corners that are arcs."""
+    return isinstance(coil.winding, SidedWinding) and coil.winding.is_rounded
+
+
+def first_arc(n: int) -> Float[Tensor, "point 3"]:
+    """Cosine, sine and weight of the points of the arc in the first quarter, by the rule of Gauss and Legendre.
+
+    Examples: The weights sum to the angle.
+        >>> first_arc(4)[:, 2].sum().item()
+        1.5708
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    angle = 0.25 * math.pi * (nodes + 1.0)
+    return torch.from_numpy(np.stack((np.cos(angle), np.sin(angle), 0.25 * math.pi * weights), axis=-1))

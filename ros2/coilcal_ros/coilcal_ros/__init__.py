@@ -1,0 +1,1 @@
+"""A calibrated magnet as a ROS 2 node."""
