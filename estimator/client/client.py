@@ -23,7 +23,7 @@ from estimator.recalibration.registry import Entry
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-ATTEMPTS = 6  # while the service restarts, or has too much to do
+ATTEMPTS = 8  # over a minute: a container that restarts takes half of one
 
 
 class Client:

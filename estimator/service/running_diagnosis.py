@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from estimator.errors import CoilcalError
 from estimator.live.refresh import Background, Refreshed
@@ -21,6 +21,7 @@ SEED = 0
 log = logging.getLogger("coilcal.service")
 
 
+@runtime_checkable
 class Growing(Protocol):
     """A session that is watched."""
 

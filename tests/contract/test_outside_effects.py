@@ -129,7 +129,8 @@ def test_every_stage_has_an_outside_effect() -> None:
         "WindingMagnetisation",
         "CoreMagnetisation",
         "CoreMemory",
-    }  # of superconductors, and of iron cores
+        "SidesEffect",
+    }  # of superconductors, of iron cores, and of windings with straight sides
     assert {stage.__name__ for stage in stages - used} == inside
 
 

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 
 import pytest
+from torch import Tensor
 
 from estimator import diagnose
 from estimator.diagnosis.fitting import Fit
@@ -19,8 +20,8 @@ module = sys.modules[diagnose.__module__]
 def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.MonkeyPatch) -> None:
     real = module.improvement_of  # type: ignore[attr-defined]
 
-    def worse(before: Fit, after: Fit, unseen: Observations) -> Improvement:
-        improvement: Improvement = real(before, after, unseen)
+    def worse(before: Fit, after: Fit, unseen: Observations, *covariance: Tensor) -> Improvement:
+        improvement: Improvement = real(before, after, unseen, *covariance)
         is_extended = bool(after.rig.effects)
         return replace(improvement, elpd_difference=-100.0, elpd_se=1.0) if is_extended else improvement
 
