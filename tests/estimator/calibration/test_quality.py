@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from estimator.calibration.calibrate import calibrate
@@ -17,6 +18,8 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.conftest import RIG
+
+pytestmark = pytest.mark.whole
 
 QUICK = SamplerSettings(n_walkers=16, target_ess=50.0, largest_rhat=1.5)
 FREE_NOISE = RIG.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}")

@@ -14,6 +14,7 @@ from estimator.diagnosis.validation import Improvement
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import session_with
 
+pytestmark = pytest.mark.whole
 module = sys.modules[diagnose.__module__]
 
 
