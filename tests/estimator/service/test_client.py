@@ -32,6 +32,7 @@ from estimator.client import (
     following,
     steps,
 )
+from estimator.client.client import ATTEMPTS
 from estimator.client.connection import AsyncConnection, Connection
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
@@ -316,7 +317,7 @@ def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch: pytest.
     with Client("http://service", transport=httpx.MockTransport(lambda _: answers.pop(0))) as client:
         assert client.request("GET", "/v1/state").json() == {"id": "x"}
         assert pauses_s == [3.0, steps.LONGEST_PAUSE_S, 4 * steps.FIRST_PAUSE_S]
-        answers += [httpx.Response(**busy)] * 6
+        answers += [httpx.Response(**busy)] * ATTEMPTS
         with pytest.raises(ServiceFault, match="queue must have room"):
             client.request("GET", "/v1/state")
         assert answers == []
