@@ -11,7 +11,8 @@ from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
-from estimator.effects.circumstances import SECONDS_PER_HOUR, Extent
+from estimator.effects.circumstances import Extent
+from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause

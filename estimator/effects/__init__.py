@@ -45,7 +45,12 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
-from estimator.effects.record_since import AxesSwappedSince, CoilsExchangedSince, CurrentSignSince
+from estimator.effects.record_since import (
+    AxesSwappedSince,
+    CoilsExchangedSince,
+    CurrentSignSince,
+    RowsShiftedSince,
+)
 from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
 from estimator.effects.robot import (
     Backlash,
@@ -205,6 +210,7 @@ EFFECTS: dict[str, Effect] = {
         SensorLag(),
         SensorsExchanged(),
         RowsShifted(),
+        RowsShiftedSince(),
         UnitError(),
         NoiseMisstated(),
         Outliers(),

@@ -11,11 +11,10 @@ from torch import Tensor
 
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, nominal_positions_m
-from estimator.readings.observations import Observations
+from estimator.readings.observations import SECONDS_PER_HOUR, Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import Rig
 
-SECONDS_PER_HOUR = 3600.0
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9
 LONG_AGO_S = 1e9  # before the first reading

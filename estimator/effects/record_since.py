@@ -1,6 +1,6 @@
-"""Mistakes of the record that begin in mid-session: a plug put back another way, leads or cables exchanged while something was mended.
+"""Mistakes of the record that begin in mid-session: a plug turned, cables exchanged, a reading lost.
 
-Each is one of `effects.record` from an instant on. The instant lies between two readings.
+Each is one of `effects.record` and `effects.pose_record` from an instant on. The instant lies between two readings.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, since, switch
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.pose_record import RowsShifted
 from estimator.effects.record import MOST_BODIES, AxesSwapped, CurrentSign
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.rig import Rig
@@ -140,6 +141,40 @@ class CoilsExchangedSince(CurrentEffect):
         later_by = values["later_by"]
         is_count = later_by >= 0.0 and float(later_by).is_integer()
         return None if is_count else ("later_by", "must be a whole number of coils, from 0")
+
+
+class RowsShiftedSince(RowsShifted):
+    """From one instant on fields stand beside other rows: a trigger was missed, or a reading written twice, when two files were joined."""
+
+    name: ClassVar[str] = "rows_shifted_since"
+    words: ClassVar[str] = (
+        "from one instant on fields stand some rows beside the poses and currents that they belong to"
+    )
+    source: ClassVar[str] = "readings lost (negative) or written twice (positive), two at most"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Rows by which fields come late from then on, and the time since the session began."""
+        return (*super().quantities(extent), since(extent))
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Where no rows are shifted yet."""
+        return all(cause.name != RowsShifted.name for cause in circumstances.rig.effects)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Late and early, from each instant on."""
+        return _at_instants(super().starts(circumstances, place), circumstances)
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def late_since_h(self, values: Mapping[str, float]) -> float:
+        """Its time."""
+        return values["since_h"]
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """Rows are whole."""
+        return super().broken_rule({"rows": values["rows"]})
 
 
 def _at_instants(

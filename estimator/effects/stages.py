@@ -386,6 +386,10 @@ class RecordEffect(Effect):
         """Rows by which fields were written down later than the poses and currents that they belong to."""
         return 0
 
+    def late_since_h(self, values: Mapping[str, float]) -> float:
+        """Time since the session began from which on they were."""
+        return 0.0
+
     def place_of(self, sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
         """Index of the sensor at whose place each reading was taken, given that of the sensor in the record."""
         return sensor

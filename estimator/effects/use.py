@@ -15,6 +15,7 @@ from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import RecordEffect
+from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Cause, Mover, Rig
 
@@ -76,11 +77,13 @@ def as_meant(rig: Rig, observations: Observations) -> Observations:
     ]
     if not late:
         return observations.realigned(0)
-    nominal = rig.nominal_values()
-    rows = (
-        use.effect.rows_late({key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}) for use in late
-    )
-    return observations.realigned(sum(rows))
+    if len(late) > 1:
+        raise InvalidInput(
+            f"effects must shift the rows of a record once; received {' and '.join(use.label for use in late)}"
+        )
+    (use,), nominal = late, rig.nominal_values()
+    values = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
+    return observations.realigned(use.effect.rows_late(values), use.effect.late_since_h(values))
 
 
 @lru_cache(maxsize=4096)

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from estimator.readings.segments import segments_by_pauses
 
+SECONDS_PER_HOUR = 3600.0
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -31,6 +33,7 @@ class Observations:
         current_measured_A: Current that the supplies measured at each reading; NaN for a missing value, None if it was not read.
         recorded_segment: Number of the segment of each reading, where the session says it (`segment`).
         rows_late: Rows by which fields had been written down late, as `realigned` has undone it.
+        late_since_h: Time since the session began from which on they were.
         as_recorded: These readings before that; None where nothing was undone.
     """
 
@@ -47,6 +50,7 @@ class Observations:
     current_measured_A: Float[Tensor, "reading coil"] | None = field(default=None, repr=False)
     recorded_segment: Int[Tensor, " reading"] | None = field(default=None, repr=False)
     rows_late: int = 0
+    late_since_h: float = 0.0
     as_recorded: Observations | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
@@ -92,27 +96,30 @@ class Observations:
             None if self.current_measured_A is None else self.current_measured_A[index],
             None if self.recorded_segment is None else self.recorded_segment[index],
             self.rows_late,
+            self.late_since_h,
             None if self.as_recorded is None else self.as_recorded.rows(index),
         )
 
-    def realigned(self, rows_late: int) -> Observations:
+    def realigned(self, rows_late: int, since_h: float = 0.0) -> Observations:
         """The readings with the poses and currents of the row before, where fields were written down a row late, sensor by sensor.
 
         A field that belongs to no row counts as not measured. Readings that have been realigned are first put back.
 
         Args:
             rows_late: Rows by which fields were late; negative where they were early.
+            since_h: Time since the session began from which on they were; rows before stay.
         """
-        if rows_late == self.rows_late:
+        if (rows_late, since_h) == (self.rows_late, self.late_since_h):
             return self
         recorded = self.as_recorded or self
         if rows_late == 0:
             return recorded
         history = recorded.history
-        source = torch.arange(len(history)) - rows_late
+        is_late = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR >= since_h
+        source = torch.arange(len(history))
         for sensor in history.sensor.unique():
             own = (history.sensor == sensor).nonzero().flatten()
-            place = torch.arange(len(own)) - rows_late
+            place = torch.arange(len(own)) - rows_late * is_late[own]
             source[own] = torch.where(
                 (place >= 0) & (place < len(own)), own[place.clamp(0, len(own) - 1)], -1
             )
@@ -123,6 +130,7 @@ class Observations:
             motion={name: motion[source] for name, motion in history.motion.items()},
             field_sensor_T=history.field_sensor_T.masked_fill(is_orphan[:, None], torch.nan),
             rows_late=rows_late,
+            late_since_h=since_h,
             as_recorded=history,
         )
         own_T = recorded.field_sensor_T.masked_fill(is_orphan[recorded.row, None], torch.nan)
@@ -134,6 +142,7 @@ class Observations:
             whole=whole,
             chosen=recorded.row,
             rows_late=rows_late,
+            late_since_h=since_h,
             as_recorded=recorded,
         )
 

@@ -188,7 +188,8 @@ def test_names_are_those_that_other_scripts_rely_on():
     sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag thermal_lag
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated sides_misstated
     hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged segment_zero segment_gain segment_misplaced
-    axes_swapped_since current_sign_since coils_exchanged_since background_gradient
+    axes_swapped_since current_sign_since coils_exchanged_since rows_shifted_since
+    background_gradient
     cross_magnetisation core_remanence rows_shifted rotation_convention position_unit current_dead_band current_asymmetry
     current_compression current_range sensor_contact joint_sag background_step offset_step noise_grows response_by_place
     coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders

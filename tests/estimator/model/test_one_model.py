@@ -97,6 +97,7 @@ CAUSES = [
 NOT_AT_THE_FIRST_MOMENT = {
     "background_drift",
     "rows_shifted",
+    "rows_shifted_since",
     "current_remanence",
     "periodic_interference",
     "position_lag",

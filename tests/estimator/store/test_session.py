@@ -70,7 +70,8 @@ def assert_equal(loaded: Session, expected: Session) -> None:
     for name in ("source", "created", "truth"):
         assert getattr(loaded, name) == getattr(expected, name)
     a, b = dict(vars(loaded.observations)), dict(vars(expected.observations))
-    assert a.pop("rows_late") == b.pop("rows_late")
+    for name in ("rows_late", "late_since_h"):
+        assert a.pop(name) == b.pop(name)
     for name in set(a) - {"whole", "chosen"}:  # these describe a subset; a session holds all its readings
         for tensor, expected_tensor in zip(tensors(a[name]), tensors(b[name]), strict=True):
             assert tensor.dtype == expected_tensor.dtype

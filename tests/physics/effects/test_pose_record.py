@@ -81,6 +81,17 @@ def test_field_that_was_written_late_is_that_of_the_poses_and_currents_of_rows_b
     assert_same_field(reading_T[inner], true_T[of_row])
 
 
+@pytest.mark.parametrize(("late", "of_row"), [(-1, [0, 1, 2, 4, 5, 6]), (1, [0, 1, 2, 2, 3, 4, 5])])
+def test_rows_before_a_lost_or_doubled_reading_stay(late, of_row):
+    """From the fourth row on, fields are those of the row after (one was lost), or before (one was written twice)."""
+    time_s = 600.0 * np.arange(N)
+    current_A = np.stack((np.linspace(1.0, 3.0, N), np.zeros(N)), axis=1)
+    given = {"rows_shifted_since[record]": {"rows": float(late), "since_h": 1500.0 / 3600.0}}
+    reading_T = predicted_T(readings(POINTS_M, current_A, time_s=time_s), given)
+    true_T = current_A[:, :1] * winding().field_T(POINTS_M)
+    assert_same_field(reading_T[: len(of_row)], true_T[of_row])
+
+
 def test_readings_of_two_sensors_are_shifted_each_among_its_own():
     time_s = np.arange(N, dtype=float)
     both = readings(POINTS_M, (2.0, 0.0), time_s=time_s)

@@ -11,7 +11,8 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.structure.families.collection import Collection, by_sensor, subsets
 from estimator.diagnosis.structure.smooth import legendre
-from estimator.effects.circumstances import SECONDS_PER_HOUR, Circumstances
+from estimator.effects.circumstances import Circumstances
+from estimator.readings.observations import SECONDS_PER_HOUR
 
 
 def add_time(collection: Collection) -> None:
