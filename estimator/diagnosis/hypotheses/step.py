@@ -80,7 +80,13 @@ class Step:
 
 
 def take_step(
-    fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks, limits: Limits, pace: Pace
+    fit: Fit,
+    pool: Sequence[Candidate],
+    smooth: list[Family],
+    block: Blocks,
+    limits: Limits,
+    pace: Pace,
+    remainder: Discrepancy | None = None,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -91,9 +97,10 @@ def take_step(
         block: Block number of each reading, for cross-validation.
         limits: Once they are reached, no further hypothesis is fitted.
         pace: Told of each fit.
+        remainder: Structure in the residual, where it is known already.
     """
     present = set(fit.rig.effects)
-    remainder = discrepancy(fit, smooth)
+    remainder = remainder or discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in present])
     ranked = sorted(screened, key=lambda cause: -screened[cause][0])
     hypotheses = [
