@@ -52,18 +52,16 @@ def pairs(
         alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
         for part in alike.split(PAIRS_AT_ONCE):
             both = _columns_of(begin, first[part], second[part], widths)
+            asked = torch.ones(len(part), dtype=torch.bool)
             if math.isfinite(least):
-                highest = highest_log_bayes_factor(
-                    gram[both[:, :, None], both[:, None, :]], score[both], noise
-                )
-                part, both = part[highest > least], both[highest > least]
-            if len(part):
-                one = torch.ones(both.shape[1], dtype=torch.float64).expand(both.shape)
-                evidence[part] = log_bayes_factor(
-                    gram[both[:, :, None], both[:, None, :]], score[both], one, noise
-                )
-    asked = (evidence > least).nonzero().flatten()
-    ranked = asked[torch.argsort(evidence[asked], descending=True, stable=True)]
+                grams = gram[both[:, :, None], both[:, None, :]]
+                asked = highest_log_bayes_factor(grams, score[both], noise) > least
+            if bool(asked.any()):
+                both = both[asked]
+                grams, one = gram[both[:, :, None], both[:, None, :]], torch.ones_like(score[both])
+                evidence[part[asked]] = log_bayes_factor(grams, score[both], one, noise)
+    above = (evidence > least).nonzero().flatten()
+    ranked = above[torch.argsort(evidence[above], descending=True, stable=True)]
     rows = zip(*(values[ranked].tolist() for values in (evidence, first, second)), strict=True)
     return [(value, at_null[i], at_null[j]) for value, i, j in rows]
 
