@@ -16,10 +16,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
+from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
+    MotionEffect,
+    MountEffect,
     Prediction,
     ReadingEffect,
     RecordEffect,
@@ -95,6 +98,23 @@ class MeasurementModel:
         }
         sources = Sources(rig, circumstances, len(distinct), pose_row, flange, columns, powered, {})
         return cls(sources, distinct[:, 0].to(torch.int64))
+
+    def with_effects_of(self, rig: Rig) -> MeasurementModel:
+        """The model of the same readings, with the same rules, for a rig that has further effects and is the same otherwise."""
+        more = set(rig.acting) - set(self.rig.acting)
+        kinds = (MotionEffect, MountEffect, RecordEffect, CurrentEffect)
+        changed = any(
+            use.cause in more
+            and (
+                isinstance(use.effect, kinds)
+                or (isinstance(use.effect, SourceEffect) and use.effect.is_permanent)
+            )
+            for use in uses_of(rig, Effect)
+        )
+        if changed:  # the distinct poses, or the coils that have a field, may be others
+            return MeasurementModel.unruled(rig, self.circumstances.observations).with_rules(self.rules)
+        circumstances = self.circumstances.with_effects_of(rig)
+        return replace(self, sources=replace(self.sources, rig=rig, circumstances=circumstances))
 
     @property
     def rig(self) -> Rig:

@@ -16,7 +16,6 @@ from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
 from estimator.effects.segments import split_key
 from estimator.effects.stages import MountEffect, NoiseEffect
-from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
@@ -111,8 +110,9 @@ def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Ca
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause from starts of the same shapes: one prediction for all of them."""
     observations = fit.observations
-    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False)
-    model = MeasurementModel.unruled(rig, observations).with_rules(fit.posterior.model.rules)
+    circumstances = fit.posterior.model.circumstances
+    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False, circumstances=circumstances)
+    model = fit.posterior.model.with_effects_of(rig)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
     steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
     ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))

@@ -52,16 +52,12 @@ def pairs(
         alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
         for part in alike.split(PAIRS_AT_ONCE):
             both = _columns_of(begin, first[part], second[part], widths)
+            grams, scores, alive = gram[both[:, :, None], both[:, None, :]], score[both], part
             if math.isfinite(least):
-                highest = highest_log_bayes_factor(
-                    gram[both[:, :, None], both[:, None, :]], score[both], noise
-                )
-                part, both = part[highest > least], both[highest > least]
-            if len(part):
-                one = torch.ones(both.shape[1], dtype=torch.float64).expand(both.shape)
-                evidence[part] = log_bayes_factor(
-                    gram[both[:, :, None], both[:, None, :]], score[both], one, noise
-                )
+                is_alive = highest_log_bayes_factor(grams, scores, noise) > least
+                grams, scores, alive = grams[is_alive], scores[is_alive], part[is_alive]
+            if len(alive):
+                evidence[alive] = log_bayes_factor(grams, scores, torch.ones_like(scores), noise)
     asked = (evidence > least).nonzero().flatten()
     ranked = asked[torch.argsort(evidence[asked], descending=True, stable=True)]
     rows = zip(*(values[ranked].tolist() for values in (evidence, first, second)), strict=True)
