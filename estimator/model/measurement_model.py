@@ -216,7 +216,13 @@ class MeasurementModel:
         Args:
             values: Every number of the rig by name, from `Coordinates.values`; a batch where free.
         """
-        field_T = self._gain(values)[..., None] * self._at_sensor(values)
+        return self.shown_T(values, self.at_sensor_T(values))
+
+    def shown_T(
+        self, values: Values, at_sensor_T: Float[Tensor, "*#batch reading 3"]
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """What is read of the field at the sensors, given by `at_sensor_T`."""
+        field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
             concerned = use.concerned(self.circumstances)
@@ -256,7 +262,7 @@ class MeasurementModel:
             translation = torch.where(is_sensor[..., None], pose.translation_m, translation)
         return Transform(rotation, translation)
 
-    def _at_sensor(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+    def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
         displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
         world_from_sensor = self.world_from_sensor(torch.arange(len(self.sensor)), values)
