@@ -108,6 +108,11 @@ BENT = 6.0
 linear model says there. By measurement: a coil with an unknown iron core was moved by 30 and more, and screening put the core last.
 Study: none of its cases has two coils with cores."""
 
+MOST_GAINED_IN_FULL = 4.0
+"""Log evidence that a full fit may find beyond the linear model for a cause without shapes, while little speaks for any: where all causes
+stay farther than this below what it takes to be taken, such causes are not fitted. By measurement: below 1 both differ by 0.01, at 20 by
+at most 1.4 (docs/decisions/0047). Study: halved or doubled it moves the effort, not the verdicts of the cases in the note."""
+
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
 what it may imitate to come first. By measurement: a hint 2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008).

@@ -52,16 +52,14 @@ def pairs(
         alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
         for part in alike.split(PAIRS_AT_ONCE):
             both = _columns_of(begin, first[part], second[part], widths)
-            asked = torch.ones(len(part), dtype=torch.bool)
+            grams, scores, alive = gram[both[:, :, None], both[:, None, :]], score[both], part
             if math.isfinite(least):
-                grams = gram[both[:, :, None], both[:, None, :]]
-                asked = highest_log_bayes_factor(grams, score[both], noise) > least
-            if bool(asked.any()):
-                both = both[asked]
-                grams, one = gram[both[:, :, None], both[:, None, :]], torch.ones_like(score[both])
-                evidence[part[asked]] = log_bayes_factor(grams, score[both], one, noise)
-    above = (evidence > least).nonzero().flatten()
-    ranked = above[torch.argsort(evidence[above], descending=True, stable=True)]
+                is_alive = highest_log_bayes_factor(grams, scores, noise) > least
+                grams, scores, alive = grams[is_alive], scores[is_alive], part[is_alive]
+            if len(alive):
+                evidence[alive] = log_bayes_factor(grams, scores, torch.ones_like(scores), noise)
+    asked = (evidence > least).nonzero().flatten()
+    ranked = asked[torch.argsort(evidence[asked], descending=True, stable=True)]
     rows = zip(*(values[ranked].tolist() for values in (evidence, first, second)), strict=True)
     return [(value, at_null[i], at_null[j]) for value, i, j in rows]
 

@@ -107,6 +107,9 @@ def take_step(
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
     ]
+    least = least_log_evidence(len(ranked))
+    nearest = max((highest for _, highest, _ in screened.values()), default=0.0)
+    is_quiet = nearest < least - policy.MOST_GAINED_IN_FULL  # what is linear cannot be taken
     best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
@@ -115,7 +118,8 @@ def take_step(
             picture in pictured and highest > 0.0
         )  # its shapes move far in a fit, as those of the other picture did
         is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
-        if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
+        is_known = is_quiet and not is_asked and _is_linear(start, fit)
+        if (is_asked or _is_worth_a_fit(i, highest, best)) and not is_known and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, *at_finer_instant(fit, value, start))
@@ -123,7 +127,6 @@ def take_step(
             pictured |= {picture} if picture is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
-    least = least_log_evidence(len(ranked))
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
     beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
     of_noise = noise_causes(fit, math.inf if limits.is_over else beside)
@@ -147,6 +150,13 @@ def _is_worth_a_fit(i: int, highest: float, best: float) -> bool:
     is_leader = i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0)
     could_be_best = i < policy.MOST_FITTED and highest > max(best, 0.0)
     return is_leader or could_be_best
+
+
+def _is_linear(start: Candidate, fit: Fit) -> bool:
+    """Whether the linear model says of a cause what a full fit would: it starts at its null, and has no shapes."""
+    extent = fit.posterior.model.circumstances.extent
+    has_shapes = any(quantity.is_shape for quantity in EFFECTS[start.cause.name].quantities(extent))
+    return not has_shapes and not bool(start.shift.any())
 
 
 def least_log_evidence(n_causes: int) -> float:
