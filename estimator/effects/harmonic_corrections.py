@@ -144,8 +144,8 @@ class CoilMultipoles(_Harmonics, CoilField):
         """The same places about the middle of the winding, half its length behind the front face."""
         nominal = circumstances.rig.nominal_values()
         length_m = nominal[f"{place}.axial_pitch_m"] * nominal[f"{place}.axial_loops"]
-        back_m = torch.tensor([0.0, 0.0, 0.5 * length_m], dtype=torch.float64)
-        return self.read_at_m(circumstances, place) + back_m
+        at_m = self.read_at_m(circumstances, place)
+        return at_m + at_m.new_tensor([0.0, 0.0, 0.5 * length_m])
 
 
 class RoomHarmonics(_Harmonics, RoomEffect):

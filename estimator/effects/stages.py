@@ -75,7 +75,7 @@ class OneCoilCurrent(CurrentEffect):
         """Delivered currents."""
         delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
         current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
-        is_coil = torch.arange(current_A.shape[-1]) == coil
+        is_coil = torch.arange(current_A.shape[-1], device=current_A.device) == coil
         return torch.where(is_coil, delivered_A[..., None], current_A)
 
 
@@ -224,7 +224,7 @@ class MotionEffect(Effect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose."""
-        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+        return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
@@ -244,7 +244,7 @@ class MountEffect(Effect):
         self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
-        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+        return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
     def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
@@ -368,7 +368,7 @@ class NoiseEffect(Effect):
         """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
         wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
         added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))
-        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape)))
+        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T)
 
 
 class RecordEffect(Effect):
