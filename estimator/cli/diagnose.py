@@ -149,7 +149,7 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
-    from estimator.diagnosis.headline import headline, held_back, tension_words
+    from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
     from estimator.diagnosis.hypotheses.step import leaves_structure
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
@@ -170,6 +170,8 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             low, high = quantity.ci90
             size = interval_with_unit(quantity.median, low, high, quantity.unit)
             lines.append(f"    {split_quotient(name)[0].replace('_', ' '):16} {size}")
+        if cause.difference is not None:
+            lines.append(f"    known best: {difference_words(cause.difference)}")
     lines += [f"  {sentence}" for sentence in held_back(diagnosis)]
     if diagnosis.findings.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)

@@ -173,6 +173,11 @@ class Fit:
             covariance = self.covariance
         return float(torch.sqrt(gradient @ covariance @ gradient))
 
+    def difference_sd(self, plus: str, minus: str) -> float:
+        """Standard deviation of one parameter minus another of the same unit, to first order."""
+        gradient = self._value_gradients[plus] - self._value_gradients[minus]
+        return float(torch.sqrt(gradient @ self.covariance @ gradient))
+
     @cached_property
     def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
         """Gradient of every number of the rig in the coordinates."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from estimator.calibration.quality import tensions
+from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.instants import SINCE
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
+from estimator.diagnosis.sizes import Difference
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
@@ -19,7 +21,6 @@ from estimator.rig.rig import Cause
 from estimator.units import split_quotient
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
-CLEAR_SD = 2.0  # from zero: numbers of a cause that are told in the first sentence
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
@@ -158,11 +159,12 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
     clear = sorted(
         (-abs(one.median) / one.sd, key, one)
         for key, one in sized.quantities.items()
-        if key not in shapes and abs(one.median) > CLEAR_SD * one.sd > 0.0
+        if key not in shapes and abs(one.median) > policy.CLEAR_SD * one.sd > 0.0
     )
-    words = [
+    words = [] if sized.difference is None else [difference_words(sized.difference)]
+    words += [
         f"{quantity_words(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
-        for _, key, one in clear[:MOST_SIZES]
+        for _, key, one in clear[: MOST_SIZES - len(words)]
     ]
     if SINCE in sized.quantities:
         words.append(f"{SECONDS_PER_HOUR * sized.quantities[SINCE].median:.0f} s after the first reading")
@@ -177,6 +179,13 @@ def quantity_words(key: str) -> str:
         'drift x'
     """
     return split_quotient(key)[0].replace("_", " ")
+
+
+def difference_words(difference: Difference) -> str:
+    """The difference of two quantities with its 90 % interval."""
+    interval = difference.interval
+    names = f"{quantity_words(difference.plus)} − {quantity_words(difference.minus)}"
+    return f"{names} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
 
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:

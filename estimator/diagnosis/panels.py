@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis.drawing import outline_of, rounded
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.headline import headline, quantity_words
+from estimator.diagnosis.headline import difference_words, headline, quantity_words
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.next_readings.stops import best_to_shrink, candidate_stops
@@ -79,6 +79,8 @@ def _answer(sized: SizedCause) -> Answer:
         for key, one in sized.quantities.items()
         if one.sd > 0.0
     ]
+    if sized.difference is not None:
+        sizes.append(difference_words(sized.difference))
     effect = EFFECTS[sized.cause.name]
     place, kind = sized.cause.place, str(effect.kind)
     return Answer(sized.name, place, kind, effect.words, sized.probability, sizes, list(sized.others))

@@ -362,6 +362,13 @@ in it."""
 CLEARLY_MORE = 1.2
 """Residual over noise from which on the report says more, though the noise may be so. For a reader. Study: not in it."""
 
+CLEAR_SD = 2.0
+"""Standard deviations from zero from which on a number of a cause is told in the first sentence. For a reader. Study: not in it."""
+
+CLEARER_DIFFERENCE = 1.5
+"""Factor by which the difference of two quantities must be farther from zero, in its standard deviations, than any quantity alone, to be
+told. By judgement: below, a reader gains nothing by one more number. Study: not in it."""
+
 MOVED_SD = 1.0
 """Standard deviations that a number of the rig must move to be listed as moved. For a reader. Study: not in it."""
 

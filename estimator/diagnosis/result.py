@@ -12,6 +12,7 @@ import torch
 
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.corrections.result import Correction
+from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
@@ -301,6 +302,9 @@ class Diagnosis:
             tuple(self.label(alternative.cause) for alternative in named.alternatives),
             named.log_bayes_factor,
             self.quantities(named.cause),
+            difference=clearest_difference(
+                self.fits.final, named.cause, self.posterior, self.left_open.widening
+            ),
         )
 
     def _sized_mistake(self, mistake: RecordMistake) -> SizedCause:

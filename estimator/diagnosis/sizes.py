@@ -25,6 +25,24 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Difference:
+    """One quantity of a cause minus another, by their SI keys."""
+
+    plus: str
+    minus: str
+    interval: Interval
+
+    @property
+    def distance_sd(self) -> float:
+        """Distance from zero in standard deviations."""
+        return abs(self.interval.median) / self.interval.sd if self.interval.sd > 0.0 else 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnosis.json` holds it."""
+        return {"plus": self.plus, "minus": self.minus, **self.interval.to_json()}
+
+
+@dataclass(frozen=True)
 class SizedCause:
     """A cause of the verdict, or a mistake of the record, with the sizes of its quantities.
 
@@ -39,6 +57,7 @@ class SizedCause:
         log_bayes_factor: Against nothing, when it was taken.
         quantities: Those that the session can see, by SI key.
         is_record_mistake: Whether it is a mistake of the record.
+        difference: Of two quantities, where it is known better than any of them.
     """
 
     cause: Cause
@@ -51,6 +70,7 @@ class SizedCause:
     log_bayes_factor: float
     quantities: Mapping[str, Interval]
     is_record_mistake: bool = False
+    difference: Difference | None = None
 
     @property
     def others(self) -> tuple[tuple[str, float], ...]:
@@ -76,6 +96,7 @@ class SizedCause:
             "alternatives": alternatives,
             "log_bayes_factor": self.log_bayes_factor,
             "parameters": intervals_to_json(self.quantities),
+            "difference": None if self.difference is None else self.difference.to_json(),
         }
 
 

@@ -81,7 +81,7 @@ def _symptoms_table(diagnosis: Diagnosis) -> Table:
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
     parameters = []
     for cause in _names_first(diagnosis):
-        for key, p in diagnosis.quantities(cause).items():
+        for key, p in _numbers(diagnosis, cause).items():
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
@@ -91,6 +91,15 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
                 factor, unit = display.factor, display.unit or p.unit
             parameters.append((_label(diagnosis, cause), key, p, factor, unit))
     return parameters
+
+
+def _numbers(diagnosis: Diagnosis, cause: Cause) -> dict[str, Interval]:
+    """Quantities of a cause by their keys, and last the difference of two that is known better than any of them."""
+    numbers = diagnosis.quantities(cause)
+    sized = next((one for one in diagnosis.sized_causes if one.cause == cause), None)
+    if sized is not None and (known := sized.difference) is not None:
+        numbers[f"{split_quotient(known.plus)[0]} − {known.minus}"] = known.interval
+    return numbers
 
 
 def _names_first(diagnosis: Diagnosis) -> list[Cause]:
