@@ -223,6 +223,14 @@ numbers change in 4."""
 WINDING_DEGREE = 2
 """Degree along the axis of the same. By judgement. Study of 5 cases: numbers change in 2."""
 
+N_INSTANTS_OF_BURSTS = 24
+"""Parts of a session between which readings may scatter more, any number of them in a row. By judgement: a burst of four readings among 96
+is one of them. Study: not in it."""
+
+SCATTER_AMPLITUDES = (0.3, 1.0)
+"""How far the size of misses depends on something, in standard deviations of their normal scores. By judgement: less
+is hardly visible in a hundred readings, and more is not possible for long. Study: not in it."""
+
 # What is in no list
 
 PRIOR_OUTSIDE = 0.3

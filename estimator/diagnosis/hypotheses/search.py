@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -35,6 +36,7 @@ from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.scatter import Scatter, scatter_of
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
@@ -82,6 +84,11 @@ class Search:
     def added(self) -> list[Cause]:
         """Causes of the final fit beyond the base."""
         return [cause for cause in self.final.rig.effects if cause not in self.base.rig.effects]
+
+    @cached_property
+    def scatter(self) -> Scatter:
+        """Whether readings scatter otherwise than the final fit says."""
+        return scatter_of(self.final)
 
     @property
     def source_seems_wrong(self) -> bool:
