@@ -8,7 +8,7 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -120,6 +120,9 @@ bench-live: $(INSTALLED) # from a stop on the disk to the estimate that holds it
 bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
 	$(RUN) scripts.benchmarks.diagnose
 
+bench-device: $(INSTALLED) # fields and fits on each device, in double and single precision; share of peak
+	$(RUN) scripts.benchmarks.device
+
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
 	$(RUN) scripts.benchmarks.batch
 
@@ -154,6 +157,7 @@ INSTALL = if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is
 	then $(RUN) pip install -e $(1); \
 	else $(RUN) pip install -c constraints.txt -e $(1); fi
 
+# Why pip and no lock file: docs/decisions/0050-no-lock-file.md
 $(COMMANDS_INSTALLED): pyproject.toml constraints.txt
 	if $(PYTHON) -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
 	then $(PYTHON) -m venv --system-site-packages .venv; \

@@ -45,7 +45,7 @@ def value_and_jacobian(
         free = point.detach().requires_grad_()
         values = function(free)
         if not (values.requires_grad and len(point)):  # nothing depends on it
-            return values.detach(), torch.zeros(*values.shape, len(point), dtype=values.dtype)
+            return values.detach(), values.new_zeros(*values.shape, len(point))
         weights = torch.zeros_like(values).requires_grad_()
         gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)[0]
         each = torch.eye(len(point), dtype=point.dtype, device=point.device)

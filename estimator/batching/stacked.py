@@ -53,7 +53,7 @@ def stacked_fits(
     Returns: The log posterior of each session and its highest maximum.
     """
     model = MeasurementModel.build(rig, sessions[0])
-    coordinates = Coordinates(rig)
+    coordinates = Coordinates(rig).on(sessions[0].device)
     posteriors = [
         LogPosterior(coordinates, model.with_circumstances(Circumstances(rig, observations)), observations)
         for observations in sessions
@@ -68,7 +68,7 @@ def stacked_fits(
     starts = torch.where(is_possible[:, None], starts, coordinates.start())
     first = levenberg_marquardt(stacked, starts, FIRST_ITERATIONS, TOLERANCE)
     highest = first.log_posterior.reshape(len(posteriors), n_starts).argmax(1)
-    highest = highest + n_starts * torch.arange(len(posteriors))
+    highest = highest + n_starts * torch.arange(len(posteriors), device=highest.device)
     fits = levenberg_marquardt(stacked.at(highest), first.vector[highest], tolerance=TOLERANCE)
     return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(posteriors)]
 

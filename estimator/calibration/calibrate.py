@@ -6,13 +6,14 @@ import hashlib
 import json
 import platform
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from emcee.backends import Backend
 
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
@@ -24,6 +25,7 @@ from estimator.calibration.starting_point import (
     starting_point_with_counts,
 )
 from estimator.calibration.summary import finite, summary
+from estimator.devices import device_named, precision_named
 from estimator.effects.use import as_meant
 from estimator.errors import InvalidInput, reason
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
@@ -31,7 +33,7 @@ from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sam
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.preflight import check_readings, check_units
+from estimator.model.preflight import check_precision, check_readings, check_units
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
@@ -65,6 +67,8 @@ def calibrate(
     seed: int = 0,
     settings: SamplerSettings | None = None,
     has_integer_counts: bool = True,
+    device: str = "cpu",
+    precision: str = "double",
     on_stage: Callable[[Stage], None] | None = None,
 ) -> Calibration:
     """Calibrate a rig from a session: point estimate, posterior, model.
@@ -82,6 +86,8 @@ def calibrate(
         seed: Seed of all random numbers.
         settings: When to stop sampling; its seed is replaced by `seed`.
         has_integer_counts: False treats free loop counts as real numbers.
+        device: Where the readings are predicted, such as `cuda`; sampling itself and all reports stay on the processor.
+        precision: `double`, or `single` for the predictions of readings; densities and fits are in double precision all the same.
         on_stage: Called as the work proceeds.
     Returns: The calibrated model. `summary()["is_converged"]` is False if sampling ended before it reached its targets.
     Raises:
@@ -91,13 +97,15 @@ def calibrate(
     References: Osinde et al., section 3; docs/decisions/0004 and 0007.
     """
     tell = on_stage or (lambda stage: None)
+    place, dtype = device_named(device), precision_named(precision)
     rig = rig or session.rig
     session.check_rig(rig)
     _check_free(rig, has_integer_counts)
     settings = replace(settings or SamplerSettings(), seed=seed)
     wanted, settings = settings, settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
-    fingerprint = _fingerprint(session, rig, settings, has_integer_counts)
+    computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
+    fingerprint = _fingerprint(session, rig, settings, has_integer_counts, computed)
     backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
     check_readings(rig, session.observations, session.source)
     observations = as_meant(rig, session.observations).calibration
@@ -107,8 +115,16 @@ def calibrate(
         _make_folder(folder)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
-    model = MeasurementModel.build(rig, observations)
-    posterior = LogPosterior(Coordinates(rig), model, observations)
+    if dtype is not torch.float64:
+        check_precision(rig, observations)
+    readings = observations.to(place, dtype)
+    model = MeasurementModel.build(rig, readings)
+    posterior = LogPosterior(Coordinates(rig), model, readings)
+    if free_amplitudes(rig) and computed:
+        raise InvalidInput(
+            "coils without a winding must be calibrated on the processor in double precision; "
+            f"received device {device}, precision {precision}"
+        )
     if is_collapsible(posterior):
         start = starting_point_collapsed(posterior, observations, seed)
         tell(Stage("amplitudes in closed form", open_directions=start.undetermined))
@@ -116,9 +132,9 @@ def calibrate(
         settings = wanted.for_rig(len(rig.free))
         start = starting_point_with_counts(
             posterior,
-            observations,
+            readings,
             seed,
-            lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, observations),
+            lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, readings),
             lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
         )
     lattice = start.posterior
@@ -238,11 +254,13 @@ def _remove_result(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _fingerprint(session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool) -> str:
+def _fingerprint(
+    session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool, computed: Sequence[str]
+) -> str:
     """Hash of everything that decides the steps of a chain; the targets that stop it do not."""
     decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
     parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    return hashlib.sha256("\n".join([*parts, *computed]).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:

@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from estimator.cli.options import ess_option, json_option, other_rig_option, overwrite_option, seed_option
+from estimator.cli.options import (
+    device_option,
+    ess_option,
+    json_option,
+    other_rig_option,
+    overwrite_option,
+    precision_option,
+    seed_option,
+)
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
 
 
@@ -43,6 +51,8 @@ from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalComma
     show_default=True,
     help="Treat free loop counts as whole numbers or as real numbers.",
 )
+@device_option
+@precision_option
 @overwrite_option
 @json_option
 def calibrate_command(
@@ -54,6 +64,8 @@ def calibrate_command(
     walkers: int,
     max_steps: int,
     counts: str,
+    device: str,
+    precision: str,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -81,6 +93,8 @@ def calibrate_command(
             seed=seed,
             settings=settings,
             has_integer_counts=counts == "integer",
+            device=device,
+            precision=precision,
             on_stage=reporter,
         )
     command = f"coilcal calibrate {session_path} --out {out} --seed {seed}"

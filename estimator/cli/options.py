@@ -26,6 +26,20 @@ ess_option = click.option(
     show_default=True,
     help="Effective sample size that every parameter must reach.",
 )
+device_option = click.option(
+    "--device",
+    default="cpu",
+    show_default=True,
+    metavar="NAME",
+    help="Where readings are predicted, such as cuda; sampling itself and reports stay on the processor.",
+)
+precision_option = click.option(
+    "--precision",
+    type=click.Choice(["double", "single"]),
+    default="double",
+    show_default=True,
+    help="Of predicted readings; refused where single precision would be seen beside the noise.",
+)
 other_rig_option = click.option(
     "--rig",
     "rig_path",

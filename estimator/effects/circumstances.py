@@ -62,6 +62,13 @@ class Circumstances:
     def __len__(self) -> int:
         return len(self.observations)
 
+    def with_effects_of(self, rig: Rig) -> Circumstances:
+        """The same circumstances for a rig that differs in its effects alone; what is known of the session stays known."""
+        other = Circumstances(rig, self.observations)
+        known = {name: value for name, value in self.__dict__.items() if name not in ("rig", "observations")}
+        other.__dict__.update(known)
+        return other
+
     @property
     def sensor(self) -> Int[Tensor, " reading"]:
         """Index of the sensor of each reading."""
@@ -128,7 +135,8 @@ class Circumstances:
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
         """Time since the session began."""
-        return (self.observations.time_s - self.observations.history.time_s.min()) / SECONDS_PER_HOUR
+        time_s = self.observations.time_s - self.observations.history.time_s.min()
+        return (time_s / SECONDS_PER_HOUR).to(self.observations.dtype)
 
     @cached_property
     def duration_h(self) -> float:
@@ -154,7 +162,12 @@ class Circumstances:
         time_h = (
             self.observations.history.time_s - self.observations.history.time_s.min()
         ) / SECONDS_PER_HOUR
-        rows = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2).round().long()[1:-1].unique()
+        rows = (
+            torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2, device=time_h.device)
+            .round()
+            .long()[1:-1]
+            .unique()
+        )
         rows = rows[rows > 0]
         return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
 
@@ -166,11 +179,11 @@ class Circumstances:
         """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
         history = self.observations.history
         own = (history.sensor == [s.name for s in self.rig.sensors].index(sensor)).nonzero().flatten()
-        row = torch.arange(len(history))
+        row = torch.arange(len(history), device=history.device)
         row[own[1:]] = own[:-1]
         ago_s = history.time_s - history.time_s[row]
         ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
-        return row[self.observations.row], ago_s[self.observations.row]
+        return row[self.observations.row], ago_s[self.observations.row].to(history.dtype)
 
     def last_turn_A(self, coil: int) -> Float[Tensor, " reading"]:
         """Commanded current from which that of a coil last turned back; 0 before it first did. Every session comes from 0."""
@@ -178,7 +191,7 @@ class Circumstances:
         step_A = held_A.diff()
         rows = (step_A.abs() > LEAST_STEP * self.largest_current_A).nonzero().flatten()
         turns = rows[1:][step_A[rows].sign().diff() != 0.0]  # rows at which the current goes the other way
-        n_before = torch.searchsorted(turns, torch.arange(len(step_A)), right=True)
+        n_before = torch.searchsorted(turns, torch.arange(len(step_A), device=turns.device), right=True)
         return torch.nn.functional.pad(held_A[turns], (1, 0))[n_before][self.observations.row]
 
     def temperature_K(self, place: str) -> Float[Tensor, " reading"] | None:
@@ -188,7 +201,7 @@ class Circumstances:
             return None
         everywhere = self.observations.history.temperature_C[place]
         known = everywhere[~torch.isnan(everywhere)]
-        mean = known.mean() if len(known) else torch.tensor(0.0, dtype=torch.float64)
+        mean = known.mean() if len(known) else everywhere.new_zeros(())
         return torch.nan_to_num(celsius - mean)
 
     def warming_K(self, place: str) -> Float[Tensor, " reading"] | None:
@@ -210,7 +223,7 @@ class Circumstances:
         here = self._poses(mover).translation_m
         step = torch.diff(here, dim=0, prepend=here[:1])
         has_moved = (step.abs() > SMALLEST_MOVE_M).any(-1)
-        last = torch.cummax(torch.arange(len(here)) * has_moved, dim=0).values
+        last = torch.cummax(torch.arange(len(here), device=here.device) * has_moved, dim=0).values
         return step[last][self.observations.row]
 
     def approach(self, mover: str) -> Float[Tensor, "reading 3"]:
@@ -218,7 +231,7 @@ class Circumstances:
         here = self._poses(mover).translation_m
         sign = torch.diff(here, dim=0, prepend=here[:1])
         sign = torch.where(sign.abs() > SMALLEST_MOVE_M, torch.sign(sign), torch.zeros_like(sign))
-        last = torch.arange(len(here))[:, None] * (sign != 0.0)
+        last = torch.arange(len(here), device=here.device)[:, None] * (sign != 0.0)
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
     def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
@@ -245,9 +258,13 @@ class Circumstances:
     ) -> Float[Tensor, "*batch reading"]:
         """Values of the history, each held until the next, through a low pass that begins at 0."""
         history = self.observations.history
-        time_h = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR
+        time_h = ((history.time_s - history.time_s.min()) / SECONDS_PER_HOUR).to(values.dtype)
         edges = torch.linspace(
-            0.0, self.duration_h, min(len(time_h), MOST_TIME_STEPS) + 1, dtype=torch.float64
+            0.0,
+            self.duration_h,
+            min(len(time_h), MOST_TIME_STEPS) + 1,
+            dtype=time_h.dtype,
+            device=time_h.device,
         )
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1

@@ -145,11 +145,13 @@ class InTime(Correction):
 def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:
     """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
     rig, observations = circumstances.rig, circumstances.observations
-    values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
+    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
     flange = {m.name: base_from_motion(m, observations.motion[m.name]) for m in rig.movers}
     n = len(observations)
     each = [world_from_body(rig, sensor, "sensor", flange, values).translation_m for sensor in rig.sensors]
-    world_m = torch.stack([position.expand(n, 3) for position in each])[observations.sensor, torch.arange(n)]
+    world_m = torch.stack([position.expand(n, 3) for position in each])[
+        observations.sensor, torch.arange(n, device=observations.device)
+    ]
     if coil is None:
         return world_m
     world_from_coil = world_from_body(rig, coil, "coil", flange, values)

@@ -38,7 +38,7 @@ class _Drift(InTime):
     def _wave(theta: Theta, circumstances: Circumstances, degree: int) -> Float[Tensor, " reading"]:
         """Zero where a single moment stands for a session, as in predictions."""
         if circumstances.is_moment:
-            return torch.zeros(len(circumstances), dtype=torch.float64)
+            return torch.zeros_like(circumstances.hours)
         return torch.cos(math.pi * degree * circumstances.hours / theta["duration_h"].flatten()[0])
 
     def _wandering(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading term"]:
@@ -172,7 +172,7 @@ class GuidesWander(_Drift, MotionEffect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Waves of every degree."""
-        duration_h = torch.tensor(circumstances.duration_h, dtype=torch.float64)
+        duration_h = circumstances.hours.new_tensor(circumstances.duration_h)
         degrees = range(self.lowest, self.highest + 1)
         waves = [self._wave({"duration_h": duration_h}, circumstances, degree) for degree in degrees]
         return torch.stack(waves, dim=-1)

@@ -53,7 +53,7 @@ class SidesRemembered(Correction, MotionEffect):
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
     ) -> Float[Tensor, "start reading"]:
         """The sides, with those of the first start for plus."""
-        units = torch.tensor([[start[key] for key in UNIT] for start in starts], dtype=torch.float64)
+        units = circumstances.hours.new_tensor([[start[key] for key in UNIT] for start in starts])
         sides = _sides(circumstances, place)[:, _nearest(units)].T
         return sides * sides[0]
 
@@ -143,7 +143,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         before_A = torch.nn.functional.pad(history_A, (1, 0))[:-1]
         step_A = history_A - before_A
         is_step = step_A.abs() > LEAST_STEP * circumstances.largest_current_A
-        last = torch.cummax(torch.arange(len(history_A)) * is_step, dim=0).values
+        last = torch.cummax(torch.arange(len(history_A), device=history_A.device) * is_step, dim=0).values
         row = circumstances.observations.row
         by_degree = {
             1: current_A.abs() / range_A,
@@ -151,7 +151,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
             3: (before_A - history_A)[row] / range_A,
             4: circumstances.last_turn_A(coil) / range_A,
         }
-        share = torch.zeros((), dtype=torch.float64)
+        share = current_A.new_zeros(())
         for degree, amplitude in self.amplitudes(theta).items():
             if degree == 1 or not circumstances.is_moment:
                 share = share + amplitude * by_degree[degree]
@@ -200,7 +200,7 @@ class FieldRemembered(Correction, ReadingEffect):
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read; what was read before is what was recorded, and what was not counts as no change."""
         amplitudes = self.amplitudes(theta)
-        history_T = circumstances.observations.history.field_sensor_T
+        history_T = circumstances.observations.history.field_sensor_T.to(field_sensor_T.dtype)
         if not amplitudes or bool(torch.isnan(history_T).all()):
             return field_sensor_T
         rows = [_before(circumstances, sensor)]
@@ -229,19 +229,19 @@ def directions() -> Float[Tensor, "direction 3"]:
 
 def _nearest(unit: Float[Tensor, "*batch 3"]) -> Tensor:
     """Number of the direction of the set that is nearest."""
-    return (unit @ directions().T).argmax(-1)
+    return (unit @ directions().to(unit).T).argmax(-1)
 
 
 def _sides(circumstances: Circumstances, mover: str) -> Float[Tensor, "reading direction"]:
     """Sign of the last move along each direction; plus before the first, as after a way forwards. A moment has no side."""
     if circumstances.is_moment:
-        return torch.zeros(len(circumstances), N_DIRECTIONS, dtype=torch.float64)
+        return circumstances.hours.new_zeros(len(circumstances), N_DIRECTIONS)
     move_m = circumstances.moves_m(mover)
     length_m = move_m.norm(dim=-1)
     typical_m = float(length_m.square().mean().sqrt())
-    along_m = move_m @ directions().T
+    along_m = move_m @ directions().to(move_m).T
     is_move = along_m.abs() > LEAST_MOVE * max(typical_m, LEAST_LENGTH_M)
-    last = torch.cummax(torch.arange(len(move_m))[:, None] * is_move, dim=0).values
+    last = torch.cummax(torch.arange(len(move_m), device=move_m.device)[:, None] * is_move, dim=0).values
     side = torch.where(is_move, torch.sign(along_m), torch.ones_like(along_m))
     return torch.gather(side, 0, last)[circumstances.observations.row]
 
@@ -250,7 +250,8 @@ def _distinct_rows(rows: Float[Tensor, "row column"]) -> tuple[Tensor, Tensor]:
     """The distinct of some rows, up to their sign, and the number of the first of each."""
     signed = rows * rows[:, :1]
     distinct, which = torch.unique(signed, dim=0, return_inverse=True)
-    first = torch.full((len(distinct),), len(rows)).scatter_reduce(0, which, torch.arange(len(rows)), "amin")
+    number = torch.arange(len(rows), device=rows.device)
+    first = torch.full_like(number[: len(distinct)], len(rows)).scatter_reduce(0, which, number, "amin")
     return distinct, first.sort().values
 
 
@@ -258,7 +259,7 @@ def _before(circumstances: Circumstances, sensor: str) -> Tensor:
     """Row of the history of the reading that a sensor took before each; its own where none was."""
     history = circumstances.observations.history
     own = (history.sensor == [s.name for s in circumstances.rig.sensors].index(sensor)).nonzero().flatten()
-    row = torch.arange(len(history))
+    row = torch.arange(len(history), device=history.device)
     row[own[1:]] = own[:-1]
     return row
 

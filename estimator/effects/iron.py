@@ -185,11 +185,11 @@ def _ring_m(
     radius_m: Float[Tensor, "*#batch"],
 ) -> Float[Tensor, "*batch 3 3"]:
     """Points over which the field in the opening is averaged: a third of a turn apart, so that slopes and saddles cancel."""
-    axes = torch.eye(3, dtype=across.dtype)
+    axes = torch.eye(3, dtype=across.dtype, device=across.device)
     along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
     along = along / along.norm(dim=-1, keepdim=True)
     beside = torch.linalg.cross(across, along)
-    turn = torch.tensor([0.0, 1.0, 2.0], dtype=across.dtype)[:, None] * 2.0 * math.pi / 3.0
+    turn = across.new_tensor([0.0, 1.0, 2.0])[:, None] * 2.0 * math.pi / 3.0
     ring = torch.cos(turn) * along + torch.sin(turn) * beside
     ring_m: Tensor = RING * radius_m[..., None, None] * ring
     return middle_m + ring_m
@@ -210,7 +210,7 @@ def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
     from_axis = torch.stack(
         (torch.cos(first) * torch.cos(second), torch.sin(first), torch.cos(first) * torch.sin(second)), dim=-1
     )
-    order = (torch.arange(3) - theta["axis"].long()[..., None]) % 3
+    order = (torch.arange(3, device=first.device) - theta["axis"].long()[..., None]) % 3
     return torch.gather(from_axis, -1, order)[..., None, :]
 
 
@@ -257,7 +257,7 @@ class _SoftIron(RoomEffect):
         ]
         starts = []
         for direction in directions:
-            along = torch.tensor(direction).double()
+            along = middle.new_tensor(direction)
             along = along / along.norm()
             farthest_m = float(((circumstances.positions_m - middle) @ along).max())
             for gap in (0.4, 1.2):

@@ -68,7 +68,7 @@ class AxisSteps(_AboveLevel):
         sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
-        is_axis = torch.arange(3) == theta["axis"][..., None, None]
+        is_axis = torch.arange(3, device=field_sensor_T.device) == theta["axis"][..., None, None]
         is_above = (field_sensor_T > theta["above_T"][..., None, None]) & is_axis
         return field_sensor_T + self.amplitudes(theta)[1][..., None, :] * is_above
 
@@ -97,8 +97,9 @@ class GainSteps(_AboveLevel):
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
     ) -> Float[Tensor, "start reading"]:
         """Readings above each level."""
-        levels_T = torch.tensor([start["above_T"] for start in starts], dtype=torch.float64)
-        return (circumstances.observations.field_sensor_T.abs().amax(-1) > levels_T[:, None]).double()
+        shown_T = circumstances.observations.field_sensor_T.abs().amax(-1)
+        levels_T = shown_T.new_tensor([start["above_T"] for start in starts])
+        return (shown_T > levels_T[:, None]).to(circumstances.hours)
 
     def apply(
         self,
@@ -118,7 +119,8 @@ def _levels(shown_T: Float[Tensor, " reading"]) -> list[float]:
     between_T = (0.5 * (ordered_T[1:] + ordered_T[:-1]))[FEWEST_BEYOND - 1 : 1 - FEWEST_BEYOND]
     if not len(between_T):
         return []
-    rows = torch.linspace(0, len(between_T) - 1, min(MOST_LEVELS, len(between_T))).round().long().unique()
+    rows = torch.linspace(0, len(between_T) - 1, min(MOST_LEVELS, len(between_T)), device=between_T.device)
+    rows = rows.round().long().unique()
     levels_T: list[float] = between_T[rows].tolist()
     return levels_T
 

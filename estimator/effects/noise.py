@@ -65,7 +65,7 @@ class Outliers(NoiseEffect):
         rng: np.random.Generator,
     ) -> Float[Tensor, "reading 3"]:
         """A share of the errors grows."""
-        is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))) < theta["share"]
+        is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))).to(error_T) < theta["share"]
         return torch.where(is_wild, theta["ratio"] * error_T, error_T)
 
 
@@ -123,6 +123,12 @@ class PositionJitter(NoiseEffect):
         """Noise and scatter of the position, to first order."""
         return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)
 
+    def directions_T(
+        self, prediction: Prediction, theta: Theta, place: str
+    ) -> Float[Tensor, "reading 3 direction"]:
+        """One displacement per reading, which moves its three components together."""
+        return prediction.gradient_T_per_m(place) * theta["sd_m"]
+
     def disturbed_T(
         self,
         error_T: Float[Tensor, "reading 3"],
@@ -133,7 +139,7 @@ class PositionJitter(NoiseEffect):
         rng: np.random.Generator,
     ) -> Float[Tensor, "reading 3"]:
         """One displacement per reading, which moves its three components together."""
-        off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))) * theta["sd_m"]
+        off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T) * theta["sd_m"]
         return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)
 
 

@@ -34,7 +34,7 @@ class _Periodic(Correction):
         self, theta: Theta, cycles: Float[Tensor, "*#batch reading #component"]
     ) -> Float[Tensor, "*batch reading component"]:
         """Sum over the overtones, at so many cycles of the fundamental."""
-        total = torch.zeros((), dtype=cycles.dtype)
+        total = cycles.new_zeros(())
         for degree, amplitude in self.amplitudes(theta).items():
             cos, sin = amplitude.unflatten(-1, (-1, 2))[..., None, :, :].unbind(-1)
             phase = 2.0 * math.pi * degree * cycles
@@ -60,7 +60,7 @@ class _Swing(InTime, _Periodic):
     ) -> Float[Tensor, "*batch reading component"]:
         """Zero where a single moment stands for a session, as in predictions."""
         if circumstances.is_moment:
-            return torch.zeros(len(circumstances), 1, dtype=torch.float64)
+            return circumstances.hours.new_zeros(len(circumstances), 1)
         return self._swinging(theta, (circumstances.hours * theta["frequency_per_h"][..., None])[..., None])
 
 

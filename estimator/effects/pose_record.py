@@ -67,7 +67,9 @@ class RotationConvention(MotionEffect):
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose."""
         about = [
-            rotation_from_vector(columns[:, i : i + 1] * torch.eye(3, dtype=columns.dtype)[i])
+            rotation_from_vector(
+                columns[:, i : i + 1] * torch.eye(3, dtype=columns.dtype, device=columns.device)[i]
+            )
             for i in range(3)
         ]
         as_angles = [about[third] @ about[second] @ about[first] for first, second, third in ORDERS]

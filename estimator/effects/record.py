@@ -165,7 +165,7 @@ class CoilsExchanged(_Exchanged):
         self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Commanded currents behind the recorded ones."""
-        source = _exchanged(torch.arange(recorded_A.shape[-1]), theta)[..., None, :]
+        source = _exchanged(torch.arange(recorded_A.shape[-1], device=recorded_A.device), theta)[..., None, :]
         recorded_A, source = torch.broadcast_tensors(recorded_A, source)
         return recorded_A.gather(-1, source)
 
@@ -197,7 +197,9 @@ class CurrentSign(CurrentEffect):
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         sign = theta["sign"][..., None, None]
-        return torch.where(torch.arange(current_A.shape[-1]) == coil, sign * current_A, current_A)
+        return torch.where(
+            torch.arange(current_A.shape[-1], device=current_A.device) == coil, sign * current_A, current_A
+        )
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """A sign is a sign."""

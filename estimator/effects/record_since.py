@@ -129,7 +129,7 @@ class CoilsExchangedSince(CurrentEffect):
         coil: int,
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
-        index = torch.arange(current_A.shape[-1])
+        index = torch.arange(current_A.shape[-1], device=current_A.device)
         other = (coil + theta["later_by"][..., None].round().long()).clamp(max=len(index) - 1)
         source = torch.where(index == coil, other, torch.where(index == other, coil, index))
         current_A, source = torch.broadcast_tensors(current_A, source[..., None, :])

@@ -114,7 +114,7 @@ class GainCurve(_OverRange):
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         way = field_sensor_T.abs().amax(-1) / theta["range_T"].flatten()[0]
-        share = torch.zeros((), dtype=way.dtype)
+        share = way.new_zeros(())
         for degree, amplitude in self.amplitudes(theta).items():
             share = share + amplitude * torch.cos(math.pi * degree * way)
         return field_sensor_T * (1.0 + share[..., None])

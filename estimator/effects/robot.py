@@ -183,7 +183,7 @@ def _joint_axes(circumstances: Circumstances, mover: str) -> Float[Tensor, "read
     """Axis of every joint of an arm in its base frame, and a point on it."""
     arm = circumstances.rig.mover(mover)
     assert arm.table is not None  # see `places`
-    base_from_first, _ = ends_of(arm)
+    base_from_first, _ = ends_of(arm, circumstances.observations.motion[mover])
     joints = base_from_joints(arm.table, circumstances.observations.motion[mover])[:N_JOINTS]
     joints = tuple(base_from_first @ joint for joint in joints)
     lines = [(joint.rotation[..., 2], joint.translation_m) for joint in joints]
@@ -227,7 +227,7 @@ class MountTilt(MountEffect):
         """nominal_from_real of the mount."""
         zero = torch.zeros_like(theta["x_rad"])
         rotation = rotation_from_vector(torch.stack((theta["x_rad"], theta["y_rad"], zero), dim=-1))
-        return Transform(rotation[..., None, :, :], torch.zeros(1, 3, dtype=rotation.dtype))
+        return Transform(rotation[..., None, :, :], rotation.new_zeros(1, 3))
 
 
 class SensorBumped(MountEffect):
@@ -254,7 +254,7 @@ class SensorBumped(MountEffect):
         self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
         """1 afterwards."""
-        return (circumstances.hours >= theta["since_h"]).to(torch.float64)[:, None]
+        return (circumstances.hours >= theta["since_h"]).to(circumstances.hours)[:, None]
 
     def beyond_the_moment(self, key: str) -> str | None:
         """An instant needs a session to lie in."""
@@ -263,4 +263,4 @@ class SensorBumped(MountEffect):
     def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the sensor."""
         shift = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :] * columns
-        return Transform(torch.eye(3, dtype=shift.dtype).expand(1, 3, 3), shift)
+        return Transform(torch.eye(3, dtype=shift.dtype, device=shift.device).expand(1, 3, 3), shift)

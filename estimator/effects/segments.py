@@ -64,9 +64,9 @@ def _of_segment(
     """Quantities of each row's segment; zero where it has none."""
     numbers = _numbers(theta)
     if not numbers:
-        return torch.zeros(len(segment), len(suffixes), dtype=torch.float64)
+        return next(iter(theta.values())).new_zeros(len(segment), len(suffixes))
     rows = [torch.stack([theta[f"segment{n}_{suffix}"] for suffix in suffixes], dim=-1) for n in numbers]
-    is_in = (segment[:, None] == torch.tensor(numbers)).to(rows[0].dtype)
+    is_in = (segment[:, None] == torch.tensor(numbers, device=segment.device)).to(rows[0].dtype)
     return is_in @ torch.stack(rows, dim=-2)
 
 
@@ -176,7 +176,7 @@ class SegmentMisplaced(MotionEffect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Number of the segment."""
-        return circumstances.segment.to(torch.float64)[:, None]
+        return circumstances.segment.to(circumstances.current_A.dtype)[:, None]
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose, or real displacement."""

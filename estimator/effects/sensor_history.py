@@ -72,7 +72,7 @@ class SensorLag(ReadingEffect):
         own = [s.name for s in circumstances.rig.sensors].index(sensor)
         history = circumstances.observations.history
         if history.is_measured[history.sensor == own].any():
-            before_T = history.field_sensor_T[row]
+            before_T = history.field_sensor_T[row].to(field_sensor_T.dtype)
             before_T = torch.where(torch.isnan(before_T), field_sensor_T, before_T)
             return field_sensor_T + left * (before_T - field_sensor_T)
         in_time = torch.argsort(circumstances.observations.row)

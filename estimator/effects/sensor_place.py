@@ -55,7 +55,7 @@ class SensorContact(ReadingEffect):
             ordered_m = at_m[:, axis].sort().values
             if float(way_m[axis]) <= LEAST_WAY * float(way_m.max()):
                 continue
-            parts = ordered_m[torch.arange(1, CUTS) * len(ordered_m) // CUTS]
+            parts = ordered_m[torch.arange(1, CUTS, device=ordered_m.device) * len(ordered_m) // CUTS]
             places_m = ordered_m.unique()
             above = torch.searchsorted(places_m, parts).clamp(min=1).unique()
             for beyond_m in (0.5 * (places_m[above - 1] + places_m[above])).tolist():

@@ -75,7 +75,7 @@ class OneCoilCurrent(CurrentEffect):
         """Delivered currents."""
         delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
         current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
-        is_coil = torch.arange(current_A.shape[-1]) == coil
+        is_coil = torch.arange(current_A.shape[-1], device=current_A.device) == coil
         return torch.where(is_coil, delivered_A[..., None], current_A)
 
 
@@ -224,7 +224,7 @@ class MotionEffect(Effect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose."""
-        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+        return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
@@ -244,7 +244,7 @@ class MountEffect(Effect):
         self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
         """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
-        return torch.zeros(len(circumstances), 0, dtype=torch.float64)
+        return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
     def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
@@ -339,6 +339,12 @@ class NoiseEffect(Effect):
         """Standard deviation of the components that it concerns, given the one without it."""
         return sigma_T
 
+    def directions_T(
+        self, prediction: Prediction, theta: Theta, place: str
+    ) -> Float[Tensor, "reading 3 direction"] | None:
+        """Independent standard normal errors and how each moves the components of a reading together; None where all move alone."""
+        return None
+
     def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]] | None:
         """Share of components from a wider normal distribution, and how many times wider it is; None where all scatter normally.
 
@@ -362,7 +368,7 @@ class NoiseEffect(Effect):
         """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
         wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
         added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))
-        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape)))
+        return error_T + added_T * torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T)
 
 
 class RecordEffect(Effect):

@@ -42,15 +42,15 @@ class _Steps(InTime):
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
     ) -> Float[Tensor, "start reading"]:
         """Readings from each instant on."""
-        instants_h = torch.tensor([start[since(1)] for start in starts], dtype=torch.float64)
-        return circumstances.is_since(instants_h).double()
+        instants_h = circumstances.hours.new_tensor([start[since(1)] for start in starts])
+        return circumstances.is_since(instants_h).to(instants_h)
 
     def _stepped(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading term"]:
         """Sum of the steps so far; zero where a single moment stands for a session, as in predictions."""
         amplitudes = self.amplitudes(theta)
         if circumstances.is_moment:
             amplitudes = {degree: torch.zeros_like(step) for degree, step in amplitudes.items()}
-        total = torch.zeros((), dtype=torch.float64)
+        total = circumstances.hours.new_zeros(())
         for degree, step in amplitudes.items():
             total = total + circumstances.is_since(theta[since(degree)])[..., None] * step[..., None, :]
         return total
@@ -137,7 +137,7 @@ class GuidesStep(_Steps, MotionEffect):
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose, or real displacement."""
-        shift_m = torch.zeros((), dtype=torch.float64)
+        shift_m = columns.new_zeros(())
         for degree, step_m in self.amplitudes(theta).items():
             is_since = columns[:, 0] >= theta[since(degree)][..., None]
             shift_m = shift_m + is_since[..., None] * step_m[..., None, :]

@@ -63,7 +63,9 @@ class HiddenWinding(SourceEffect):
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of the winding per ampere, at Gauss nodes along it."""
-        nodes, weights = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(HIDDEN_NODES))
+        nodes, weights = (
+            torch.from_numpy(v).to(points_coil_m) for v in np.polynomial.legendre.leggauss(HIDDEN_NODES)
+        )
         turns, radius, middle, length = (
             theta[key][..., None] for key in ("turns", "radius", "middle", "length")
         )

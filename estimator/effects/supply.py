@@ -165,7 +165,7 @@ class CurrentRange(OneCoilCurrent):
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Ends evenly over the currents of the coil, each in the middle between two sizes of them; half of the largest without sizes."""
         sizes_A = _sizes_A(circumstances, place)
-        ends_A = sizes_A[-1:] * torch.arange(1.0, RANGES, dtype=sizes_A.dtype) / RANGES
+        ends_A = sizes_A[-1:] * torch.arange(1.0, RANGES, dtype=sizes_A.dtype, device=sizes_A.device) / RANGES
         above = torch.searchsorted(sizes_A, ends_A).unique()
         above = above[above > 0]
         between_A = (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
@@ -331,7 +331,7 @@ class NeighbourCoil(CurrentEffect):
         """Delivered currents."""
         neighbours_A = current_A.sum(-1) - current_A[..., coil]
         leak_A = theta["share"][..., None] * neighbours_A
-        is_coil = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
+        is_coil = (torch.arange(current_A.shape[-1], device=current_A.device) == coil).to(current_A.dtype)
         return current_A + leak_A[..., None] * is_coil
 
 

@@ -110,7 +110,9 @@ class ShortLayer(SourceEffect):
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of what is missing, per ampere."""
-        nodes, weights = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(LAYER_NODES))
+        nodes, weights = (
+            torch.from_numpy(v).to(points_coil_m) for v in np.polynomial.legendre.leggauss(LAYER_NODES)
+        )
         share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
         depth = 0.5 * (nodes + 1.0) * share  # from the end, in units of the length
         height_m = -winding.length_m[..., None] * torch.where(at_front > 0.5, depth, 1.0 - depth)
@@ -140,7 +142,12 @@ class CoilOvality(SourceEffect):
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
         height, radius, weight = (value.flatten(-2) for value in loops)
-        phi = 2.0 * math.pi * torch.arange(OVAL_NODES, dtype=points_coil_m.dtype) / OVAL_NODES
+        phi = (
+            2.0
+            * math.pi
+            * torch.arange(OVAL_NODES, dtype=points_coil_m.dtype, device=points_coil_m.device)
+            / OVAL_NODES
+        )
         cos, sin = torch.cos(phi), torch.sin(phi)
         swell = theta["cos2"][..., None] * torch.cos(2.0 * phi) + theta["sin2"][..., None] * torch.sin(
             2.0 * phi
@@ -222,7 +229,7 @@ class LeadWire(SourceEffect):
         """Field of the rectangle of wire per ampere."""
         azimuth, zero = theta["azimuth_rad"], torch.zeros_like(theta["gap_m"])
         outward = torch.stack((torch.cos(azimuth), torch.sin(azimuth), zero), dim=-1)
-        up = torch.tensor([0.0, 0.0, 1.0], dtype=points_coil_m.dtype)
+        up = points_coil_m.new_tensor([0.0, 0.0, 1.0])
         near, far = (r[..., None] * outward for r in (winding.radius_m, winding.radius_m + theta["length_m"]))
         middle_m, half_m = -0.5 * winding.length_m, 0.5 * theta["gap_m"]
         front, back = ((middle_m + side * half_m)[..., None] * up for side in (1.0, -1.0))

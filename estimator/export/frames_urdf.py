@@ -143,7 +143,7 @@ def joints_of(calibrated: Calibrated) -> list[Joint]:
             continue
         mover = rig.mover(body.carried_by)
         if mover.own_ends is not None:
-            base_from_first, last_from_flange = ends_of(mover)
+            base_from_first, last_from_flange = ends_of(mover, torch.zeros(6, dtype=torch.float64))
             base, flange_from_body = (
                 base @ base_from_first.inverse(),
                 last_from_flange.inverse() @ flange_from_body,
@@ -167,7 +167,7 @@ def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Itera
     if table is None:
         yield Joint(f"{base_link}_to_{flange}", FLOATING, base_link, flange, Transform.identity())
         return
-    so_far, last_from_flange = ends_of(mover)
+    so_far, last_from_flange = ends_of(mover, torch.zeros(6, dtype=torch.float64))
     parent = base_link
     z, x = torch.eye(3, dtype=torch.float64)[[2, 0]]
     columns = zip(table.theta_rad, table.a_m, table.d_m, table.alpha_rad, strict=True)

@@ -170,7 +170,7 @@ def poses_of(
     mover = rig.mover(body.carried_by)
     flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
     if mover.motion is not MotionKind.DISPLACEMENT:
-        base_from_first, last_from_flange = ends_of(mover)
+        base_from_first, last_from_flange = ends_of(mover, torch.zeros(6, dtype=torch.float64))
         base = pose_of(f"{mover.name}.world_from_base", values) @ base_from_first
         return _alone(base), _alone(last_from_flange @ flange_from_body @ since)
     base = pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse()

@@ -49,7 +49,7 @@ class Core:
     @property
     def heights_m(self) -> Float[Tensor, "*batch height"]:
         """Where the polarisation along the axis is given, in the coil frame, from the back face to the front."""
-        share = torch.arange(HEIGHTS, dtype=self.length_m.dtype) / BANDS
+        share = torch.arange(HEIGHTS, dtype=self.length_m.dtype, device=self.length_m.device) / BANDS
         return self.front_m[..., None] - self.length_m[..., None] * (1.0 - share)
 
 
@@ -95,12 +95,12 @@ def demagnetisation(
     """
     band = (length_m / (BANDS * radius_m))[..., None]
     between_bands, band_to_disk, between_disks = _potentials(
-        band * torch.arange(BANDS + 1, dtype=length_m.dtype)
+        band * torch.arange(BANDS + 1, dtype=length_m.dtype, device=length_m.device)
     )
     inner, first = between_bands[..., 1:-1], between_bands[..., :1]
     beside = between_bands[..., 2:] + between_bands[..., :-2] - 2.0 * inner
     second = torch.cat((2.0 * (between_bands[..., 1:2] - first), beside), dim=-1)
-    number = torch.arange(BANDS)
+    number = torch.arange(BANDS, device=length_m.device)
     bands = second[..., (number[:, None] - number).abs()]
     to_back = band_to_disk.diff(dim=-1)
     to_faces = torch.stack((to_back, to_back.flip(-1)), dim=-1)
@@ -109,20 +109,20 @@ def demagnetisation(
     potential = torch.cat(
         (torch.cat((bands, to_faces), dim=-1), torch.cat((to_faces.mT, faces), dim=-1)), dim=-2
     )
-    slope = torch.eye(HEIGHTS, dtype=length_m.dtype).diff(dim=0)
-    ends = torch.zeros(2, HEIGHTS, dtype=length_m.dtype)
+    slope = torch.eye(HEIGHTS, dtype=length_m.dtype, device=length_m.device).diff(dim=0)
+    ends = torch.zeros(2, HEIGHTS, dtype=length_m.dtype, device=length_m.device)
     ends[0, 0], ends[1, -1] = -1.0, 1.0
     charge = torch.cat((-slope / band[..., None], ends.expand(*band.shape[:-1], 2, HEIGHTS)), dim=-2)
-    along = charge.mT @ potential @ charge / (4.0 * band[..., None] * share_of_heights()[:, None])
+    along = charge.mT @ potential @ charge / (4.0 * band[..., None] * share_of_heights(band)[:, None])
     even = (near - far) / (2.0 * BANDS * band)  # of a core that is evenly magnetised along the axis
     across = torch.diag_embed((0.5 * (1.0 - even)).expand(*even.shape[:-1], 2))
-    corner = torch.zeros(*even.shape[:-1], HEIGHTS, 2, dtype=length_m.dtype)
+    corner = torch.zeros(*even.shape[:-1], HEIGHTS, 2, dtype=length_m.dtype, device=length_m.device)
     return torch.cat((torch.cat((along, corner), -1), torch.cat((corner.mT, across), -1)), dim=-2)
 
 
-def share_of_heights() -> Float[Tensor, " height"]:
-    """Length that each height stands for, in bands."""
-    share = torch.ones(HEIGHTS, dtype=torch.float64)
+def share_of_heights(like: Tensor) -> Float[Tensor, " height"]:
+    """Length that each height stands for, in bands; of the kind of another tensor."""
+    share = like.new_ones(HEIGHTS)
     share[0] = share[-1] = 0.5
     return share
 
@@ -133,7 +133,7 @@ def _potentials(
     Float[Tensor, "*batch distance"], Float[Tensor, "*batch distance"], Float[Tensor, "*batch distance"]
 ]:
     """Mean potentials at some distances in radii: between rings integrated twice, between a ring and a disk once, between disks."""
-    nodes, weights = _unit_gauss(ANGLES)
+    nodes, weights = _unit_gauss(ANGLES, distance)
     x, dx = math.pi * nodes**2, 2.0 * nodes * weights  # crowded where b is small
     b, t = 2.0 * torch.sin(0.5 * x), distance[..., None]
     r = torch.sqrt(t**2 + b**2)
@@ -147,24 +147,28 @@ def _potentials(
 
 def _along(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor) -> Tensor:
     """Field of the patterns along the axis."""
-    nodes, weights = _unit_gauss(LOOPS_PER_BAND)
+    nodes, weights = _unit_gauss(LOOPS_PER_BAND, length_m)
     band_m = (length_m / BANDS)[..., None]
     back_m, radius_m = (front_m - length_m)[..., None], radius_m[..., None]
-    number = torch.arange(BANDS, dtype=length_m.dtype)
+    number = torch.arange(BANDS, dtype=length_m.dtype, device=length_m.device)
     sheet_m = back_m + band_m * (number[:, None] + nodes).flatten()
     sheet_A = band_m * weights.repeat(BANDS) / MU0_T_M_PER_A
-    radii, steps = _unit_gauss(LOOPS_PER_HEIGHT)
-    disk_m = back_m + band_m * torch.arange(HEIGHTS, dtype=length_m.dtype).repeat_interleave(LOOPS_PER_HEIGHT)
+    radii, steps = _unit_gauss(LOOPS_PER_HEIGHT, length_m)
+    disk_m = back_m + band_m * torch.arange(
+        HEIGHTS, dtype=length_m.dtype, device=length_m.device
+    ).repeat_interleave(LOOPS_PER_HEIGHT)
     disk_A = -0.5 * radius_m**2 / band_m * (radii * steps).repeat(HEIGHTS) / MU0_T_M_PER_A
     height_m = torch.cat((sheet_m, disk_m), dim=-1)
     of_disks = (radius_m * radii.repeat(HEIGHTS)).expand(disk_m.shape)
     loop_m = torch.cat((radius_m.expand(sheet_m.shape), of_disks), dim=-1)
     # How much of each loop's current belongs to each pattern: hats on the sheet, differences of slopes on the disks.
-    hats = torch.zeros(BANDS, LOOPS_PER_BAND, HEIGHTS, dtype=length_m.dtype)
-    rows = torch.arange(BANDS)
+    hats = torch.zeros(BANDS, LOOPS_PER_BAND, HEIGHTS, dtype=length_m.dtype, device=length_m.device)
+    rows = torch.arange(BANDS, device=length_m.device)
     hats[rows, :, rows] = 1.0 - nodes
     hats[rows, :, rows + 1] = nodes
-    slope = torch.nn.functional.pad(torch.eye(HEIGHTS, dtype=length_m.dtype).diff(dim=0), (0, 0, 1, 1))
+    slope = torch.nn.functional.pad(
+        torch.eye(HEIGHTS, dtype=length_m.dtype, device=length_m.device).diff(dim=0), (0, 0, 1, 1)
+    )
     bends = slope.diff(dim=0).repeat_interleave(LOOPS_PER_HEIGHT, dim=0)
     current_A = torch.cat((sheet_A, disk_A), dim=-1)[..., None] * torch.cat((hats.flatten(0, 1), bends))
     x, y, z = points_m[..., None].unbind(-2)
@@ -175,10 +179,15 @@ def _along(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor
 
 def _across(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor) -> Tensor:
     """Field of the patterns across the axis, by dipoles that are exact for fields of third degree across the core."""
-    nodes, weights = _unit_gauss(ACROSS_HEIGHTS)
-    turn = 2.0 * math.pi * (torch.arange(ACROSS_AROUND, dtype=length_m.dtype) + 0.5) / ACROSS_AROUND
+    nodes, weights = _unit_gauss(ACROSS_HEIGHTS, length_m)
+    turn = (
+        2.0
+        * math.pi
+        * (torch.arange(ACROSS_AROUND, dtype=length_m.dtype, device=length_m.device) + 0.5)
+        / ACROSS_AROUND
+    )
     beside = math.sqrt(0.5) * torch.stack((torch.cos(turn), torch.sin(turn), 0.0 * turn), dim=-1)
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=length_m.dtype)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=length_m.dtype, device=length_m.device)
     height_m = front_m[..., None, None, None] - length_m[..., None, None, None] * nodes[:, None, None]
     at_m = (height_m * up + radius_m[..., None, None, None] * beside).flatten(-3, -2)
     share = weights.repeat_interleave(ACROSS_AROUND) / ACROSS_AROUND
@@ -187,12 +196,20 @@ def _across(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tenso
     r2 = (arm_m**2).sum(-1)
     far = 3.0 * volume_m3 * r2**-2.5
     tensor = (far[..., None, None] * arm_m[..., :2, None] * arm_m[..., None, :]).sum(-3)
-    near = (volume_m3 * r2**-1.5).sum(-1)[..., None, None] * torch.eye(3, dtype=length_m.dtype)[:2]
+    near = (volume_m3 * r2**-1.5).sum(-1)[..., None, None] * torch.eye(
+        3, dtype=length_m.dtype, device=length_m.device
+    )[:2]
     return (tensor - near) / (4.0 * math.pi)
 
 
+def _unit_gauss(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Gauss-Legendre nodes and weights between 0 and 1, of the kind of another tensor."""
+    nodes, weights = _nodes(n)
+    return nodes.to(like), weights.to(like)
+
+
 @cache
-def _unit_gauss(n: int) -> tuple[Tensor, Tensor]:
-    """Gauss-Legendre nodes and weights between 0 and 1."""
+def _nodes(n: int) -> tuple[Tensor, Tensor]:
+    """The same in double precision on the processor."""
     nodes, weights = (torch.from_numpy(values) for values in leggauss(n))
     return 0.5 * (nodes + 1.0), 0.5 * weights

@@ -67,7 +67,7 @@ class GridMap:
 
     def holds(self, points_m: Float[Tensor, "point 3"]) -> Bool[Tensor, " point"]:
         """Whether points lie on the grid or between its points."""
-        low, high = (torch.tensor([axis_m[end] for axis_m in self.axes_m]) for end in (0, -1))
+        low, high = (points_m.new_tensor([axis_m[end] for axis_m in self.axes_m]) for end in (0, -1))
         inside: Tensor = ((points_m >= low) & (points_m <= high)).all(-1)
         return inside
 
@@ -78,14 +78,16 @@ class GridMap:
         """
         first, weights = zip(
             *(
-                _b_splines(x_m, knots_m)
+                _b_splines(x_m, knots_m.to(x_m))
                 for x_m, knots_m in zip(points_m.unbind(-1), self.knots_m, strict=True)
             ),
             strict=True,
         )
-        steps = torch.arange(DEGREE + 1)
+        steps = torch.arange(DEGREE + 1, device=points_m.device)
         i, j, k = (start[..., None] + steps for start in first)
-        near = self.coefficients[i[..., :, None, None], j[..., None, :, None], k[..., None, None, :]]
+        near = self.coefficients.to(points_m)[
+            i[..., :, None, None], j[..., None, :, None], k[..., None, None, :]
+        ]
         return torch.einsum("...i,...j,...k,...ijkc->...c", *weights, near)
 
 

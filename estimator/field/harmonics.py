@@ -64,7 +64,7 @@ def exterior_field(
 
 def gradients(points: Float[Tensor, "point 3"], degree: int) -> Float[Tensor, "point term 3"]:
     """The terms of one degree one by one."""
-    each = torch.eye(2 * degree + 1, dtype=points.dtype)
+    each = torch.eye(2 * degree + 1, dtype=points.dtype, device=points.device)
     return interior_field(points, {degree: each}).movedim(0, 1)
 
 
@@ -86,7 +86,7 @@ def coefficients(degree: int) -> Float[Tensor, "monomial term"]:
 
 def _mixed(amplitude: Float[Tensor, "*batch term"], degree: int) -> Float[Tensor, "*batch monomial 3"]:
     """Coefficients of the field's components in the monomials of the degree below."""
-    mixed: Tensor = torch.einsum("...t,tmi->...mi", amplitude, _gradient_table(degree).to(amplitude.dtype))
+    mixed: Tensor = torch.einsum("...t,tmi->...mi", amplitude, _gradient_table(degree).to(amplitude))
     return mixed
 
 

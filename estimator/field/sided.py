@@ -173,6 +173,8 @@ def choose_sided_rule(
         tolerance: Largest error relative to |B|; 0 asks for the full sum, without trials.
     """
     with torch.no_grad():
+        points_coil_m = points_coil_m.double()  # as in `winding.choose_rule`
+        winding = SidedWinding(winding.is_rounded, *(number.double() for number in winding.numbers))
         rounded = winding.with_integer_loops()
         distance_m = distance_to_sided(points_coil_m, rounded)
         nearest = points_coil_m[torch.topk(distance_m, min(48, len(distance_m)), largest=False).indices]
@@ -246,7 +248,7 @@ def _to_first_order(
         moved = loops_at([number + delta for number, delta in zip(fixed, step, strict=True)])
         return torch.stack(torch.broadcast_tensors(*moved), dim=-1).flatten(-3, -2)
 
-    loops, changes = value_and_jacobian(loops_at_step, torch.zeros(len(fixed), dtype=points_m.dtype))
+    loops, changes = value_and_jacobian(loops_at_step, points_m.new_zeros(len(fixed)))
     batch = torch.broadcast_shapes(points_m.shape[:-2], loops.shape[:-2])
     points, loops, changes = (
         _in_rows(part, batch, n) for part, n in ((points_m.detach(), 2), (loops, 2), (changes, 3))
@@ -299,9 +301,7 @@ def _arcs(
     """4 pi B / mu0 of the four arcs of each loop, in 1/m."""
     x, y, up = (value[..., None, None] for value in point_m)
     middle_x, middle_y, radius = (value[..., None, None] for value in shape_m)
-    nodes, weights = (
-        v.to(x.dtype).to(x.device) for v in map(torch.from_numpy, np.polynomial.legendre.leggauss(n))
-    )
+    nodes, weights = (v.to(x) for v in map(torch.from_numpy, np.polynomial.legendre.leggauss(n)))
     quarters = torch.arange(4, dtype=x.dtype, device=x.device)[:, None]
     angle = QUARTER * (quarters + 0.5 * (nodes + 1.0))
     cos, sin = torch.cos(angle), torch.sin(angle)

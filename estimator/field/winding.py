@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float
@@ -182,6 +182,11 @@ def choose_rule(
     Returns: A rule whose error at the 48 points is below a third of the tolerance, or the full sum.
     """
     with torch.no_grad():
+        # Single precision would not show whether a tolerance is met.
+        points_coil_m, winding = (
+            points_coil_m.double(),
+            Winding(*(getattr(winding, number.name).double() for number in fields(winding))),
+        )
         rounded = winding.with_integer_loops()
         distance_m = distance_to_winding(points_coil_m, rounded)
         nearest = points_coil_m[torch.topk(distance_m, min(48, len(distance_m)), largest=False).indices]

@@ -66,7 +66,7 @@ def zones_of(winding: AnyWinding, distance_m: Float[Tensor, " point"], tolerance
     rules = {int(number): _rule_at(shape, int(number), tolerance) for number in level.unique()}
     finest_first = sorted(set(rules.values()), key=lambda r: (-r.axial_nodes * r.radial_nodes, -r.steps))
     number_of = {number: finest_first.index(rule) for number, rule in rules.items()}
-    zone = torch.tensor([number_of[number] for number in level.tolist()])
+    zone = torch.tensor([number_of[number] for number in level.tolist()], device=level.device)
     return tuple(Zone(rule, (zone == i).nonzero().flatten()) for i, rule in enumerate(finest_first))
 
 

@@ -25,25 +25,22 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
         (docs/explanation/field-model.md).
     """
     if mover.table is not None:
-        base_from_first, last_from_flange = ends_of(mover)
+        base_from_first, last_from_flange = ends_of(mover, motion)
         return base_from_first @ base_from_flange(mover.table, motion) @ last_from_flange
     pose = Transform.from_pose(motion[:, :3], motion[:, 3:])
     if mover.motion is MotionKind.DISPLACEMENT and mover.displacement_frame is DisplacementFrame.BASE:
-        base_from_flange0 = rotation_from_vector(
-            torch.tensor(mover.reference_rotation_rad, dtype=motion.dtype)
-        )
+        base_from_flange0 = rotation_from_vector(motion.new_tensor(mover.reference_rotation_rad))
         rotation = base_from_flange0.mT @ pose.rotation @ base_from_flange0
         return Transform(rotation, pose.translation_m @ base_from_flange0)
     return pose
 
 
-def ends_of(mover: Mover) -> tuple[Transform, Transform]:
-    """What lies before and after the table of an arm; no motion where nothing does."""
+def ends_of(mover: Mover, like: Tensor) -> tuple[Transform, Transform]:
+    """What lies before and after the table of an arm, of the kind of another tensor; no motion where nothing does."""
     if mover.own_ends is None:
-        return Transform.identity(), Transform.identity()
+        return Transform.identity(like.dtype, like.device), Transform.identity(like.dtype, like.device)
     before, after = (
-        torch.tensor(pose, dtype=torch.float64)
-        for pose in (mover.own_ends.base_from_first, mover.own_ends.last_from_flange)
+        like.new_tensor(pose) for pose in (mover.own_ends.base_from_first, mover.own_ends.last_from_flange)
     )
     return Transform.from_pose(before[:3], before[3:]), Transform.from_pose(after[:3], after[3:])
 
@@ -76,12 +73,15 @@ def motion_reached(
     """
     if mover.table is not None:
         return torch.stack(
-            [_joints_reaching(mover, base_from_flange.rows(torch.tensor([i])), q) for i, q in enumerate(near)]
+            [
+                _joints_reaching(mover, base_from_flange.rows(torch.tensor([i], device=near.device)), q)
+                for i, q in enumerate(near)
+            ]
         )
     is_relative = mover.motion is MotionKind.DISPLACEMENT
     pose = reference.inverse() @ base_from_flange if is_relative else base_from_flange
     if is_relative and mover.displacement_frame is DisplacementFrame.BASE:
-        base_from_flange0 = rotation_from_vector(torch.tensor(mover.reference_rotation_rad, dtype=near.dtype))
+        base_from_flange0 = rotation_from_vector(near.new_tensor(mover.reference_rotation_rad))
         rotation = base_from_flange0 @ pose.rotation @ base_from_flange0.mT
         pose = Transform(rotation, pose.translation_m @ base_from_flange0.mT)
     return torch.cat((pose.translation_m, vector_from_rotation(pose.rotation)), dim=-1)
@@ -118,11 +118,13 @@ def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
     def vector(*keys: str) -> Tensor:
         return torch.stack(torch.broadcast_tensors(*(values[f"{prefix}.{key}"] for key in keys)), dim=-1)
 
-    nominal_rad, body_rad = torch.broadcast_tensors(
-        vector("rx_rad", "ry_rad", "rz_rad"), vector("tilt_x_rad", "tilt_y_rad", "spin_rad")
-    )
-    # One call costs half of two.
-    nominal, about_body_axes = rotation_from_vector(torch.stack((nominal_rad, body_rad))).unbind()
+    nominal_rad = vector("rx_rad", "ry_rad", "rz_rad")
+    body_rad = vector("tilt_x_rad", "tilt_y_rad", "spin_rad")
+    if nominal_rad.shape == body_rad.shape and nominal_rad.requires_grad == body_rad.requires_grad:
+        # One call costs half of two.
+        nominal, about_body_axes = rotation_from_vector(torch.stack((nominal_rad, body_rad))).unbind()
+    else:  # what is fixed has neither batch nor derivatives
+        nominal, about_body_axes = rotation_from_vector(nominal_rad), rotation_from_vector(body_rad)
     translation_m = vector("x_m", "y_m", "z_m")
     return Transform((nominal @ about_body_axes)[..., None, :, :], translation_m[..., None, :])
 
@@ -147,8 +149,9 @@ def world_from_body(
         mount_since: nominal_from_real of changes since then.
     References: Osinde et al., eq 14-22, with displacements in the end-effector frame.
     """
-    at_reference = mount_at_reference or Transform.identity()
-    since = mount_since or Transform.identity()
+    like = next(iter(values.values()))
+    nowhere = Transform.identity(like.dtype, like.device)
+    at_reference, since = mount_at_reference or nowhere, mount_since or nowhere
     if body.carried_by is None:
         return pose_of(f"{body.name}.world_from_{kind}", values) @ since
     mover = rig.mover(body.carried_by)
@@ -165,7 +168,7 @@ def nominal_positions_m(
     rig: Rig, observations: Observations, has_coils: bool = True
 ) -> Float[Tensor, "position 3"]:
     """Nominal world positions of sensors, and of coils, in a session; at most a few hundred poses of each."""
-    values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
+    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
     step = max(1, len(observations) // MOST_POSES)
     flange = {m.name: base_from_motion(m, observations.motion[m.name][::step]) for m in rig.movers}
     bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils] if has_coils else []

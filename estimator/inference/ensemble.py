@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
+from estimator.devices import numpy_of
 from estimator.errors import InvalidInput
 from estimator.inference.adaptation import adapted
 from estimator.inference.collapsed import CollapsedPosterior
@@ -127,7 +128,7 @@ def sample(
 
     def log_prob(vectors: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            return posterior(torch.from_numpy(vectors)).numpy()
+            return numpy_of(posterior(torch.from_numpy(vectors).to(posterior.coordinates.device)))
 
     proposal = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
     moves = [
@@ -213,4 +214,4 @@ def _samples(coordinates: Coordinates, backend: Backend, settings: SamplerSettin
 def reported_parameters(coordinates: Coordinates, chain: np.ndarray) -> np.ndarray:
     """Free parameters, as they are reported, of a chain of coordinates; in the order of `coordinates.names`."""
     values = coordinates.values(torch.from_numpy(chain))
-    return np.stack([values[name].numpy() for name in coordinates.names], axis=-1)
+    return np.stack([numpy_of(values[name]) for name in coordinates.names], axis=-1)

@@ -58,7 +58,7 @@ def count_mixture(
         return laplace_mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
-    sample = fit.vector[0] + normal @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
+    sample = fit.vector[0] + normal.to(fit.vector) @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     if not start_of:
         return None

@@ -91,10 +91,10 @@ def levenberg_marquardt(
     """
     vector = start.clone()
     value = posterior(vector)
-    damping = torch.full((len(vector),), 1e-3, dtype=vector.dtype)
+    damping = vector.new_full((len(vector),), 1e-3)
     growth = torch.full_like(damping, 2.0)
     gradient, information, precision = _gradient_and_precision(posterior, vector)
-    is_done = torch.zeros(len(vector), dtype=torch.bool)
+    is_done = torch.zeros_like(damping, dtype=torch.bool)
     at_bound = torch.zeros_like(is_done)  # the density rises beyond a bound, but no step inside increases it
     before = [value.clone()]
     iteration = 0
@@ -163,7 +163,7 @@ def _gradient_and_precision(
         1, DERIVATIVES_AT_ONCE // max(1, len(posterior.sensor) * posterior.coordinates.n_continuous)
     )
     if len(vector) > at_once:
-        parts = torch.arange(len(vector)).split(at_once)
+        parts = torch.arange(len(vector), device=vector.device).split(at_once)
         each = [_gradient_and_precision(posterior.at(part), vector[part]) for part in parts]
         gradient, information, precision = (torch.cat(tensors) for tensors in zip(*each, strict=True))
         return gradient, information, precision
@@ -175,10 +175,10 @@ def _gradient_and_precision(
     gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
     gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]
     information = jacobian.mT @ (weight[..., None] * jacobian)
-    by_sensor = torch.zeros(len(vector), len(posterior.n_by_sensor), dtype=vector.dtype)
+    by_sensor = chi2.new_zeros(len(vector), len(posterior.n_by_sensor))
     by_sensor.index_add_(1, posterior.sensor, chi2)
     mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
-    curvature = torch.maximum(2.0 * mean_chi2, torch.tensor(0.5, dtype=vector.dtype))[..., None]
+    curvature = (2.0 * mean_chi2).clamp(min=0.5)[..., None]
     information = information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
     prior_gradient, prior_precision = prior_gradient_and_precision(posterior.coordinates, vector)
     return gradient + prior_gradient, information, information + prior_precision
@@ -190,7 +190,9 @@ def prior_gradient_and_precision(
     """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""
     n = coordinates.n_continuous
     point = vector.detach().requires_grad_()
-    directions = torch.eye(coordinates.n, dtype=vector.dtype)[:n, None, :].expand(-1, len(vector), -1)
+    directions = torch.eye(coordinates.n, dtype=vector.dtype, device=vector.device)[:n, None, :].expand(
+        -1, len(vector), -1
+    )
     with torch.enable_grad():
         # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
         total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
@@ -218,7 +220,7 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
 
     lower, upper = coordinates.bounds()
     values, jacobian = value_and_jacobian(free_values, vector[:n])
-    is_held, target = torch.zeros(coordinates.n, dtype=torch.bool), values.clone()
+    is_held, target = torch.zeros_like(values, dtype=torch.bool), values.clone()
     bounded_step = step
     # Bounds are curved in these coordinates: solve to first order, then correct with the exact values.
     first_order = (lambda move: values + jacobian @ move, coordinates.n)
@@ -247,7 +249,7 @@ def solve(matrix: Tensor, right: Tensor) -> Tensor:
     """Solve a positive definite system, scaled to a unit diagonal first: coordinates differ by many powers of ten."""
     scale = _diagonal_of(matrix).clamp(min=1e-300).rsqrt()
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
-        matrix.shape[-1], dtype=matrix.dtype
+        matrix.shape[-1], dtype=matrix.dtype, device=matrix.device
     )
     solution: Tensor = torch.linalg.solve(scaled, scale * right)
     return scale * solution

@@ -50,7 +50,7 @@ class LogPosterior:
     """
 
     def __init__(self, coordinates: Coordinates, model: MeasurementModel, observations: Observations) -> None:
-        self.coordinates = coordinates
+        self.coordinates = coordinates.on(observations.device)
         self.model = model
         observations = as_meant(model.rig, observations)
         mask = observations.is_measured
@@ -80,9 +80,9 @@ class LogPosterior:
         Args:
             readings: Their numbers.
         """
-        entries = (3 * readings[:, None] + torch.arange(3)).flatten()
-        new_entry = torch.full((3 * len(self.model.circumstances),), -1)
-        new_entry[entries] = torch.arange(len(entries))
+        entries = (3 * readings[:, None] + torch.arange(3, device=readings.device)).flatten()
+        new_entry = torch.full((3 * len(self.model.circumstances),), -1, device=readings.device)
+        new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
         other = copy(self)
         other.__dict__.pop("_for_jacobian", None)
@@ -119,7 +119,8 @@ class LogPosterior:
         at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * n * batch.numel()))
         if n_readings > at_once:
             parts = [
-                self.part(part).to_first_order(vector) for part in torch.arange(n_readings).split(at_once)
+                self.part(part).to_first_order(vector)
+                for part in torch.arange(n_readings, device=vector.device).split(at_once)
             ]
             components, jacobians = slice(0, 2), slice(2, 4)
             return FirstOrder(
@@ -136,12 +137,18 @@ class LogPosterior:
             predicted_T = self._for_jacobian._predicted_at(values, batch)
             return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
-        (predicted_T, log_sigma), jacobian = value_and_jacobian(moved, torch.zeros(n, dtype=vector.dtype))
+        (predicted_T, log_sigma), jacobian = value_and_jacobian(moved, vector.new_zeros(n))
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
-        return self.measured_components(self.model.predict(values)).expand(*batch, len(self._flat))
+        return self.measured_components(self._predict(values)).expand(*batch, len(self._flat))
+
+    def _predict(self, values: Values) -> Tensor:
+        """Predictions in the precision of the readings; what follows is in double precision."""
+        if self.model.circumstances.observations.dtype is torch.float64:
+            return self.model.predict(values)
+        return self.model.predict(self.model.alike(values)).double()
 
     @cached_property
     def _for_jacobian(self) -> LogPosterior:
@@ -181,7 +188,7 @@ class LogPosterior:
         """Log probability density of the measured components, some rows at a time where they would fill the memory."""
         at_once = max(1, COMPONENTS_AT_ONCE // max(1, len(self._flat)))
         if vector.dim() > 1 and len(vector) > at_once:
-            parts = torch.arange(len(vector)).split(at_once)
+            parts = torch.arange(len(vector), device=vector.device).split(at_once)
             return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
         sigma_T = self.component_sigma_T(vector)
         whitened = (self.measured_T - self.predicted(vector)) / sigma_T
@@ -206,7 +213,7 @@ class LogPosterior:
         self, values: Values
     ) -> tuple[Float[Tensor, "*batch component"], Float[Tensor, "*batch component"]]:
         """Share of wider scatter in every component, and how many times wider it is; 0 and 1 where all scatter normally."""
-        share = torch.zeros(len(self._flat), dtype=self.measured_T.dtype)
+        share = self.measured_T.new_zeros(len(self._flat))
         ratio = torch.ones_like(share)
         for noise in self._noise:
             contamination = noise.use.effect.contamination(noise.use.theta(values))

@@ -77,7 +77,9 @@ def thinned_posterior(
     """The density of a random part of the readings."""
     if len(observations) <= THIN_TO:
         return posterior
-    rows = torch.from_numpy(np.sort(rng.choice(len(observations), THIN_TO, replace=False)))
+    rows = torch.from_numpy(np.sort(rng.choice(len(observations), THIN_TO, replace=False))).to(
+        observations.device
+    )
     selected = observations.rows(rows)
     rig = posterior.coordinates.rig
     return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, selected), selected)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
+from estimator.devices import numpy_of
 from estimator.inference.bend import Bend
 from estimator.inference.lattice import CountMixture
 
@@ -84,15 +85,15 @@ class MixtureProposal:
         weight: np.ndarray | None = None,
     ) -> None:
         self.mixture = mixture
-        self.counts = mixture.counts.numpy()
-        self.mean = mixture.mean.numpy()
-        self.factor = np.linalg.cholesky(mixture.covariance.numpy())
+        self.counts = numpy_of(mixture.counts)
+        self.mean = numpy_of(mixture.mean)
+        self.factor = np.linalg.cholesky(numpy_of(mixture.covariance))
         self.inverse_factor = np.linalg.inv(self.factor)
         self.n = self.mean.shape[1]
         self.bend = Bend.none(self.n) if bend is None else bend
         self.shape = WhiteShape.standard(self.n) if shape is None else shape
         if weight is None:
-            weight = (1.0 - FLOOR) * mixture.weight.numpy() + FLOOR / len(self.counts)
+            weight = (1.0 - FLOOR) * numpy_of(mixture.weight) + FLOOR / len(self.counts)
         self.weight = weight / weight.sum()
         self._row = {tuple(row): i for i, row in enumerate(self.counts)}
         self._log_norm = np.log(self.weight) - np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(1)

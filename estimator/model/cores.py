@@ -118,7 +118,7 @@ class Cores:
         mode = SumMode.FIRST_ORDER if is_first_order else SumMode.PLAIN
         drives, rows = [], []
         for core in members:
-            zero = torch.zeros(PATTERNS, dtype=core.core.radius_m.dtype)
+            zero = core.core.radius_m.new_zeros(PATTERNS)
             by_coil = [
                 _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
                 if not isinstance(coil, HarmonicCoil)
@@ -152,14 +152,18 @@ class Cores:
         for i, core in enumerate(self.members):
             seen_A = current_A
             if core.index in self.lags_A:
-                is_own = (torch.arange(current_A.shape[-1]) == core.index).to(current_A.dtype)
+                is_own = (torch.arange(current_A.shape[-1], device=current_A.device) == core.index).to(
+                    current_A.dtype
+                )
                 seen_A = current_A + self.lags_A[core.index][..., None] * is_own
             own = per_ampere[..., i * PATTERNS : (i + 1) * PATTERNS, :]
             applied.append((own @ seen_A[..., None])[..., 0])
         strengths = torch.broadcast_tensors(*(core.core.strength for core in self.members))
         strength = torch.stack(strengths, dim=-1).repeat_interleave(PATTERNS, dim=-1)
         limits = torch.broadcast_tensors(*(1.0 / core.core.saturation_T for core in self.members))
-        limit_per_T = torch.stack([limit[..., None] * _is_along() for limit in limits], dim=-2).flatten(-2)
+        limit_per_T = torch.stack([limit[..., None] * _is_along(limit) for limit in limits], dim=-2).flatten(
+            -2
+        )
         polarisation = polarisation_T(
             _joined(applied, dim=-1), matrix, strength[..., None, :], limit_per_T[..., None, :]
         )
@@ -219,13 +223,13 @@ def _coupling(
 
 def _on_patterns(field: Float[Tensor, "*batch height 3"]) -> Float[Tensor, "*batch pattern"]:
     """Field along the axis at each height, and its mean across."""
-    share = share_of_heights()[:, None] / BANDS
+    share = share_of_heights(field)[:, None] / BANDS
     return torch.cat((field[..., 2], (field[..., :2] * share).sum(-2)), dim=-1)
 
 
-def _is_along() -> Float[Tensor, " pattern"]:
+def _is_along(like: Tensor) -> Float[Tensor, " pattern"]:
     """1 for patterns along the axis, which saturate; across it, demagnetisation leaves little field to saturate with."""
-    return (torch.arange(PATTERNS) < HEIGHTS).to(torch.float64)
+    return (torch.arange(PATTERNS, device=like.device) < HEIGHTS).to(like.dtype)
 
 
 def _bore_m(winding: Winding) -> Tensor:

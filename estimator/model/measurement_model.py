@@ -16,10 +16,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
+from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
+    MotionEffect,
+    MountEffect,
     Prediction,
     ReadingEffect,
     RecordEffect,
@@ -64,7 +67,9 @@ class MeasurementModel:
         Raises:
             InvalidInput: A sensor would stand inside a winding, or where the harmonics of a coil have no meaning.
         """
-        return cls.unruled(rig, observations).choose_rules(nominal_tensors(rig), tolerance)
+        return cls.unruled(rig, observations).choose_rules(
+            nominal_tensors(rig, observations.current_A), tolerance
+        )
 
     @classmethod
     def unruled(cls, rig: Rig, observations: Observations) -> MeasurementModel:
@@ -75,6 +80,7 @@ class MeasurementModel:
         motions = [observations.motion[mover.name] for mover in rig.movers]
         key = torch.cat([observations.sensor[:, None].to(torch.float64), *motions, *columns.values()], dim=1)
         distinct, pose_row = torch.unique(key, dim=0, return_inverse=True)
+        sensor, distinct = distinct[:, 0].to(torch.int64), distinct.to(observations.dtype)
         flange = {
             mover.name: _sharing_rotation(base_from_motion(mover, distinct[:, 1 + 6 * i : 7 + 6 * i]))
             for i, mover in enumerate(rig.movers)
@@ -94,7 +100,24 @@ class MeasurementModel:
             for i, coil in enumerate(rig.coils)
         }
         sources = Sources(rig, circumstances, len(distinct), pose_row, flange, columns, powered, {})
-        return cls(sources, distinct[:, 0].to(torch.int64))
+        return cls(sources, sensor)
+
+    def with_effects_of(self, rig: Rig) -> MeasurementModel:
+        """The model of the same readings, with the same rules, for a rig that has further effects and is the same otherwise."""
+        more = set(rig.acting) - set(self.rig.acting)
+        kinds = (MotionEffect, MountEffect, RecordEffect, CurrentEffect)
+        changed = any(
+            use.cause in more
+            and (
+                isinstance(use.effect, kinds)
+                or (isinstance(use.effect, SourceEffect) and use.effect.is_permanent)
+            )
+            for use in uses_of(rig, Effect)
+        )
+        if changed:  # the distinct poses, or the coils that have a field, may be others
+            return MeasurementModel.unruled(rig, self.circumstances.observations).with_rules(self.rules)
+        circumstances = self.circumstances.with_effects_of(rig)
+        return replace(self, sources=replace(self.sources, rig=rig, circumstances=circumstances))
 
     @property
     def rig(self) -> Rig:
@@ -115,6 +138,21 @@ class MeasurementModel:
     def powered(self) -> Mapping[str, Int[Tensor, " powered"]]:
         """Distinct poses at which each coil carries current in some reading, or has a field without."""
         return self.sources.powered
+
+    @property
+    def every_row(self) -> Int[Tensor, " row"]:
+        """Numbers of the distinct poses."""
+        return torch.arange(len(self.sensor), device=self.sensor.device)
+
+    @cached_property
+    def nominal(self) -> dict[str, Tensor]:
+        """Nominal value of every number of the rig, on the device and in the precision of the readings."""
+        return nominal_tensors(self.rig, self.circumstances.current_A)
+
+    def alike(self, values: Values) -> Values:
+        """Values on the device and in the precision of the readings."""
+        like = self.circumstances.current_A
+        return {name: value.to(like) for name, value in values.items()}
 
     @property
     def pose_row(self) -> Int[Tensor, " reading"]:
@@ -145,11 +183,12 @@ class MeasurementModel:
 
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """The same model with quadrature rules chosen at these values (no batch)."""
+        values = self.alike(values)
         rules = {}
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
             is_idle = not len(rows)  # until an effect makes it carry current
-            rows = torch.arange(len(self.sensor)) if is_idle else rows
+            rows = self.every_row if is_idle else rows
             points_m = self._in_coil(coil, rows, values).translation_m
             if isinstance(coil, HarmonicCoil):
                 if not is_idle:
@@ -166,8 +205,8 @@ class MeasurementModel:
 
     def clearance_m(self) -> Float[Tensor, " reading"]:
         """Distance of each reading's sensor from the nearest winding, at nominal values; 0 inside, infinite where no coil has one."""
-        values, rows = nominal_tensors(self.rig), torch.arange(len(self.sensor))
-        distances_m = [torch.full((1,), torch.inf, dtype=torch.float64)]
+        values, rows = self.nominal, self.every_row
+        distances_m = [torch.full_like(self.circumstances.current_A[:1, 0], torch.inf)]
         distances_m += [
             distance_to_coil(
                 self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
@@ -179,7 +218,7 @@ class MeasurementModel:
 
     def nearest_m(self) -> dict[str, float]:
         """Distance of the nearest sensor from each winding that carries current, at nominal values; 0 inside it."""
-        values = nominal_tensors(self.rig)
+        values = self.nominal
         return {
             coil.name: float(
                 distance_to_coil(
@@ -196,7 +235,13 @@ class MeasurementModel:
         Args:
             values: Every number of the rig by name, from `Coordinates.values`; a batch where free.
         """
-        field_T = self._gain(values)[..., None] * self._at_sensor(values)
+        return self.shown_T(values, self.at_sensor_T(values))
+
+    def shown_T(
+        self, values: Values, at_sensor_T: Float[Tensor, "*#batch reading 3"]
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """What is read of the field at the sensors, given by `at_sensor_T`."""
+        field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
             concerned = use.concerned(self.circumstances)
@@ -218,7 +263,7 @@ class MeasurementModel:
         """Sensor position in the coil frame and the rotation coil_from_sensor, for every reading; values have no batch."""
         n = len(self.sensor)
         with torch.no_grad():
-            position_m, sensor_from_coil = self.sensor_in_coil(coil, torch.arange(n), values)
+            position_m, sensor_from_coil = self.sensor_in_coil(coil, self.every_row, values)
         return position_m.expand(n, 3)[self.pose_row], sensor_from_coil.expand(n, 3, 3)[self.pose_row].mT
 
     def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
@@ -236,13 +281,13 @@ class MeasurementModel:
             translation = torch.where(is_sensor[..., None], pose.translation_m, translation)
         return Transform(rotation, translation)
 
-    def _at_sensor(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+    def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
         displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
-        world_from_sensor = self.world_from_sensor(torch.arange(len(self.sensor)), values)
+        world_from_sensor = self.world_from_sensor(self.every_row, values)
         if not displaced:
             return self._field_at(values, world_from_sensor)
-        has_elements = torch.isin(self.circumstances.sensor, torch.tensor(displaced))
+        has_elements = torch.isin(self.circumstances.sensor, self.sensor.new_tensor(displaced))
         if has_elements.all():
             return self._at_elements(values, world_from_sensor)
         apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
@@ -318,12 +363,12 @@ class NominalPrediction(Prediction):
     @cached_property
     def field_sensor_T(self) -> Float[Tensor, "reading 3"]:
         """Components as they should be read."""
-        field_T = self.model.predict(nominal_tensors(self.model.rig))
+        field_T = self.model.predict(self.model.nominal)
         return field_T.expand(len(self.model.circumstances), 3)
 
     def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
         """Change of each component per displacement of a mover along its axes."""
-        return gradient_T_per_m(self.model, nominal_tensors(self.model.rig), mover)
+        return gradient_T_per_m(self.model, self.model.nominal, mover)
 
 
 def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Float[Tensor, "reading 3 3"]:
@@ -336,13 +381,14 @@ def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Flo
         there = replace(sources, flange={**sources.flange, mover: displaced})
         return replace(model, sources=there).predict(values).expand(len(model.circumstances), 3)
 
-    gradient: Tensor = jacobian_of(moved, torch.zeros(3, dtype=torch.float64))
+    gradient: Tensor = jacobian_of(moved, poses.translation_m.new_zeros(3))
     return gradient
 
 
-def nominal_tensors(rig: Rig) -> dict[str, Tensor]:
-    """Nominal value of every number of a rig."""
-    return {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
+def nominal_tensors(rig: Rig, like: Tensor | None = None) -> dict[str, Tensor]:
+    """Nominal value of every number of a rig, of the kind of another tensor; in double precision on the processor by default."""
+    like = torch.empty(0, dtype=torch.float64) if like is None else like
+    return {name: like.new_tensor(value) for name, value in rig.nominal_values().items()}
 
 
 def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:

@@ -16,7 +16,31 @@ from estimator.rig.rig import HarmonicCoil, Rig
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
 MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the given one does not
+SINGLE_ERROR = 0.05  # of the noise: added as a square, it widens no interval by more than 0.2 %
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
+
+
+def check_precision(rig: Rig, observations: Observations) -> None:
+    """Refuse single precision where it would be seen: where it changes a prediction by more than a part of the sensor's noise.
+
+    Args:
+        rig: Its nominal values are where predictions are compared.
+        observations: Readings in double precision.
+    Raises:
+        InvalidInput: Predictions in single precision differ by more than `SINGLE_ERROR` standard deviations.
+    """
+    single, double = (
+        MeasurementModel.build(rig, readings)
+        for readings in (observations.to(dtype=torch.float32), observations)
+    )
+    noise_T = torch.stack([double.nominal[f"{sensor.name}.noise_T"] for sensor in rig.sensors])
+    error_T = (single.predict(single.nominal) - double.predict(double.nominal)).abs().amax(-1)
+    worst = float((error_T / noise_T[observations.sensor]).nan_to_num().max())
+    if worst > SINGLE_ERROR:
+        raise InvalidInput(
+            f"precision must be double for fields this large: single precision changes a prediction by {worst:.2g} times the noise of "
+            f"its sensor, and may change it by {SINGLE_ERROR:g} times"
+        )
 
 
 def check_readings(

@@ -66,10 +66,10 @@ class RoomField:
                     f"motion of {name} must be six numbers, or six for each of {len(points_m)} points; "
                     f"received shape {tuple(rows.shape)}"
                 )
-        at_rest = at_one_moment(rig, len(points_m), motion)
+        at_rest = at_one_moment(rig, len(points_m), motion, points_m)
         rules: dict[str, Rule] = {}
         zones: dict[str, tuple[Zone, ...]] = {}
-        inside = torch.zeros(len(points_m), dtype=torch.bool)
+        inside = torch.zeros(len(points_m), dtype=torch.bool, device=points_m.device)
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
@@ -108,7 +108,9 @@ class RoomField:
     ) -> Float[Tensor, "*batch point 3"]:
         """As `field_T`, with currents of its own at each point."""
         points_m = self.points_m if points_m is None else points_m
-        world_from_point = Transform(torch.eye(3, dtype=points_m.dtype)[None], points_m)
+        world_from_point = Transform(
+            torch.eye(3, dtype=points_m.dtype, device=points_m.device)[None], points_m
+        )
         delivered_A = self.sources.delivered_A(current_A, values)
         field_T = self.sources.field_T(values, delivered_A, world_from_point)
         return torch.where(self.is_inside[:, None], torch.nan, field_T)
@@ -135,7 +137,10 @@ class RoomField:
 
 
 def at_one_moment(
-    rig: Rig, n_points: int = 1, motion: Mapping[str, Float[Tensor, "... 6"]] | None = None
+    rig: Rig,
+    n_points: int = 1,
+    motion: Mapping[str, Float[Tensor, "... 6"]] | None = None,
+    like: Tensor | None = None,
 ) -> Sources:
     """Sources at the first moment of a session: nothing has moved, warmed up or drifted yet; quadrature rules are not chosen.
 
@@ -143,24 +148,25 @@ def at_one_moment(
         rig: Coils and movers.
         n_points: Points that the field is wanted at.
         motion: Per mover the six numbers of its columns, or a row of them for each point; zeros for a mover that is not named.
+        like: A tensor on the device and in the precision that are wanted; double precision on the processor by default.
     """
-    zero = torch.zeros(6, dtype=torch.float64)
+    zero = torch.zeros(6, dtype=torch.float64) if like is None else like.new_zeros(6)
     rows = {m.name: (motion or {}).get(m.name, zero).reshape(-1, 6) for m in rig.movers}
     flange = {m.name: base_from_motion(m, rows[m.name]) for m in rig.movers}
-    every_point = torch.arange(n_points)
+    every_point = torch.arange(n_points, device=zero.device)
     powered = {coil.name: every_point for coil in rig.coils}
     n_moments = max(map(len, rows.values()), default=1) if uses_of(rig, MotionEffect) else 1
-    moments = [Circumstances(rig, _one_reading(rig, rows, i)) for i in range(n_moments)]
+    moments = [Circumstances(rig, _one_reading(rig, rows, i, zero)) for i in range(n_moments)]
     by_moment = [columns_of(rig, moment) for moment in moments]
     columns = {label: torch.cat([each[label] for each in by_moment]) for label in by_moment[0]}
     return Sources(rig, moments[0], n_points, None, flange, columns, powered, rules={})
 
 
-def _one_reading(rig: Rig, rows: Mapping[str, Float[Tensor, "row 6"]], i: int) -> Observations:
+def _one_reading(rig: Rig, rows: Mapping[str, Float[Tensor, "row 6"]], i: int, like: Tensor) -> Observations:
     """A session of one moment without currents, with every mover at its row of that number, or at its only one."""
-    zeros = torch.zeros(1, dtype=torch.float64)
+    zeros = like.new_zeros(1)
     motion = {name: motion[min(i, len(motion) - 1)][None] for name, motion in rows.items()}
-    index, flag = torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.bool)
+    index, flag = zeros.to(torch.int64), zeros.to(torch.bool)
     return Observations(
         zeros, index, zeros.expand(len(rig.coils))[None], motion, zeros.expand(3)[None], flag, index, {}
     )

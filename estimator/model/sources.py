@@ -120,7 +120,7 @@ class Sources:
             world_from_point: Where the points stand and how they are turned, by row.
         """
         n_readings = self.n_rows if self.pose_row is None else len(self.pose_row)
-        total = torch.zeros(n_readings, 3, dtype=delivered_A.dtype)
+        total = delivered_A.new_zeros(n_readings, 3)
         for room in uses_of(self.rig, RoomEffect):
             theta = room.theta(values)
             steady_T = room.effect.steady_T(world_from_point.translation_m, theta)
@@ -201,6 +201,7 @@ class Sources:
         world_from_coil = self.world_from_body(coil, "coil", self._every_row, values)
         coil_from_point = world_from_coil.inverse() @ world_from_point
         rings, patterns = use.effect.rings(self.rig, coil)
+        rings, patterns = rings.to(delivered_A.device), patterns.to(delivered_A.device)
         drives = use.effect.drives(delivered_A, use.theta(values))
         idle = [i for i, source in enumerate(self.rig.coils) if not len(self.powered[source.name])]
         there = [i for i in range(len(patterns)) if i not in idle]
@@ -226,7 +227,7 @@ class Sources:
             coil.name: self.world_from_body(coil, "coil", self._every_row, values) for coil in self.rig.wound
         }
         cores = Cores.of(self.rig, values, poses, self.circumstances, self._is_first_order)
-        total = torch.zeros(1, dtype=delivered_A.dtype)
+        total = delivered_A.new_zeros(1)
         for core, polarisation_T in zip(
             cores.members, cores.polarisations_T(delivered_A, self.pose_row), strict=True
         ):
@@ -240,7 +241,7 @@ class Sources:
 
     @cached_property
     def _every_row(self) -> Int[Tensor, " row"]:
-        return torch.arange(self.n_rows)
+        return torch.arange(self.n_rows, device=self.circumstances.observations.device)
 
     def _by_reading(self, field: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
         """Field at all readings from that at some rows, zero elsewhere. One row stands for all where coil and point both stand still."""

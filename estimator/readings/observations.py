@@ -56,6 +56,55 @@ class Observations:
     def __len__(self) -> int:
         return self.time_s.shape[0]
 
+    @property
+    def dtype(self) -> torch.dtype:
+        """Precision in which currents and poses are kept, and in which predictions of these readings are computed."""
+        return self.current_A.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Device that holds the readings, and on which models of them compute."""
+        return self.current_A.device
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Observations:
+        """The same readings on another device or in another precision, with the history of their session; what is built from them follows.
+
+        Times and fields that were read keep their precision: seconds of a calendar, and small differences from a prediction, need it.
+
+        Examples:
+            >>> nothing = torch.zeros(1, 3, dtype=torch.float64)
+            >>> index, flag = torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.bool)
+            >>> readings = Observations(nothing[:, 0], index, nothing, {}, nothing, flag, index, {})
+            >>> single = readings.to(dtype=torch.float32)
+            >>> single.current_A.dtype, single.time_s.dtype
+            (torch.float32, torch.float64)
+        """
+        device, dtype = device or self.device, dtype or self.dtype
+        if (torch.empty(0, device=device).device, dtype) == (self.device, self.dtype):
+            return self
+
+        def moved(other: Observations | None) -> Observations | None:
+            return None if other is None else other.to(device, dtype)
+
+        measured_A, segment, chosen = self.current_measured_A, self.recorded_segment, self.chosen
+        return Observations(
+            self.time_s.to(device),
+            self.sensor.to(device),
+            self.current_A.to(device, dtype),
+            {name: motion.to(device, dtype) for name, motion in self.motion.items()},
+            self.field_sensor_T.to(device),
+            self.is_validation.to(device),
+            self.repeat.to(device),
+            {name: values.to(device, dtype) for name, values in self.temperature_C.items()},
+            moved(self.whole),
+            None if chosen is None else chosen.to(device),
+            None if measured_A is None else measured_A.to(device, dtype),
+            None if segment is None else segment.to(device),
+            self.rows_late,
+            self.late_since_h,
+            moved(self.as_recorded),
+        )
+
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
         """Select readings; they keep the history of their session."""
         return self._select(index, self.history, self.row[index])
@@ -116,10 +165,10 @@ class Observations:
             return recorded
         history = recorded.history
         is_late = (history.time_s - history.time_s.min()) / SECONDS_PER_HOUR >= since_h
-        source = torch.arange(len(history))
+        source = torch.arange(len(history), device=self.device)
         for sensor in history.sensor.unique():
             own = (history.sensor == sensor).nonzero().flatten()
-            place = torch.arange(len(own)) - rows_late * is_late[own]
+            place = torch.arange(len(own), device=self.device) - rows_late * is_late[own]
             source[own] = torch.where(
                 (place >= 0) & (place < len(own)), own[place.clamp(0, len(own) - 1)], -1
             )
@@ -149,7 +198,7 @@ class Observations:
     @property
     def alone(self) -> Observations:
         """These readings as a separate session, without the history of the one they were selected from."""
-        return self._select(torch.arange(len(self)), None, None)
+        return self._select(torch.arange(len(self), device=self.device), None, None)
 
     def followed_by(self, later: Observations) -> Observations:
         """Append later readings; temperatures and measured currents that only one of the two has are left out.

@@ -29,8 +29,8 @@ def segments_by_pauses(time_s: Float[Tensor, " reading"]) -> Int[Tensor, " readi
     typical_s = float(moving_s.median()) if len(moving_s) else 0.0
     is_pause = steps_s > max(LEAST_PAUSE_S, LEAST_PAUSE_INTERVALS * typical_s)
     if not is_pause.any():
-        return torch.full((len(time_s),), NO_SEGMENT)
-    return torch.cat((torch.zeros(1, dtype=torch.int64), is_pause.cumsum(0)))
+        return torch.full((len(time_s),), NO_SEGMENT, device=time_s.device)
+    return torch.cat((torch.zeros(1, dtype=torch.int64, device=time_s.device), is_pause.cumsum(0)))
 
 
 def segments_in_turn(time_s: Float[Tensor, " reading"], n: int) -> Int[Tensor, " reading"]:

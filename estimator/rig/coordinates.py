@@ -9,6 +9,7 @@ counts. With `integer_counts` the free loop counts are whole numbers, unchanged 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -64,6 +65,16 @@ class Coordinates:
         self._mix = self._natural_mix()
         self._unmix = np.linalg.inv(self._mix)
         self._fixed_values: dict[tuple[torch.dtype, torch.device], dict[str, Tensor]] = {}
+        self.device = torch.device("cpu")
+
+    def on(self, device: torch.device) -> Coordinates:
+        """The same coordinates with starts, scales, bounds and draws on another device, always in double precision."""
+        if device == self.device:
+            return self
+        other = copy(self)
+        other.__dict__.pop("scale", None)
+        other.device = device
+        return other
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,7 +133,7 @@ class Coordinates:
         """Coordinates of given values of the parameters; those not given have their nominal values."""
         nominal = self.rig.nominal_values()
         complete = {
-            name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64)
+            name: torch.as_tensor(values.get(name, nominal[name]), dtype=torch.float64, device=self.device)
             for name in self.rig.parameters
         }
         for name in self.rig.parameters:
@@ -140,14 +151,16 @@ class Coordinates:
                 value = value - self._to_front(parameter.name, complete.__getitem__)
             columns.append(torch.log(value) if is_log else value)
         if not columns:
-            return torch.zeros(0, dtype=torch.float64)
-        return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ torch.as_tensor(self._mix).T
+            return torch.zeros(0, dtype=torch.float64, device=self.device)
+        mix = torch.as_tensor(self._mix).to(self.device)
+        return torch.stack(torch.broadcast_tensors(*columns), dim=-1) @ mix.T
 
     def bounds(self) -> tuple[Float[Tensor, " coordinate"], Float[Tensor, " coordinate"]]:
         """Smallest and largest value that the prior of each free parameter allows, in the parameter's unit."""
         priors = [parameter.prior for parameter in self.parameters if parameter.prior]
         lower, upper = ([getattr(prior, end) for prior in priors] for end in ("lower", "upper"))
-        return torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64)
+        ends = torch.tensor([lower, upper], dtype=torch.float64, device=self.device)
+        return ends[0], ends[1]
 
     def start(self) -> Float[Tensor, " coordinate"]:
         """Coordinates of the nominal values."""
@@ -157,13 +170,15 @@ class Coordinates:
     def scale(self) -> Float[Tensor, " coordinate"]:
         """Prior standard deviation of every coordinate, to first order about the nominal values."""
         nominal = self.rig.nominal_values()
-        free_values = torch.tensor([nominal[name] for name in self.names], dtype=torch.float64)
+        free_values = torch.tensor(
+            [nominal[name] for name in self.names], dtype=torch.float64, device=self.device
+        )
         if not self.n:
             return free_values
         jacobian = jacobian_of(
             lambda values: self.vector(dict(zip(self.names, values, strict=True))), free_values
         )
-        sd = torch.tensor([p.prior.sd for p in self.parameters if p.prior], dtype=torch.float64)
+        sd = free_values.new_tensor([p.prior.sd for p in self.parameters if p.prior])
         return torch.sqrt(jacobian**2 @ sd**2)
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
