@@ -37,10 +37,10 @@ class _Bore(Correction):
     """
 
     lowest: ClassVar[int] = 0
-    highest: ClassVar[int] = 32
+    highest: ClassVar[int] = 24
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Of the trend, or of a wave: cosines and sines of up to three turns about the line."""
+        """Of the trend, or of a wave: cosines and sines of up to six turns about the line."""
         return WAVES if degree else TREND
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:

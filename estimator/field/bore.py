@@ -2,7 +2,8 @@
 
 Sources lie outside the cylinder, at any distance, so what ends of windings, steel beside a bore or joints between coils add there is
 followed where a ball about all places would hold the sources. Each field is free of divergence and curl. Coordinates are in units of the
-radius, and every wave has rms 1 on the wall.
+radius. Every wave has rms 1 at twice the radius: with equal widths there, amplitudes fall at the places as those of sources beside them do.
+With equal widths at the places, or fewer turns, intervals for sources beside a bore were too narrow (docs/decisions/0051).
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from torch import Tensor
 
 from estimator.field.harmonics import interior_field
 
-MOST_TURNS = 3  # around the axis: fields with m turns fall as the power m - 1 of the distance from the wall
+SOURCES = 2.0  # radii from the axis, where sources are expected to begin
+MOST_TURNS = 6  # around the axis: fields with m turns fall as the power m - 1 of the distance from the wall
 WAVES = ("cos0", *(f"{wave}{m}" for m in range(1, MOST_TURNS + 1) for wave in ("cos", "sin")))
 N_TERMS = 28  # of a power series: fourteen digits up to an argument of 16, twice the wall's of the steepest wave that is asked
 
@@ -48,7 +50,7 @@ def bore_field(
         return total
     amplitude = torch.stack([waves[n] for n in waves], dim=-2)  # half waves, wave
     wavenumber = math.pi / length * torch.tensor(list(waves), dtype=points.dtype)
-    amplitude = amplitude / _rms_on_wall(wavenumber)
+    amplitude = amplitude / _rms_at_sources(wavenumber)
     x, y, z = (points[..., None, i] * wavenumber for i in range(3))
     s = x.square() + y.square()
     bessel = _reduced_bessel(s)
@@ -94,14 +96,15 @@ def _series(s: Float[Tensor, "*shape"], m: int) -> Float[Tensor, "*shape"]:
     return total / (2.0**m * math.factorial(m))
 
 
-def _rms_on_wall(wavenumber: Float[Tensor, " n"]) -> Float[Tensor, "n wave"]:
-    """Rms of each wave's field on the wall, times one over its wavenumber as `bore_field` takes it."""
-    s = wavenumber.square()
+def _rms_at_sources(wavenumber: Float[Tensor, " n"]) -> Float[Tensor, "n wave"]:
+    """Rms of each wave's field at `SOURCES`, times one over its wavenumber as `bore_field` takes it."""
+    reach = SOURCES * wavenumber
+    s = reach.square()
     reduced = _reduced_bessel(s)
     columns = []
     for m in range(MOST_TURNS + 1):
-        value = wavenumber**m * reduced[m]
-        slope = m * wavenumber ** (m - 1) * reduced[m] + wavenumber ** (m + 1) * reduced[m + 1]
+        value = reach**m * reduced[m]
+        slope = m * reach ** (m - 1) * reduced[m] + reach ** (m + 1) * reduced[m + 1]
         mean = 0.5 * (slope.square() + (1.0 + m**2 / s) * value.square()) * (0.5 if m else 1.0)
         columns += [mean.sqrt()] * (2 if m else 1)
     return torch.stack(columns, dim=-1)

@@ -1,4 +1,4 @@
-"""Fields along a bore: no divergence, no curl, their size on the wall, Bessel functions, and loops outside that they follow."""
+"""Fields along a bore: no divergence, no curl, their size where sources begin, Bessel functions, and loops outside that they follow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.special import iv
 from torch import Tensor
 from torch.func import jacfwd, vmap
 
-from estimator.field.bore import MOST_TURNS, WAVES, bore_field
+from estimator.field.bore import MOST_TURNS, SOURCES, WAVES, bore_field
 
 LENGTH = 10.0  # in radii
 WAVE = torch.eye(len(WAVES), dtype=torch.float64)
@@ -35,16 +35,17 @@ def test_fields_have_neither_divergence_nor_curl(degree: int) -> None:
 
     slope = vmap(jacfwd(fields))(cylinder(9, degree))  # point, term, component, axis
     largest = float(slope.abs().max())
-    assert largest > 0.1
+    assert largest > 1e-3
     assert float(torch.diagonal(slope, dim1=-2, dim2=-1).sum(-1).abs().max()) < 1e-12 * largest
     assert float((slope - slope.mT).abs().max()) < 1e-12 * largest
 
 
 @pytest.mark.parametrize("degree", [1, 4, 12])
-def test_waves_have_rms_one_on_the_wall(degree: int) -> None:
+def test_waves_have_rms_one_where_sources_begin(degree: int) -> None:
     angle = 2.0 * np.pi * (np.arange(32) / 32)[:, None]
     z = LENGTH * ((np.arange(100) + 0.5) / 100 - 0.5)
     wall = np.stack(np.broadcast_arrays(np.cos(angle), np.sin(angle), z), axis=-1).reshape(-1, 3)
+    wall = wall * np.array([SOURCES, SOURCES, 1.0])
     fields = bore_field(torch.from_numpy(wall), LENGTH, None, {degree: WAVE})
     rms = fields.square().sum(-1).mean(-1).sqrt()
     torch.testing.assert_close(rms, torch.ones_like(rms), rtol=0.0, atol=1e-12)
@@ -81,4 +82,4 @@ def test_loops_outside_are_followed_where_a_ball_would_hold_them() -> None:
         error = field.flatten()[~is_fitted] - (some[~is_fitted] @ amplitude)[:, 0]
         held_out.append(float(error.norm() / field.flatten()[~is_fitted].norm()))
     assert held_out[0] > 3e-2
-    assert held_out[1] < 5e-3
+    assert held_out[1] < 1e-3

@@ -40,8 +40,8 @@ def test_cylinder_lies_about_the_places_along_their_widest_extent():
 @pytest.mark.parametrize(
     ("places_m", "degree", "words"),
     [
-        (bore_m(500), 32, ""),
-        (bore_m(40), 4, "measure at 43"),
+        (bore_m(500), 24, ""),
+        (bore_m(40), 2, "measure at 47"),
         (bore_m(500, length_m=0.6), 19, ""),  # steeper waves would be nothing on the axis
         (bore_m(500, length_m=0.3), -1, ""),  # a ball does as well
         (bore_m(90, radius_m=0.0), -1, "measure beside it"),
