@@ -9,15 +9,18 @@ usual axis-angle formulas give NaN.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd import forward_ad
 
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
 _SMALL_SQUARE = 1e-3
+_FEW = 4  # rotations that cost less as plain numbers than as tensors
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,9 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
         >>> rotation_from_vector(torch.tensor([0.0, 0.0, torch.pi / 2])).round().int().tolist()
         [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     """
+    if rotation_vector_rad.numel() <= 3 * _FEW and _is_plain(rotation_vector_rad):
+        entries = [_rotation_entries(*vector) for vector in rotation_vector_rad.reshape(-1, 3).tolist()]
+        return torch.tensor(entries, dtype=torch.float64).reshape(*rotation_vector_rad.shape, 3)
     # The coefficients are smooth in t^2, whereas t has a kink at 0.
     square = rotation_vector_rad.square().sum(-1)
     small = square < _SMALL_SQUARE
@@ -120,6 +126,38 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
     outer = rotation_vector_rad[..., :, None] * rotation_vector_rad[..., None, :]
     eye = torch.eye(3, dtype=outer.dtype, device=outer.device)
     return (1 - versine * square)[..., None, None] * eye + cross + versine[..., None, None] * outer
+
+
+def _is_plain(tensor: Tensor) -> bool:
+    """Whether a tensor is numbers on the processor, in double precision, which nothing differentiates or traces."""
+    return (
+        type(tensor) is Tensor
+        and tensor.dtype == torch.float64
+        and tensor.device.type == "cpu"
+        and not tensor.requires_grad
+        and not torch.compiler.is_compiling()
+        and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+        and forward_ad.unpack_dual(tensor).tangent is None
+    )
+
+
+def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:
+    """Entries of one rotation matrix, row by row, by the same formula."""
+    square = x * x + y * y + z * z
+    if square < _SMALL_SQUARE:
+        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+        versine = (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2
+    else:
+        angle = math.sqrt(square)
+        sinc, versine = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
+    cosine = 1 - versine * square
+    a, b, c = sinc * x, sinc * y, sinc * z
+    xy, xz, yz = versine * x * y, versine * x * z, versine * y * z
+    return (
+        *(cosine + versine * x * x, xy - c, xz + b),
+        *(xy + c, cosine + versine * y * y, yz - a),
+        *(xz - b, yz + a, cosine + versine * z * z),
+    )
 
 
 def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:

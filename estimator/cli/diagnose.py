@@ -150,6 +150,7 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
     from estimator.diagnosis.headline import headline, held_back, tension_words
+    from estimator.diagnosis.hypotheses.step import leaves_structure
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
     from estimator.reporting.numbers import interval_with_unit, odds
@@ -181,6 +182,11 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             f"  {odds(remainder.log_bayes_factor)} that something is left, {remainder.rms_sigma:.2g} of the noise rms, which depends on "
             f"{remainder.family}"
         )
+        scatter = diagnosis.findings.search.scatter
+        if leaves_structure(scatter):
+            lines.append(
+                f"  {odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
+            )
     if (correction := diagnosis.fits.correction) is not None:
         lines.append(f"  {correction.words(diagnosis.label)}")
     if left_open.twins:

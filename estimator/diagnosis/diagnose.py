@@ -181,6 +181,7 @@ def _judged(
             widening = widening.carried_to(after).over_blocks(extended)
         if len(unseen):
             improvement = improvement_of(before, after, unseen, widening.covariance)
+    symptoms = Symptoms.of(plain, seed)
     return Diagnosis(
         question=question,
         verdict=verdict,
@@ -194,8 +195,8 @@ def _judged(
             plain=plain,
             extended=extended,
             final=after,
-            before=Symptoms.of(plain, seed),
-            after=Symptoms.of(extended, seed),
+            before=symptoms,
+            after=symptoms if extended is plain else Symptoms.of(extended, seed),
             improvement=improvement,
             correction=correction,
         ),

@@ -70,6 +70,12 @@ class Fit:
         with torch.no_grad():
             return self.posterior.predicted(self.vector)
 
+    @cached_property
+    def at_sensor_T(self) -> Float[Tensor, "*#batch reading 3"]:
+        """Field at the sensors at the maximum, before they show it."""
+        with torch.no_grad():
+            return self.posterior.model.at_sensor_T(self.values)
+
     @property
     def observations(self) -> Observations:
         """The readings that were fitted."""

@@ -76,14 +76,23 @@ def _what(diagnosis: Diagnosis) -> str:
     found += _causes(diagnosis)
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
         return f"{_capital('; '.join(found))}."
-    remainder = diagnosis.findings.search.steps[-1].discrepancy
-    if remainder.log_bayes_factor <= 0.0:
-        remainder = diagnosis.findings.search.base_discrepancy
-    unknown = (
-        f"Something is wrong that no known cause explains: it is {remainder.rms_sigma:.2g} times the noise and depends on "
-        f"{remainder.family.removeprefix('one circumstance, ').removeprefix('two circumstances, ')}"
-    )
+    search = diagnosis.findings.search
+    remainder = search.steps[-1].discrepancy
+    if leaves_structure(search.scatter) and not leaves_structure(remainder):
+        dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
+    else:
+        if remainder.log_bayes_factor <= 0.0:
+            remainder = search.base_discrepancy
+        dependence = (
+            f"it is {remainder.rms_sigma:.2g} times the noise and depends on {_plain(remainder.family)}"
+        )
+    unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+
+
+def _plain(dependence: str) -> str:
+    """What something depends on, without the family that it belongs to."""
+    return dependence.removeprefix("one circumstance, ").removeprefix("two circumstances, ")
 
 
 def _would_have_shown(diagnosis: Diagnosis) -> str:

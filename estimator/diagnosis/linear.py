@@ -17,6 +17,7 @@ from estimator.diagnosis import policy
 
 N_SHRINKS = 101  # grid of the logarithm of the noise
 COARSE = 5  # of it, one in so many is tried first
+N_BOUNDS, SMALLEST_BOUND = 512, 1e-3  # values of what columns reach at which a bound is tabulated
 TINY = 1e-12  # smallest square of a column, in units of the noise and its prior, that is divided by
 
 
@@ -52,6 +53,12 @@ class Projector:
         followed_first, followed_second = (self.factor.T @ (self.jacobian.T @ v) for v in (first, second))
         product: Tensor = first.T @ second - followed_first.T @ followed_second
         return product
+
+    def norms(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, " column"]:
+        """Lengths of vectors after projection."""
+        followed = self.factor.T @ (self.jacobian.T @ columns)
+        square: Tensor = columns.square().sum(0) - followed.square().sum(0)
+        return square.clamp(min=0.0).sqrt()
 
     def grams(self, columns: Float[Tensor, "batch component column"]) -> Float[Tensor, "batch column column"]:
         """Inner products of the columns of each of several sets after projection."""
@@ -137,6 +144,44 @@ def log_bayes_factor(
     near = (best[..., None] + torch.arange(1 - COARSE, COARSE)).clamp(0, N_SHRINKS - 1)
     fitted: Tensor = log_density(shrinks[near]).max(-1).values + relieved
     return fitted
+
+
+def highest_log_bayes_factor(
+    gram: Float[Tensor, "*batch column column"],
+    score: Float[Tensor, "*batch column"],
+    noise: FreeNoise | None = None,
+) -> Float[Tensor, "*batch"]:
+    """A bound that `log_bayes_factor` of columns with standard normal coefficients does not exceed, for a part of its time.
+
+    With noise smaller by e^s the columns weigh g = e^(-2s) >= 1 times as much. A direction of size a and score b then explains
+    g^2 b^2 / (1 + g a), at most g b^2 / (e + a) where 1 / e is the largest g, and its Occam factor only grows.
+    """
+    unit = torch.eye(gram.shape[-1], dtype=gram.dtype)
+    factor, failed = torch.linalg.cholesky_ex(gram + unit)
+    occam: Tensor = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
+    if noise is None:
+        return torch.where(failed == 0, 0.5 * _square(factor, score) - occam, torch.inf)
+    factor, failed = torch.linalg.cholesky_ex(gram + math.exp(2.0 * noise.most_shrink) * unit)
+    most = noise.n + noise.tension
+    reached = _square(factor, score).clamp(max=most)
+    # What is explained rises with what is reached: a table, read at the next larger value, bounds it.
+    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
+    grown = torch.exp(-2.0 * shrinks)
+    noisier = noise.n * shrinks + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrinks / noise.width) ** 2
+    values = torch.logspace(math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, dtype=torch.float64)
+    values[-1] = most
+    table = (0.5 * noise.n / most * values[:, None] * grown - noisier).amax(-1)
+    explained = table[torch.searchsorted(values, reached.contiguous()).clamp(max=N_BOUNDS - 1)]
+    relieved = 0.5 * noise.tension / most * reached
+    return torch.where(failed == 0, explained + relieved - occam, torch.inf)
+
+
+def _square(factor: Tensor, score: Tensor) -> Tensor:
+    """b^T A^-1 b, given the Cholesky factor of A."""
+    square: Tensor = (
+        torch.linalg.solve_triangular(factor, score[..., None], upper=False).square().sum((-1, -2))
+    )
+    return square
 
 
 def log_mean_exp(values: Float[Tensor, " value"]) -> float:

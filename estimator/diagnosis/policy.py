@@ -108,6 +108,11 @@ BENT = 6.0
 linear model says there. By measurement: a coil with an unknown iron core was moved by 30 and more, and screening put the core last.
 Study: none of its cases has two coils with cores."""
 
+MOST_GAINED_IN_FULL = 4.0
+"""Log evidence that a full fit may find beyond the linear model for a cause without shapes, while little speaks for any: where every cause
+stays farther than this below the evidence that it needs, such causes are not fitted. By measurement: none of 32 gained more than 0.12
+(docs/decisions/0047). Study: not in it yet."""
+
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
 what it may imitate to come first. By measurement: a hint 2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008).
@@ -217,6 +222,14 @@ numbers change in 4."""
 
 WINDING_DEGREE = 2
 """Degree along the axis of the same. By judgement. Study of 5 cases: numbers change in 2."""
+
+N_INSTANTS_OF_BURSTS = 24
+"""Parts of a session between which readings may scatter more, any number of them in a row. By judgement: a burst of four readings among 96
+is one of them. Study: not in it."""
+
+SCATTER_AMPLITUDES = (0.3, 1.0)
+"""How far the size of misses depends on something, in standard deviations of their normal scores. By judgement: less
+is hardly visible in a hundred readings, and more is not possible for long. Study: not in it."""
 
 # What is in no list
 

@@ -186,7 +186,8 @@ class Diagnosis:
     @property
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
-        left = p_of_structure(self.findings.search.steps[-1].discrepancy)
+        search = self.findings.search
+        left = max(p_of_structure(one) for one in (search.steps[-1].discrepancy, search.scatter))
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:
@@ -251,6 +252,10 @@ class Diagnosis:
                 "log_bayes_factor": remainder.log_bayes_factor,
                 "looks_like": remainder.family,
                 "rms_sigma": remainder.rms_sigma,
+            },
+            "scatter": {
+                "log_bayes_factor": search.scatter.log_bayes_factor,
+                "depends_on": search.scatter.along,
             },
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),

@@ -85,7 +85,7 @@ class NamedCause:
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome. `unexplained` where structure remains, or where a flexible curve does better than several causes together."""
     prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
-    if leaves_structure(search.steps[-1].discrepancy):
+    if leaves_structure(search.steps[-1].discrepancy) or leaves_structure(search.scatter):
         return Verdict.UNEXPLAINED
     curve_log_odds = search.base_discrepancy.log_bayes_factor + prior
     if len(named) > 1 and curve_log_odds > max(policy.LEAST_LOG_ODDS, search.log_odds):

@@ -10,6 +10,7 @@ import re
 from importlib.metadata import entry_points
 
 from estimator.effects.base import Effect
+from estimator.effects.bore_corrections import CoilBore, RoomBore
 from estimator.effects.carried import MagnetisedLink
 from estimator.effects.circumstances import Extent
 from estimator.effects.core import CoreRemanence, CrossMagnetisation
@@ -222,7 +223,9 @@ EFFECTS: dict[str, Effect] = {
         CurrentRemembered(),
         CoilHarmonics(),
         CoilMultipoles(),
+        CoilBore(),
         RoomHarmonics(),
+        RoomBore(),
         RoomAnswers(),
         RoomWanders(),
         RoomSteps(),

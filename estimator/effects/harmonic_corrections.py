@@ -68,7 +68,7 @@ def _about(places_m: Float[Tensor, "reading 3"]) -> dict[str, float]:
     return _ball(middle_m, max(float((places_m - middle_m).norm(dim=-1).max()), LEAST_REACH_M))
 
 
-class _CoilHarmonics(_Harmonics, SourceEffect):
+class CoilField(Correction, SourceEffect):
     """A field that moves with a coil and is proportional to its current."""
 
     unit: ClassVar[str] = "T/A"
@@ -90,7 +90,7 @@ class _CoilHarmonics(_Harmonics, SourceEffect):
         return positions_m(circumstances, circumstances.rig.coils[i])[has_current]
 
 
-class CoilHarmonics(_CoilHarmonics):
+class CoilHarmonics(_Harmonics, CoilField):
     """What sources outside the readings' ball add to a coil: connections, iron, a winding that is built otherwise."""
 
     name: ClassVar[str] = "coil_harmonics"
@@ -111,7 +111,7 @@ class CoilHarmonics(_CoilHarmonics):
         return harmonics.interior_field(_in_reach(points_coil_m, theta), self.amplitudes(theta))
 
 
-class CoilMultipoles(_CoilHarmonics):
+class CoilMultipoles(_Harmonics, CoilField):
     """What sources inside a coil add to it, seen from outside: currents and magnetisation of another shape than a winding's.
 
     A dipole along the axis is nearly that of more turns, one across it a tilt, so multipoles begin with the quadrupole.
@@ -157,12 +157,8 @@ class RoomHarmonics(_Harmonics, RoomEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the places in the room; none where currents and coils' poses never changed."""
-        rig, current_A = circumstances.rig, circumstances.current_A
-        steps_A = (current_A.max(0).values - current_A.min(0).values).max()
-        if float(steps_A) <= LEAST_STEP * circumstances.largest_current_A and not any(
-            coil.carried_by for coil in rig.coils
-        ):
-            words = "all readings are at one current, so the room's field is taken for the coil's; measure without current"
+        words = room_is_hidden(circumstances)
+        if words:
             return Limit(self.lowest - 1, words)
         return limit_of_places(positions_m(circumstances), self.n_terms)
 
@@ -215,6 +211,16 @@ class RoomAnswers(_Harmonics, RoomEffect):
     def _read_at_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
         has_current = circumstances.current_A[:, _index(circumstances, place)] != 0.0
         return positions_m(circumstances)[has_current]
+
+
+def room_is_hidden(circumstances: Circumstances) -> str:
+    """Why the room's field is taken for that of coils, and what to measure; empty where it is told from theirs, or no coil had current."""
+    rig, current_A = circumstances.rig, circumstances.current_A
+    steps_A = current_A.max(0).values - current_A.min(0).values
+    is_steady = float(steps_A.max()) <= LEAST_STEP * circumstances.largest_current_A
+    if is_steady and bool((current_A != 0.0).any()) and not any(coil.carried_by for coil in rig.coils):
+        return "all readings are at one current, so the room's field is taken for the coil's; measure without current"
+    return ""
 
 
 def _index(circumstances: Circumstances, place: str) -> int:

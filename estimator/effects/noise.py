@@ -123,6 +123,12 @@ class PositionJitter(NoiseEffect):
         """Noise and scatter of the position, to first order."""
         return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)
 
+    def directions_T(
+        self, prediction: Prediction, theta: Theta, place: str
+    ) -> Float[Tensor, "reading 3 direction"]:
+        """One displacement per reading, which moves its three components together."""
+        return prediction.gradient_T_per_m(place) * theta["sd_m"]
+
     def disturbed_T(
         self,
         error_T: Float[Tensor, "reading 3"],

@@ -72,7 +72,11 @@ class CrossAxis(ReadingEffect):
 
 
 class ElementDisplacement(ElementEffect):
-    """The elements of the three axes sit at different positions in the probe."""
+    """The elements of the three axes sit at different positions in the probe.
+
+    A shift that all three share looks like another place of the sensor. So each number by itself stays as wide as its prior where that
+    place is free, and differences such as `z_at_x_m - x_at_x_m` are known far better.
+    """
 
     name: ClassVar[str] = "element_displacement"
     words: ClassVar[str] = "the sensor's three elements sit at different positions"

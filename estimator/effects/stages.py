@@ -339,6 +339,12 @@ class NoiseEffect(Effect):
         """Standard deviation of the components that it concerns, given the one without it."""
         return sigma_T
 
+    def directions_T(
+        self, prediction: Prediction, theta: Theta, place: str
+    ) -> Float[Tensor, "reading 3 direction"] | None:
+        """Independent standard normal errors and how each moves the components of a reading together; None where all move alone."""
+        return None
+
     def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]] | None:
         """Share of components from a wider normal distribution, and how many times wider it is; None where all scatter normally.
 

@@ -118,11 +118,13 @@ def pose_of(prefix: str, values: Mapping[str, Tensor]) -> Transform:
     def vector(*keys: str) -> Tensor:
         return torch.stack(torch.broadcast_tensors(*(values[f"{prefix}.{key}"] for key in keys)), dim=-1)
 
-    nominal_rad, body_rad = torch.broadcast_tensors(
-        vector("rx_rad", "ry_rad", "rz_rad"), vector("tilt_x_rad", "tilt_y_rad", "spin_rad")
-    )
-    # One call costs half of two.
-    nominal, about_body_axes = rotation_from_vector(torch.stack((nominal_rad, body_rad))).unbind()
+    nominal_rad = vector("rx_rad", "ry_rad", "rz_rad")
+    body_rad = vector("tilt_x_rad", "tilt_y_rad", "spin_rad")
+    if nominal_rad.shape == body_rad.shape and nominal_rad.requires_grad == body_rad.requires_grad:
+        # One call costs half of two.
+        nominal, about_body_axes = rotation_from_vector(torch.stack((nominal_rad, body_rad))).unbind()
+    else:  # what is fixed has neither batch nor derivatives
+        nominal, about_body_axes = rotation_from_vector(nominal_rad), rotation_from_vector(body_rad)
     translation_m = vector("x_m", "y_m", "z_m")
     return Transform((nominal @ about_body_axes)[..., None, :, :], translation_m[..., None, :])
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
 FEWEST_STEPS = 8
+CACHE = "XDG_CACHE_HOME"
 
 
 @dataclass(frozen=True)
@@ -52,10 +59,7 @@ def convergence(chain: np.ndarray) -> Convergence:
         >>> bool(result.smallest_ess > 2000 and result.largest_rhat < 1.01)
         True
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its 1.x line at every import
-        import arviz  # half a second, spent only by commands that sample
-
+    arviz = _arviz()
     steps, walkers, n = chain.shape
     values = np.full((3, n), np.nan)
     if steps >= FEWEST_STEPS:
@@ -67,3 +71,29 @@ def convergence(chain: np.ndarray) -> Convergence:
                 with np.errstate(divide="ignore"):  # R-hat is infinite where walkers never move
                     values[2, i] = arviz.rhat(series, method="rank")
     return Convergence(values[0], values[1], values[2], steps * walkers)
+
+
+def _arviz() -> ModuleType:
+    """ArviZ; half a second when it is first imported, spent only by commands that sample.
+
+    It announces its 1.x line, and notes that in the user's cache. A service may run as a user who has none that can be written.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        try:
+            return importlib.import_module("arviz")
+        except (OSError, RuntimeError):
+            with tempfile.TemporaryDirectory() as folder, _cache_in(folder):
+                return importlib.import_module("arviz")
+
+
+@contextmanager
+def _cache_in(folder: str) -> Iterator[None]:
+    before = os.environ.get(CACHE)
+    os.environ[CACHE] = folder
+    try:
+        yield
+    finally:
+        del os.environ[CACHE]
+        if before is not None:
+            os.environ[CACHE] = before

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -89,6 +91,7 @@ class Background:
         self._seed = seed
         self._is_busy = False
         self._n_seen = 0
+        self._sending: threading.Thread | None = None
         self._start()
 
     @property
@@ -129,10 +132,10 @@ class Background:
         if not self._process.is_alive():
             self._end()
             self._start()
-        with suppress(OSError):  # the process ended just now; `_answer` reports it
-            self._pipe.send(
-                session
-            )  # returns before the process has started: tensors travel in shared memory
+        # As bytes: tensors that a pipe sends are files in shared memory, which stay open here where the process ends before it reads.
+        # By a thread: bytes wait until the process has started, which takes seconds.
+        self._sending = threading.Thread(target=_send, args=(self._pipe, pickle.dumps(session)), daemon=True)
+        self._sending.start()
 
     def _answer(self) -> Refreshed | None:
         self._is_busy = False
@@ -156,6 +159,8 @@ class Background:
     def _end(self) -> None:
         self._process.kill()
         self._process.join()
+        if self._sending is not None:
+            self._sending.join()  # its pipe has broken
         self._pipe.close()
 
     def __enter__(self) -> Background:
@@ -167,6 +172,11 @@ class Background:
         self._end()
 
 
+def _send(pipe: Connection, content: bytes) -> None:
+    with suppress(OSError):  # the process ended; `_answer` reports it
+        pipe.send_bytes(content)
+
+
 def _serve(pipe: Connection, seed: int) -> None:
     """Body of the process: runs at low priority, and leaves Ctrl-C to the program that started it, with which it ends."""
     os.nice(NICENESS)
@@ -174,7 +184,7 @@ def _serve(pipe: Connection, seed: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
         try:
-            session = pipe.recv()
+            session: Session = pickle.loads(pipe.recv_bytes())
         except (EOFError, OSError):
             return
         answer: Refreshed | str | None

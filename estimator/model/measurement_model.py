@@ -16,10 +16,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
+from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
+    MotionEffect,
+    MountEffect,
     Prediction,
     ReadingEffect,
     RecordEffect,
@@ -98,6 +101,23 @@ class MeasurementModel:
         }
         sources = Sources(rig, circumstances, len(distinct), pose_row, flange, columns, powered, {})
         return cls(sources, sensor)
+
+    def with_effects_of(self, rig: Rig) -> MeasurementModel:
+        """The model of the same readings, with the same rules, for a rig that has further effects and is the same otherwise."""
+        more = set(rig.acting) - set(self.rig.acting)
+        kinds = (MotionEffect, MountEffect, RecordEffect, CurrentEffect)
+        changed = any(
+            use.cause in more
+            and (
+                isinstance(use.effect, kinds)
+                or (isinstance(use.effect, SourceEffect) and use.effect.is_permanent)
+            )
+            for use in uses_of(rig, Effect)
+        )
+        if changed:  # the distinct poses, or the coils that have a field, may be others
+            return MeasurementModel.unruled(rig, self.circumstances.observations).with_rules(self.rules)
+        circumstances = self.circumstances.with_effects_of(rig)
+        return replace(self, sources=replace(self.sources, rig=rig, circumstances=circumstances))
 
     @property
     def rig(self) -> Rig:
@@ -215,7 +235,13 @@ class MeasurementModel:
         Args:
             values: Every number of the rig by name, from `Coordinates.values`; a batch where free.
         """
-        field_T = self._gain(values)[..., None] * self._at_sensor(values)
+        return self.shown_T(values, self.at_sensor_T(values))
+
+    def shown_T(
+        self, values: Values, at_sensor_T: Float[Tensor, "*#batch reading 3"]
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """What is read of the field at the sensors, given by `at_sensor_T`."""
+        field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
             concerned = use.concerned(self.circumstances)
@@ -255,7 +281,7 @@ class MeasurementModel:
             translation = torch.where(is_sensor[..., None], pose.translation_m, translation)
         return Transform(rotation, translation)
 
-    def _at_sensor(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
+    def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
         displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
         world_from_sensor = self.world_from_sensor(self.every_row, values)

@@ -8,9 +8,9 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
+import re
 import time
 import uuid
-from urllib.parse import urlsplit
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
@@ -30,6 +30,9 @@ LOGIN = "/v1/login"
 PUBLIC = frozenset({"/healthz", "/readyz", LOGIN, *page_files()})
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 SAFE = ("GET", "HEAD")
+HOST = re.compile(
+    r"([^\s\[\]:/?#@\\]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{0,5})?"
+)  # a name or an address, and a port
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -78,22 +81,26 @@ class Guard:
             await send(message)
 
         try:
-            headers = Headers(scope=scope)
-            _check_framing(scope, headers)
-            self._check_site(scope, headers)
-            address = scope["client"][0] if scope.get("client") else ""
-            scope["caller"] = await self._caller(scope, headers, address)
-            limited = self._limited(headers, receive)
-        except Problem as problem:
-            await answer_to(problem, request_id)(scope, receive, send_with_headers)
-            return
-        try:
+            try:
+                limited = await self._admitted(scope, receive)
+            except Problem as problem:
+                await answer_to(problem, request_id)(scope, receive, send_with_headers)
+                return
             await self._app(scope, limited, send_with_headers)
         except Exception as error:  # here, and not in Starlette's outermost layer, so that it is counted and has the headers too
             if has_begun:
                 raise
             log.error("a request failed", exc_info=error, extra={"request_id": request_id})
             await answer_to(failure(), request_id)(scope, receive, send_with_headers)
+
+    async def _admitted(self, scope: Scope, receive: Receive) -> Receive:
+        """Where the body of an admitted request comes from; its caller is in `scope`."""
+        headers = Headers(scope=scope)
+        _check_framing(scope, headers)
+        self._check_site(scope, headers)
+        address = scope["client"][0] if scope.get("client") else ""
+        scope["caller"] = await self._caller(scope, headers, address)
+        return self._limited(headers, receive)
 
     def _note(self, scope: Scope, status: int, took_s: float) -> None:
         """Log and count a request whose answer begins; a token that is guessed at the login counts as one that is guessed elsewhere."""
@@ -110,10 +117,10 @@ class Guard:
     def _check_site(self, scope: Scope, headers: Headers) -> None:
         """Refuse what a page of another site makes a browser send: by its own name for this address, or across origins."""
         host = headers.get("host", "")
-        name = (urlsplit(f"//{host}").netloc.rpartition("@")[2] or "").lower()
-        name = name if name.endswith("]") else name.rpartition(":")[0] or name
+        written = HOST.fullmatch(host)
+        name = host if written is None else written[1].lower()
         is_any = self._settings.host in ("0.0.0.0", "::") and _is_address(name)
-        if name not in self._hosts and not is_any:
+        if written is None or (name not in self._hosts and not is_any):
             raise Problem(
                 403, "host", "must be the service's address or one of allowed_hosts", name, "header Host"
             )

@@ -29,6 +29,7 @@ from estimator.rig_files.read import rig_from_text
 NOISE_T = 20e-6
 ALIKE = 0.95  # cosine from which two causes count as alike
 MOST_ALIKE = 6
+HALF_WAY_H = 0.2  # about half of each session
 ONE_COIL = """
 schema_version: 1
 name: a coil on a stage, and a sensor that stands still
@@ -100,10 +101,32 @@ coils:
 sensors:
   hall: {noise_uT: 20}
 """
+MOVED_SENSOR = """
+schema_version: 1
+name: a coil that stands still, and a sensor on a stage
+movers:
+  stage: {motion: displacement}
+coils:
+  coil1:
+    radius_mm: {prior: {normal: {mean: 51, sd: 3}}}
+    wire_radius_mm: {prior: {normal: {mean: 0.49, sd: 0.03, lower: 0.2}}}
+    axial_loops: {prior: {normal: {mean: 48, sd: 3, lower: 1}}}
+    radial_loops: {prior: {normal: {mean: 25, sd: 3, lower: 1}}}
+sensors:
+  hall:
+    carried_by: stage
+    noise_uT: 20
+    world_from_sensor0:
+      {x_mm: &place {prior: {normal: {mean: 0, sd: 3}}}, y_mm: *place, z_mm: {prior: {normal: {mean: 40, sd: 3}}},
+      tilt_x_deg: &turn {prior: {normal: {mean: 0, sd: 2}}}, tilt_y_deg: *turn}
+"""
 # Sizes of causes that are there or not, or whose prior does not say where they would be.
 SIZES: dict[str, dict[str, float]] = {
     "axes_swapped": {"x_reads": 2.0, "y_reads": -1.0},
+    "axes_swapped_since": {"x_reads": 2.0, "y_reads": -1.0, "since_h": HALF_WAY_H},
+    "coils_exchanged_since": {"later_by": 1.0, "since_h": HALF_WAY_H},
     "current_sign": {"sign": -1.0},
+    "current_sign_since": {"sign": -1.0, "since_h": HALF_WAY_H},
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
@@ -111,6 +134,7 @@ SIZES: dict[str, dict[str, float]] = {
     "range_clipping": {"limit_T": 0.006},
     "rotation_convention": {"convention": 1.0},
     "rows_shifted": {"rows": 1.0},
+    "rows_shifted_since": {"rows": 1.0, "since_h": HALF_WAY_H},
     "sensor_lag": {"tau_s": 10.0},
     "lead_wire": {"gap_m": 0.01, "length_m": 0.2},
     "unit_error": {"field_factor": 1.1},
@@ -126,11 +150,17 @@ COMPANIONS: dict[str, dict[str, float]] = {
 
 
 @dataclass(frozen=True)
-class Ground:
-    """A session without any flaw, its fit, and what each cause would do to it."""
+class Clean:
+    """A session without any flaw."""
 
     rig: Rig
     observations: Observations
+
+
+@dataclass(frozen=True)
+class Ground(Clean):
+    """Its fit too, and what each cause would do to it."""
+
     fit: Fit
     pool: Sequence[Candidate]
 
@@ -161,9 +191,30 @@ class Pattern:
     alike: dict[str, float]
 
 
-def grounds() -> tuple[Ground, ...]:
+def sessions() -> tuple[Clean, ...]:
     """The sessions that causes are shown in; the first in which a cause can be is taken."""
-    return _ground(ONE_COIL), _ground(TWO_COILS), _ground(SIDES)
+    return tuple(_session(rig_from_text(text)) for text in (ONE_COIL, TWO_COILS, SIDES, MOVED_SENSOR))
+
+
+def grounds() -> tuple[Ground, ...]:
+    """The same with their fits."""
+    return tuple(_ground(session) for session in sessions())
+
+
+def place_that_shows(effect: Effect, sessions: Sequence[Clean]) -> tuple[int, str]:
+    """Index of the first session that shows a cause, and the place of the cause there.
+
+    Raises:
+        InvalidInput: None of them does.
+    """
+    for index, session in enumerate(sessions):
+        for place in effect.places(session.rig):
+            change_T = _change_T(effect, _hidden(effect, Cause(effect.name, place), session), session)
+            if np.abs(change_T).max() > 1e-9:
+                return index, place
+    raise InvalidInput(
+        f"{effect.name} must show in one of the sessions of the documentation; it shows in none"
+    )
 
 
 def pattern(name: str, grounds: Sequence[Ground]) -> Pattern:
@@ -173,18 +224,17 @@ def pattern(name: str, grounds: Sequence[Ground]) -> Pattern:
         InvalidInput: None of them does.
     """
     effect = EFFECTS[name]
-    for ground in grounds:
-        for place in effect.places(ground.rig):
-            found = _pattern(effect, Cause(name, place), ground)
-            if np.abs(found.change_T).max() > 1e-9:
-                return found
-    raise InvalidInput(f"{name} must show in one of the sessions of the documentation; it shows in none")
+    index, place = place_that_shows(effect, grounds)
+    return _pattern(effect, Cause(name, place), grounds[index])
 
 
-def _ground(text: str) -> Ground:
-    rig = rig_from_text(text)
+def _session(rig: Rig) -> Clean:
     observations = _observations(rig)
-    observations = observations.with_field(perfect_readings(rig, observations))
+    return Clean(rig, observations.with_field(perfect_readings(rig, observations)))
+
+
+def _ground(clean: Clean) -> Ground:
+    rig, observations = clean.rig, clean.observations
     fit = fit_rig(rig, observations, rig.nominal_values(), MeasurementModel.build(rig, observations).rules)
     return Ground(rig, observations, fit, candidates(fit, causes_of(rig, fit)))
 
@@ -220,17 +270,10 @@ def _observations(rig: Rig) -> Observations:
 
 def _pattern(effect: Effect, cause: Cause, ground: Ground) -> Pattern:
     quantities = effect.quantities(Circumstances(ground.rig, ground.observations).extent)
-    given = SIZES.get(effect.name) or {q.key: _size(q) for q in quantities if not q.is_shape}
+    given = _given(effect, ground)
     key = next(iter(given), "")
     size = given.get(key, 1.0)
-    if effect.name not in SIZES and key:  # of several numbers alike the first is shown
-        given = {key: size}
-    hidden = {f"{cause.label}.{name}": value for name, value in given.items()} or {cause.label: size}
-    if isinstance(effect, NoiseEffect):
-        change_T = _scatter(ground, hidden)
-    else:
-        before, after = (_readings_T(ground, COMPANIONS.get(effect.name, {}) | more) for more in ({}, hidden))
-        change_T = after - before
+    change_T = _change_T(effect, _hidden(effect, cause, ground), ground)
     left_T = None
     alike: dict[str, float] = {}
     if not (isinstance(effect, NoiseEffect) or effect.is_record_mistake):
@@ -243,7 +286,30 @@ def _pattern(effect: Effect, cause: Cause, ground: Ground) -> Pattern:
     return Pattern(cause, given or {"": 1.0}, key, unit, size, ground, change_T, left_T, smallest, alike)
 
 
-def _readings_T(ground: Ground, hidden: dict[str, float]) -> Float[np.ndarray, "reading 3"]:
+def _given(effect: Effect, session: Clean) -> dict[str, float]:
+    """Sizes by quantity; of several numbers alike the first alone."""
+    if effect.name in SIZES:
+        return SIZES[effect.name]
+    quantities = effect.quantities(Circumstances(session.rig, session.observations).extent)
+    first = next((quantity for quantity in quantities if not quantity.is_shape), None)
+    return {} if first is None else {first.key: _size(first)}
+
+
+def _hidden(effect: Effect, cause: Cause, session: Clean) -> dict[str, float]:
+    """What is hidden in the session, by `cause[place].quantity`; of a cause without quantities, 1."""
+    given = _given(effect, session)
+    return {f"{cause.label}.{key}": value for key, value in given.items()} or {cause.label: 1.0}
+
+
+def _change_T(effect: Effect, hidden: dict[str, float], session: Clean) -> Float[np.ndarray, "reading 3"]:
+    """What a cause changes in the readings."""
+    if isinstance(effect, NoiseEffect):
+        return _scatter(session, hidden)
+    before = COMPANIONS.get(effect.name, {})
+    return _readings_T(session, before | hidden) - _readings_T(session, before)
+
+
+def _readings_T(ground: Clean, hidden: dict[str, float]) -> Float[np.ndarray, "reading 3"]:
     return perfect_readings(with_hidden(ground.rig, ground.observations, hidden), ground.observations).numpy()
 
 
@@ -253,7 +319,7 @@ def _size(quantity: Quantity) -> float:
     return prior.centre if abs(prior.centre - null) > 0.2 * prior.sd else min(null + prior.sd, prior.upper)
 
 
-def _scatter(ground: Ground, hidden: dict[str, float]) -> Float[np.ndarray, "reading 3"]:
+def _scatter(ground: Clean, hidden: dict[str, float]) -> Float[np.ndarray, "reading 3"]:
     """Noisy readings with a cause of scatter, less perfect ones."""
     poses = tuple(
         {name: columns[i].numpy() for name, columns in ground.observations.motion.items()}

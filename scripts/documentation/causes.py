@@ -58,7 +58,9 @@ BOOKKEEPING = (
     "broken_rule",
     "is_itself",
     "extent_of",
+    "beyond_the_moment",
 )
+LARGE_T = 1e-3  # a field from which on it is told in millitesla
 HIDDEN_SHARE = 0.2  # of the noise, below which nothing of a cause is left
 
 
@@ -137,13 +139,18 @@ def of_page(effect: Effect, said: dict[str, Any], found: Pattern) -> dict[str, A
         "shapes": {quantity.key for quantity in effect.quantities(Extent()) if quantity.is_shape},
         "visible": lambda key: f"{found.smallest[key]:.2g}" if key in found.smallest else "",
         "ground": found.ground.rig.name,
-        "largest_uT": f"{1e6 * abs(found.change_T).max():.3g}",
-        "left_uT": None if left_T is None else f"{1e6 * left_T:.3g}",
+        "largest": in_words(float(abs(found.change_T).max())),
+        "left": None if left_T is None else in_words(left_T),
         "hides": left_T is not None and left_T < HIDDEN_SHARE * NOISE_T,
         "size": f"`{found.key}` at {found.size:.3g}{unit}" if found.key else "it is there",
         "given": found.given,
         "alike": [(other, min(cosine, 0.999)) for other, cosine in found.alike.items()][:MOST_ALIKE],
     }
+
+
+def in_words(field_T: float) -> str:
+    """A field with its unit."""
+    return f"{1e6 * field_T:.3g} microtesla" if field_T < LARGE_T else f"{1e3 * field_T:.3g} millitesla"
 
 
 def formula(effect: Effect) -> str:
@@ -187,12 +194,13 @@ def draw(found: Pattern, file: Path) -> None:
 
 
 def draw_change(ax: Axes, change_T: Any, title: str) -> None:
-    ax.axhspan(-1e6 * NOISE_T, 1e6 * NOISE_T, color=NOISE, zorder=0)
+    unit, per_T = ("µT", 1e6) if abs(change_T).max() < LARGE_T else ("mT", 1e3)
+    ax.axhspan(-per_T * NOISE_T, per_T * NOISE_T, color=NOISE, zorder=0)
     ax.axhline(0.0, color=GREY, linewidth=0.8)
     for axis, name in enumerate("xyz"):
         marker = {"color": COMPONENT[name], "marker": COMPONENT_MARKER[name], "markersize": 3.0}
-        ax.plot(1e6 * change_T[:, axis], linestyle="none", label=f"B{name}", **marker)
-    ax.set(xlabel="reading", ylabel="change (µT)", title=title)
+        ax.plot(per_T * change_T[:, axis], linestyle="none", label=f"B{name}", **marker)
+    ax.set(xlabel="reading", ylabel=f"change ({unit})", title=title)
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ def row_of(kind: str, hidden: HiddenSession, diagnosis: Diagnosis, seconds: floa
         **{key: truth[key] for key in ("protocol", "motion", "is_tight") if key in truth},
         "truth": [{"label": label(cause), **cause} for cause in truth["causes"]],
         "noise_T": {name: value for name, value in truth["values"].items() if name.endswith("noise_T")},
-        **{key: record[key] for key in ("verdict", "causes", "unexplained")},
+        **{key: record[key] for key in ("verdict", "causes", "unexplained", "scatter")},
         "gain": record.get("gain"),
         "correction": record["correction"],
         "p_not_in_library": record.get("p_not_in_library"),

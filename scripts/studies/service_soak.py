@@ -188,7 +188,8 @@ class Usage:
     def row(self, work: Work) -> dict[str, float]:
         """Numbers of this moment."""
         workers = [pid for child in _children(self.pid) for pid in (child, *_children(child))]
-        files = [path for path in self.data.rglob("*") if path.is_file()]
+        # os.walk passes over folders that are deleted meanwhile.
+        files = [Path(folder, name) for folder, _, names in os.walk(self.data) for name in names]
         log = self.data.with_suffix(".log")
         return {
             "min": (time.monotonic() - self.begin_s) / 60.0,
@@ -274,7 +275,7 @@ def main() -> None:
             ("sessions to judge", work.new_session, 45.0),
             ("rounds of deletions", work.delete, 1.0),
         ]
-        threads = [threading.Thread(target=work.repeat, args=client) for client in clients]
+        threads = [threading.Thread(target=work.repeat, args=client, daemon=True) for client in clients]
         for thread in threads:
             thread.start()
         usage, rows = Usage(service.process.pid, data), []

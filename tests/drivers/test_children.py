@@ -8,7 +8,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -70,8 +69,8 @@ def test_no_child_imports_the_program_that_started_it_nor_a_large_library(tmp_pa
     assert {name for names in compiled.values() for name in names} <= {"rtde_control", "ur_rtde"}
 
 
-def made_slowly(_interrupt: threading.Event) -> None:
-    time.sleep(6.0)
+def made_slowly(interrupt: threading.Event) -> None:
+    interrupt.wait(90.0)
 
 
 def test_a_supply_process_that_has_not_started_is_told_from_a_port_that_does_not_open(
@@ -84,8 +83,12 @@ def test_a_supply_process_that_has_not_started_is_told_from_a_port_that_does_not
         match=r"the process of coil1 must have started within 0\.001 s; .*busy computer\?.*longest_start_s",
     ):
         open_devices(section)
-    with pytest.raises(DeadlineExceeded, match=r"coil1 must have opened within 4 s; it has not"):
-        Supervised(made_slowly, "coil1", longest_start_s=4.0)
+    for longest_start_s in (4.0, 16.0, 64.0):  # a busy computer may need longer until the process is there
+        with pytest.raises(DeadlineExceeded) as refusal:
+            Supervised(made_slowly, "coil1", longest_start_s=longest_start_s)
+        if "the process of" not in str(refusal.value):
+            break
+    assert f"coil1 must have opened within {longest_start_s:g} s; it has not" in str(refusal.value)
 
 
 def test_a_child_that_the_main_file_defines_is_refused_before_it_starts() -> None:

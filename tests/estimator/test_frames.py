@@ -240,3 +240,12 @@ def test_displacement_reported_in_the_base_frame_fits_the_formula_after_turning_
         world_from_coil0.translation_m
     )
     torch.testing.assert_close(formula_m, world_from_coil.inverse().translation_m)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.03, 0.032, 1.0, 6.0])
+def test_few_rotations_are_those_of_many(angle_rad: float) -> None:
+    """Few are computed as plain numbers."""
+    many = angle_rad * torch.nn.functional.normalize(random_vectors(9), dim=-1)
+    one_by_one = torch.stack([rotation_from_vector(vector) for vector in many])
+    torch.testing.assert_close(one_by_one, rotation_from_vector(many), rtol=1e-14, atol=1e-15)
+    assert rotation_from_vector(many[:4].unflatten(0, (2, 2))).shape == (2, 2, 3, 3)

@@ -15,8 +15,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
 from estimator.effects.segments import split_key
-from estimator.effects.stages import MountEffect, NoiseEffect
-from estimator.model.measurement_model import MeasurementModel
+from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
 from estimator.rig.rig import Cause, Rig
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
@@ -111,8 +110,9 @@ def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Ca
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause from starts of the same shapes: one prediction for all of them."""
     observations = fit.observations
-    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False)
-    model = MeasurementModel.unruled(rig, observations).with_rules(fit.posterior.model.rules)
+    circumstances = fit.posterior.model.circumstances
+    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False, circumstances=circumstances)
+    model = fit.posterior.model.with_effects_of(rig)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
     steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
     ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
@@ -125,9 +125,11 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
         name = f"{cause.label}.{quantity.key}"
         values[name] = values[name] + ends[:, i]
     with torch.no_grad():
-        reading_T = model.predict(values).expand(len(starts), len(ends), len(observations), 3)
+        is_late = isinstance(EFFECTS[cause.name], ReadingEffect)  # the field at the sensor is that of the fit
+        reading_T = model.shown_T(values, fit.at_sensor_T) if is_late else model.predict(values)
+        reading_T = reading_T.expand(len(starts), len(ends), len(observations), 3)
         components_T = fit.posterior.measured_components(reading_T)
-        shifts = (components_T[:, -1] - fit.posterior.predicted(fit.vector)) * fit.whitening_per_T
+        shifts = (components_T[:, -1] - fit.predicted_T) * fit.whitening_per_T
     up, down = components_T[:, :-1].chunk(2, dim=1)
     whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
     keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)

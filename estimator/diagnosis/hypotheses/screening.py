@@ -89,7 +89,8 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     It is 0 where the cause is no longer itself at the fitted values.
     """
     observations = fit.observations
-    rig = with_effect(fit.rig, start.cause, observations, start.shapes)
+    circumstances = fit.posterior.model.circumstances
+    rig = with_effect(fit.rig, start.cause, observations, start.shapes, circumstances=circumstances)
     full = fit_rig(
         rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE
     )
@@ -98,7 +99,7 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
         return screened, full
     if not full.still_has(start.cause):
         return 0.0, full
-    quantities = EFFECTS[start.cause.name].quantities(fit.posterior.model.circumstances.extent)
+    quantities = EFFECTS[start.cause.name].quantities(circumstances.extent)
     if any(q.is_shape and not q.is_fixed for q in quantities):
         # The Laplace evidence misses the width of shapes, and the linear model their bounds.
         return min(max(value, screened), value + policy.SHAPES_WIDTH), full

@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -34,6 +36,7 @@ from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.scatter import Scatter, scatter_of
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
@@ -82,6 +85,11 @@ class Search:
         """Causes of the final fit beyond the base."""
         return [cause for cause in self.final.rig.effects if cause not in self.base.rig.effects]
 
+    @cached_property
+    def scatter(self) -> Scatter:
+        """Whether readings scatter otherwise than the final fit says."""
+        return scatter_of(self.final)
+
     @property
     def source_seems_wrong(self) -> bool:
         """Whether causes of many kinds pile up for which no other structure of the source does."""
@@ -109,7 +117,6 @@ def search(
     """
     pool = candidates(base, causes_of(base.rig, base, limits))
     state = _SearchState(base, pool, families(base), tell, limits, on_progress)
-    base_discrepancy = discrepancy(base, state.smooth)
     fit = state.forward(base)
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
         fit = state.forward(state.revisited(fit))
@@ -128,7 +135,7 @@ def search(
         state.additions_in(fit),
         dropped,
         tuple(pool),
-        base_discrepancy,
+        state.base_discrepancy,
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
     )
@@ -154,6 +161,7 @@ class _SearchState:
         }  # others concern the session only beside a cause
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.limits, self.on_progress = tell, limits, on_progress
+        self.base_discrepancy = discrepancy(base, smooth)
         self.n_compared = 0
         self.ended_early = ""
         self.other_structures: OtherStructures | None = None
@@ -270,7 +278,7 @@ class _SearchState:
             return pile
         self.tell(f"{better.cause.label} does better: starting again from it")
         self._drop(self.added(pile))
-        self.steps = [self.other_structures.step(self.base, self.pool, discrepancy(self.base, self.smooth))]
+        self.steps = [self.other_structures.step(self.base, self.pool, self.base_discrepancy)]
         self.additions = [Addition((better.cause,), better.alone)]
         return better.alone
 
@@ -316,15 +324,15 @@ class _SearchState:
         taken = (*fit.rig.effects, *self.dropped)
         pool = [c for c in self._pool(fit) if c.cause not in taken]
         n = len({c.cause for c in pool})
-        ranked = pairs(fit, pool)
-        if not ranked or len(self.added(fit)) + 2 > self.limits.most_causes:
+        if n < 2 or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None
         nothing = policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS
         unexplained = policy.LOG_PRIOR_UNEXPLAINED + last.discrepancy.log_bayes_factor
         least = max(nothing, unexplained) - 2.0 * policy.LOG_PRIOR_CAUSE + math.log(0.5 * n * (n - 1))
-        value, first, second = ranked[0]
-        if value <= least:
+        ranked = pairs(fit, pool, least)
+        if not ranked:
             return None
+        _, first, second = ranked[0]
         self.tell(f"testing {first.cause.label} and {second.cause.label} together")
         rig = with_effect(fit.rig, first.cause, fit.observations, first.shapes)
         rig = with_effect(rig, second.cause, fit.observations, second.shapes)
@@ -349,7 +357,8 @@ class _SearchState:
         """Compare all hypotheses at a fit."""
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
-        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits, pace)
+        remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
+        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits, pace, remainder)
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""
@@ -365,12 +374,17 @@ class _SearchState:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
     def _pool(self, fit: Fit) -> list[Candidate]:
+        if fit is self.screened_at:
+            return self.pool
         weight = fit.weight_over(self.screened_at)
         others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in self.asked]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
     def _smooth(self, fit: Fit) -> list[Family]:
-        return [family.weighed(fit.weight_over(self.screened_at)) for family in self.smooth]
+        weight = fit.weight_over(self.screened_at)
+        if bool(torch.isclose(weight, weight[:1], rtol=1e-12, atol=0.0).all()):
+            return self.smooth  # amplitudes are in units of the noise: a common weight changes nothing
+        return [family.weighed(weight) for family in self.smooth]
 
 
 def _alone_in_step(cause: Cause, before: Fit, after: Fit) -> Step:

@@ -25,6 +25,7 @@ from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.scatter import Scatter
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
@@ -80,7 +81,13 @@ class Step:
 
 
 def take_step(
-    fit: Fit, pool: Sequence[Candidate], smooth: list[Family], block: Blocks, limits: Limits, pace: Pace
+    fit: Fit,
+    pool: Sequence[Candidate],
+    smooth: list[Family],
+    block: Blocks,
+    limits: Limits,
+    pace: Pace,
+    remainder: Discrepancy | None = None,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -91,15 +98,19 @@ def take_step(
         block: Block number of each reading, for cross-validation.
         limits: Once they are reached, no further hypothesis is fitted.
         pace: Told of each fit.
+        remainder: Structure in the residual, where it is known already.
     """
     present = set(fit.rig.effects)
-    remainder = discrepancy(fit, smooth)
+    remainder = remainder or discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in present])
     ranked = sorted(screened, key=lambda cause: -screened[cause][0])
     hypotheses = [
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
     ]
+    least = least_log_evidence(len(ranked))
+    nearest = max((highest for _, highest, _ in screened.values()), default=0.0)
+    is_quiet = nearest < least - policy.MOST_GAINED_IN_FULL  # what is linear cannot be taken
     best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
@@ -108,7 +119,8 @@ def take_step(
             picture in pictured and highest > 0.0
         )  # its shapes move far in a fit, as those of the other picture did
         is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
-        if (is_asked or _is_worth_a_fit(i, highest, best)) and not limits.is_over:
+        is_known = is_quiet and not is_asked and _is_linear(start, fit)
+        if (is_asked or _is_worth_a_fit(i, highest, best)) and not is_known and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, *at_finer_instant(fit, value, start))
@@ -116,7 +128,6 @@ def take_step(
             pictured |= {picture} if picture is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
-    least = least_log_evidence(len(ranked))
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
     beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
     of_noise = noise_causes(fit, math.inf if limits.is_over else beside)
@@ -142,6 +153,13 @@ def _is_worth_a_fit(i: int, highest: float, best: float) -> bool:
     return is_leader or could_be_best
 
 
+def _is_linear(start: Candidate, fit: Fit) -> bool:
+    """Whether the linear model says of a cause what a full fit would: it starts at its null, and has no shapes."""
+    extent = fit.posterior.model.circumstances.extent
+    has_shapes = any(quantity.is_shape for quantity in EFFECTS[start.cause.name].quantities(extent))
+    return not has_shapes and not bool(start.shift.any())
+
+
 def least_log_evidence(n_causes: int) -> float:
     """Log Bayes factor against nothing that a cause needs to be taken, among so many causes."""
     return (
@@ -149,17 +167,17 @@ def least_log_evidence(n_causes: int) -> float:
     )
 
 
-def leaves_structure(remainder: Discrepancy) -> bool:
+def leaves_structure(remainder: Discrepancy | Scatter) -> bool:
     """Whether the posterior odds favour something unexplained in the residual."""
     return _log_odds_left(remainder) > policy.LEAST_LOG_ODDS_LEFT
 
 
-def p_of_structure(remainder: Discrepancy) -> float:
+def p_of_structure(remainder: Discrepancy | Scatter) -> float:
     """Posterior probability that something unexplained is in the residual."""
     return 1.0 / (1.0 + math.exp(-min(max(_log_odds_left(remainder), -700.0), 700.0)))
 
 
-def _log_odds_left(remainder: Discrepancy) -> float:
+def _log_odds_left(remainder: Discrepancy | Scatter) -> float:
     return remainder.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 
 from estimator.diagnosis import policy
@@ -43,8 +43,11 @@ class Visible:
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
     """Smallest visible size of every quantity of every cause, at its best start; infinite where the fit can follow all of it."""
     best: dict[tuple[Cause, str], Visible] = {}
+    norms = fit.projector.norms(torch.cat([candidate.columns for candidate in pool], dim=1)) if pool else ()
+    begin = 0
     for candidate in pool:
-        norm = torch.diagonal(fit.projector.gram(candidate.columns, candidate.columns)).clamp(min=0.0).sqrt()
+        norm = norms[begin : begin + len(candidate.keys)]
+        begin += len(candidate.keys)
         for i, key in enumerate(candidate.keys):
             n_sigma = float(norm[i])
             size = policy.VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
@@ -63,13 +66,14 @@ def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, 
     """
     bases = {cause: _span(columns) for cause, columns in _columns(fit, pool).items()}
     causes = [cause for cause, basis in bases.items() if basis.shape[1]]
-    twins = {cause: {cause} for cause in causes}
-    for first, second in permutations(causes, 2):
-        if _follows(bases[second], bases[first]) and _follows(bases[first], bases[second]):
-            twins[first].add(second)
+    follows = _follows([bases[cause] for cause in causes])
+    twins = {
+        cause: [other for other, is_twin in zip(causes, row, strict=True) if is_twin]
+        for cause, row in zip(causes, (follows & follows.T).tolist(), strict=True)
+    }
     groups: list[tuple[Cause, ...]] = []
     for cause in causes:
-        group = tuple(c for c in causes if c in twins[cause])
+        group = tuple(twins[cause])
         if len(group) > 1 and group not in groups:
             groups.append(group)
     return groups
@@ -77,12 +81,16 @@ def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, 
 
 def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     """Projected columns of each cause, over all its starts, that a plausible size makes visible."""
-    by_cause: dict[Cause, list[Tensor]] = {}
+    by_cause: dict[Cause, list[Candidate]] = {}
     for candidate in pool:
-        columns = fit.projector.rest(candidate.columns)
-        is_visible = columns.norm(dim=0) * candidate.prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
-        by_cause.setdefault(candidate.cause, []).append(columns[:, is_visible])
-    return {cause: torch.cat(parts, dim=1) for cause, parts in by_cause.items()}
+        by_cause.setdefault(candidate.cause, []).append(candidate)
+    visible = {}
+    for cause, starts in by_cause.items():
+        columns = fit.projector.rest(torch.cat([start.columns for start in starts], dim=1))
+        prior_sd = torch.cat([start.prior_sd for start in starts])
+        is_visible = columns.norm(dim=0) * prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
+        visible[cause] = columns[:, is_visible]
+    return visible
 
 
 def _span(columns: Tensor) -> Tensor:
@@ -98,7 +106,13 @@ def _span(columns: Tensor) -> Tensor:
     return basis
 
 
-def _follows(basis: Tensor, followed: Tensor) -> bool:
-    """Whether a basis follows a typical direction of another so closely that the log evidence hardly differs."""
-    share = (basis.T @ followed).square().sum() / followed.shape[1]
-    return float(0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - share)) < policy.CONFUSED_WITHIN
+def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
+    """Whether each basis follows a typical direction of each other so closely that the log evidence hardly differs."""
+    width = torch.tensor([basis.shape[1] for basis in bases])
+    if not len(width):
+        return torch.zeros(0, 0, dtype=torch.bool)
+    every, number = torch.cat(list(bases), dim=1), torch.repeat_interleave(width)
+    squares = (every.T @ every).square()
+    rows = torch.zeros(len(width), len(number), dtype=squares.dtype).index_add(0, number, squares)
+    share = torch.zeros(len(width), len(width), dtype=squares.dtype).index_add(1, number, rows) / width
+    return 0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - share) < policy.CONFUSED_WITHIN

@@ -8,7 +8,6 @@ Without it the parameters move by -C J^T (1 - H)^-1 r.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,12 +61,22 @@ def log_predictive(fit: Fit, block: Int[np.ndarray, " reading"]) -> Float[Tensor
 
     References: Cook and Weisberg, Residuals and Influence in Regression (1982), section 2.2, for leaving out groups of readings.
     """
-    densities = []
-    for in_block, share, vectors in _blocks(fit, block):
-        distance2 = (vectors.T @ fit.residual[in_block]).square() / share
-        normal = 0.5 * (torch.log(share) - distance2 - math.log(2.0 * math.pi)).sum()
-        densities.append(normal + torch.log(fit.whitening_per_T[in_block]).sum())
-    return torch.stack(densities)
+    known: dict[bytes, Tensor] = fit.__dict__.setdefault(
+        "_log_predictive", {}
+    )  # asked of one fit again and again
+    key = block.tobytes()
+    if key not in known:
+        known[key] = _log_predictive(fit, block)
+    return known[key]
+
+
+def _log_predictive(fit: Fit, block: Int[np.ndarray, " reading"]) -> Float[Tensor, " block"]:
+    blocks = _Blocks.of(fit, block)
+    # With s = 1 - share an eigenvalue of the leverage, r^T (1 - H)^-1 r = r^T r + sum of pull^2 / share.
+    distance2 = blocks.summed(fit.residual.square()) + (blocks.pull.square() / blocks.share).sum(-1)
+    constant = 0.5 * math.log(2.0 * math.pi) * blocks.summed(torch.ones_like(fit.residual))
+    normal = 0.5 * torch.log(blocks.share).sum(-1) - 0.5 * distance2 - constant
+    return normal + blocks.summed(torch.log(fit.whitening_per_T))
 
 
 def jackknife_covariance(
@@ -80,23 +89,49 @@ def jackknife_covariance(
 
     References: Bell and McCaffrey, Survey Methodology 28, 169 (2002), for blocks in linear models.
     """
-    shifts = []
-    for in_block, share, vectors in _blocks(fit, block):
-        error = torch.where(
-            share > policy.LEAST_SHARE_JUDGED, vectors.T @ fit.residual[in_block] / share, 0.0
-        )
-        shifts.append(fit.covariance @ (fit.jacobian[in_block].T @ (vectors @ error)))
-    shift = torch.stack(shifts)
+    blocks = _Blocks.of(fit, block)
+    error = torch.where(blocks.share > policy.LEAST_SHARE_JUDGED, blocks.pull / blocks.share, 0.0)
+    shift = (blocks.vectors @ error[..., None])[..., 0] @ blocks.root.T
     return (1.0 - 1.0 / len(shift)) * shift.T @ shift
 
 
-def _blocks(fit: Fit, block: Int[np.ndarray, " reading"]) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """For each block the mask of its components, and the eigenvalues and eigenvectors of its 1 - H."""
-    reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)[fit.observations.is_measured]
-    block_of_component = torch.from_numpy(block)[reading]
-    for number in torch.unique(block_of_component):
-        in_block = block_of_component == number
-        jacobian = fit.jacobian[in_block]
-        unit = torch.eye(len(jacobian), dtype=torch.float64)
-        share, vectors = torch.linalg.eigh(unit - jacobian @ fit.covariance @ jacobian.T)
-        yield in_block, share.clamp(min=LEAST_SHARE), vectors
+@dataclass(frozen=True)
+class _Blocks:
+    """The leverage H = (J F)(J F)^T of each block, with C = F F^T, by the eigenvectors of (J F)^T (J F), which are few.
+
+    Attributes:
+        root: F.
+        number: Block of each component.
+        share: Eigenvalues of 1 - H that are not 1.
+        vectors: Eigenvectors of (J F)^T (J F).
+        pull: (J F)^T r along them.
+    """
+
+    root: Float[Tensor, "coordinate coordinate"]
+    number: Int[Tensor, " component"]
+    share: Float[Tensor, "block coordinate"]
+    vectors: Float[Tensor, "block coordinate coordinate"]
+    pull: Float[Tensor, "block coordinate"]
+
+    @classmethod
+    def of(cls, fit: Fit, block: Int[np.ndarray, " reading"]) -> _Blocks:
+        """The blocks of a fit."""
+        reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)[fit.observations.is_measured]
+        numbers, number = torch.unique(torch.from_numpy(block)[reading], return_inverse=True)
+        scale = torch.diagonal(fit.covariance).clamp(min=1e-300).sqrt()
+        size, turn = torch.linalg.eigh(fit.covariance / (scale[:, None] * scale))
+        root = scale[:, None] * turn * size.clamp(min=0.0).sqrt()
+        jacobian = fit.jacobian @ root
+        grams, pulls = [], []
+        for i in range(len(numbers)):
+            in_block = number == i
+            grams.append(jacobian[in_block].T @ jacobian[in_block])
+            pulls.append(jacobian[in_block].T @ fit.residual[in_block])
+        leverage, vectors = torch.linalg.eigh(torch.stack(grams))
+        pull = (vectors.mT @ torch.stack(pulls)[..., None])[..., 0]
+        return cls(root, number, (1.0 - leverage).clamp(min=LEAST_SHARE), vectors, pull)
+
+    def summed(self, by_component: Float[Tensor, " component"]) -> Float[Tensor, " block"]:
+        """Sum over the components of each block."""
+        total = torch.zeros(len(self.share), dtype=by_component.dtype)
+        return total.index_add(0, self.number, by_component)

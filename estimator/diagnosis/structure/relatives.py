@@ -3,6 +3,9 @@
 Whatever is not in the library but looks like a cause of it leaves a trace beside that cause: a curve at most as large as what the cause
 explains, and rarely much smaller. The evidence for such a curve, beside the cause, is that for a relative of the cause. A small effect
 leaves it open; a large one, cleanly explained, rules it out.
+
+Scatter changes no prediction. The misses of what resembles a cause of it are spread otherwise (`structure.scatter`); that they are not
+rules nothing out, for a few late triggers lie like a few dropped bits.
 """
 
 from __future__ import annotations
@@ -17,6 +20,9 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector, log_mean_exp
 from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.scatter import scatter_of
+from estimator.effects import EFFECTS
+from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
 
 
@@ -28,10 +34,13 @@ def p_not_in_library(fit: Fit, cause: Cause, families: Sequence[Family]) -> floa
         cause: One of its rig.
         families: Curves at that fit.
     """
-    rms_sigma = visible_rms_sigma(fit, cause)
-    amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
-    evidence = by_name(families, evidence_by_amplitude(fit, families, amplitudes))
-    log_odds = log_mean_exp(torch.tensor(list(evidence.values()), dtype=torch.float64))
+    if isinstance(EFFECTS[cause.name], NoiseEffect):
+        log_odds = max(scatter_of(fit).log_bayes_factor, 0.0)
+    else:
+        rms_sigma = visible_rms_sigma(fit, cause)
+        amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
+        evidence = by_name(families, evidence_by_amplitude(fit, families, amplitudes))
+        log_odds = log_mean_exp(torch.tensor(list(evidence.values()), dtype=torch.float64))
     log_odds += math.log(policy.PRIOR_OUTSIDE / (1.0 - policy.PRIOR_OUTSIDE))
     return 1.0 / (1.0 + math.exp(-min(max(log_odds, -700.0), 700.0)))
 

@@ -105,10 +105,13 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
         [[float((columns.T @ direction).square().sum()) for columns in basis] for basis in bases],
         dtype=torch.float64,
     )
-    largest: dict[int, Tensor] = {}  # share of pure noise by number of directions
+    by_width: dict[int, list[Tensor]] = {}
     for columns in (columns for basis in bases for columns in basis if columns.shape[1]):
-        of_noise = (columns.T @ noise).square().sum(0)
-        largest[columns.shape[1]] = torch.maximum(of_noise, largest.get(columns.shape[1], of_noise))
+        by_width.setdefault(columns.shape[1], []).append(columns)
+    largest = {  # share of pure noise by number of directions; one product reads the noise once
+        width: (torch.cat(alike, dim=1).T @ noise).square().unflatten(0, (-1, width)).sum(1).amax(0)
+        for width, alike in by_width.items()
+    }
     n = len(fit.residual)
     drawn = [_p_values(of_noise, torch.tensor(k), n) for k, of_noise in largest.items()]
     smallest = torch.stack(drawn).amin(0)

@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from jaxtyping import Float, Int
 
 from estimator.errors import Faults, InvalidInput, Place, closest, nearest_name, reason
 from estimator.store.importers.common import finite_number
+from estimator.store.importers.other_headers import Known, meant
 from estimator.units import UNITS, Unit, split_unit
 
 UNKNOWN = "is not known to the rig"
@@ -131,9 +133,10 @@ def read_table(path: Path, known: Mapping[str, Column], faults: Faults | None = 
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             first_row = next(reader, [])
-            _refuse_other_separators(first_row, path)
+            second_row = next(reader, [])
+            _refuse_other_separators(first_row, second_row, path)
             header = _header(first_row, known, path, faults)
-            for row in reader:
+            for row in chain([second_row], reader):
                 if row and len(row) != len(first_row):
                     rule = f"a row must have {len(first_row)} cells like the header"
                     words = f"{rule}; received {len(row)} ({path}, line {reader.line_num})"
@@ -148,11 +151,15 @@ def read_table(path: Path, known: Mapping[str, Column], faults: Faults | None = 
     return Table(path, header, list(zip(*rows, strict=True)) or [()] * len(first_row), lines, faults)
 
 
-def _refuse_other_separators(first_row: list[str], path: Path) -> None:
+def _refuse_other_separators(first_row: list[str], second_row: list[str], path: Path) -> None:
+    """Say how to rewrite a file; one that has commas besides has them in its numbers."""
     line = ",".join(first_row)
-    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+    for separator, word, shown in ((";", "semicolons", ";"), ("\t", "tabs", "\\t")):
         if separator in line:
-            words = f"columns must be separated by commas; received {word} ({path}, line 1)"
+            how = f"rewrite it with: tr '{shown}' ',' < {path.name} > commas.csv"
+            if len(second_row) > 1:  # split at commas, which are those of numbers
+                how = f"rewrite it with: tr ',{shown}' '.,' < {path.name} > commas.csv"
+            words = f"columns must be separated by commas; received {word}; {how} ({path}, line 1)"
             raise InvalidInput(words, Place(str(path), 1))
 
 
@@ -172,7 +179,7 @@ def _header(
             header[quantity] = HeaderCell(index, name, unit.to_si if unit else 1.0)
         else:
             faults.note(InvalidInput(f"{fault} ({path}, line 1)", Place(str(path), 1, index + 1)))
-    if missing := _missing(header, known, [split_unit(cell.strip())[0] for cell in first_row]):
+    if missing := _missing(header, known, [cell.strip() for cell in first_row]):
         words = f"columns must include {', '.join(missing)}; the header lacks them ({path}, line 1)"
         faults.note(InvalidInput(words, Place(str(path), 1)))
     return header
@@ -184,7 +191,10 @@ def _header_fault(
     """What is wrong with a cell of the header, given those before it."""
     column = known.get(quantity)
     if column is None or (unit is not None and column.dimension is None):
-        headers = {column.quantity: column.si_header for column in known.values()}
+        if proposal := meant(name, _as_known(known)):
+            return f"column {name!r} {UNKNOWN}; write {proposal}"
+        alike = [each for each in known.values() if unit is None or each.dimension in {None, unit.dimension}]
+        headers = {each.quantity: each.si_header for each in alike}
         nearest = nearest_name(quantity, headers)
         hint = closest(name, headers.values()) if nearest is None else f"; the closest is {headers[nearest]}"
         return f"column {name!r} {UNKNOWN}{hint}"
@@ -197,22 +207,26 @@ def _header_fault(
     return None
 
 
-def _missing(
-    header: Mapping[str, HeaderCell], known: Mapping[str, Column], written: Sequence[str]
-) -> list[str]:
+def _as_known(known: Mapping[str, Column]) -> dict[str, Known]:
+    return {quantity: Known(column.dimension, column.is_required) for quantity, column in known.items()}
+
+
+def _missing(header: Mapping[str, HeaderCell], known: Mapping[str, Column], raw: Sequence[str]) -> list[str]:
     """Columns that the header lacks; one that is written, though wrongly, is no second mistake."""
+    written = [split_unit(name)[0] for name in raw]
     groups = {known[quantity].group for quantity in header}
     quantities = {column.si_header: quantity for quantity, column in known.items()}
     unknown = [name for name in written if name not in known]
-    meant = {
+    intended = {
         nearest_name(name, known) or quantities.get(nearest_name(name, quantities) or "") for name in unknown
     }
+    proposed = {split_unit(meant(name, _as_known(known)) or "")[0] for name in raw}
     return [
         column.si_header
         for column in known.values()
         if column.is_required
         and column.quantity not in header
         and column.quantity not in written
-        and column.quantity not in meant
+        and column.quantity not in intended | proposed
         and (column.group is None or column.group in groups)
     ]

@@ -9,7 +9,13 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from estimator.diagnosis.linear import FreeNoise, Projector, log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import (
+    FreeNoise,
+    Projector,
+    highest_log_bayes_factor,
+    log_bayes_factor,
+    log_mean_exp,
+)
 
 
 def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -139,3 +145,20 @@ def test_column_that_relieves_a_tense_parameter_does_not_shrink_the_noise_as_if_
     tense = float(log_bayes_factor(gram, score, sd, FreeNoise(float(n), 0.5, tension=offset**2)))
     assert relieved < tense < 1.5 * relieved
     assert float(log_bayes_factor(gram, score, sd, FreeNoise(float(n), 0.5))) > 3.0 * relieved
+
+
+@pytest.mark.parametrize("noise", [None, FreeNoise(300.0, 1.0), FreeNoise(300.0, 0.2, -3.0, 40.0)])
+def test_bound_on_the_evidence_holds_and_is_close_where_columns_explain_little(noise):
+    random = torch.Generator().manual_seed(5)
+    root = torch.randn(2000, 4, 4, generator=random, dtype=torch.float64)
+    root = root * torch.logspace(-2, 3, 2000, dtype=torch.float64)[:, None, None]
+    gram = root.mT @ root
+    size = torch.logspace(-1, 1.1, 2000, dtype=torch.float64)[torch.randperm(2000, generator=random)]
+    score = (root.mT @ torch.randn(2000, 4, 1, generator=random, dtype=torch.float64))[..., 0] * size[:, None]
+    one = torch.ones(2000, 4, dtype=torch.float64)
+    evidence, highest = (
+        log_bayes_factor(gram, score, one, noise),
+        highest_log_bayes_factor(gram, score, noise),
+    )
+    assert bool((evidence <= highest + 1e-9).all())
+    assert float((highest - evidence)[evidence < 1.0].median()) < 1.0

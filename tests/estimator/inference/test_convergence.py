@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimator.inference.convergence import FEWEST_STEPS, Convergence, convergence
+
+ROOT = Path(__file__).parents[3]
 
 
 def autoregressive(correlation: float, steps: int, walkers: int, seed: int = 0) -> np.ndarray:
@@ -84,3 +91,18 @@ def test_nothing_moved_or_too_short_is_no_convergence(chain):
 
 def test_shortest_chain_that_is_looked_at_has_numbers():
     assert convergence(np.random.default_rng(10).normal(size=(FEWEST_STEPS, 4, 1))).smallest_ess > 0.0
+
+
+def test_a_user_whose_home_cannot_be_written_samples_too() -> None:
+    """ArviZ makes a folder when it is imported; users of services have none."""
+    call = "import numpy, os; from estimator.inference.convergence import convergence\n"
+    call += "convergence(numpy.random.default_rng(0).normal(size=(20, 4, 1))); assert 'XDG_CACHE_HOME' not in os.environ"
+    environment = {
+        "PATH": os.environ["PATH"],
+        "MPLCONFIGDIR": os.environ.get("TMPDIR", "/tmp"),
+        "HOME": "/proc",
+    }
+    ended = subprocess.run(
+        [sys.executable, "-c", call], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -48,6 +49,25 @@ def test_leaving_it_ends_the_work_at_once(small_session: Session) -> None:
     with Background(seed=1) as background:
         background.offer(small_session)
         begin_s = time.monotonic()
+    assert time.monotonic() - begin_s < 5.0
+
+
+def test_a_session_that_nobody_reads_any_more_leaves_no_file_open(small_session: Session) -> None:
+    """A page is opened and closed: the process ends before it has read what it was given."""
+    with Background(seed=1) as background:
+        background.begin(small_session)  # what is opened once is open
+    n_open = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(3):
+        with Background(seed=1) as background:
+            background.begin(small_session)
+    assert len(list(Path("/proc/self/fd").iterdir())) == n_open
+
+
+def test_a_session_that_fills_the_pipe_holds_up_nobody(small_session: Session) -> None:
+    readings = small_session.observations.rows(torch.arange(36).repeat(2000)).alone
+    begin_s = time.monotonic()
+    with Background(seed=1) as background:
+        background.begin(Session(small_session.rig, readings, "large"))
     assert time.monotonic() - begin_s < 5.0
 
 

@@ -97,6 +97,21 @@ def test_heads_that_are_none_are_answered_with_400_or_closed(port: int, said: by
     assert b" 200 " in answers(port, HEALTH).splitlines()[0]
 
 
+@pytest.mark.parametrize(
+    "host", [b"[", b"[::1", b"a]b[", b"", b"evil.example", b"a@127.0.0.1", b"127.0.0.1:a", b"\xff"]
+)
+def test_a_host_that_is_none_is_refused_in_words(port: int, host: bytes) -> None:
+    answer = answers(port, b"GET /v1/state HTTP/1.1\r\nHost: " + host + b"\r\nConnection: close\r\n\r\n")
+    assert answer.startswith(b"HTTP/1.1 403 ")
+    assert b"application/problem+json" in answer
+
+
+@pytest.mark.parametrize("host", [b"127.0.0.1", b"LOCALHOST:8765", b"[::1]:1", b"127.0.0.1:"])
+def test_names_of_this_computer_are_hosts_with_and_without_a_port(port: int, host: bytes) -> None:
+    answer = answers(port, b"GET /v1/state HTTP/1.1\r\nHost: " + host + b"\r\nConnection: close\r\n\r\n")
+    assert answer.startswith(b"HTTP/1.1 200 ")
+
+
 def test_a_client_that_leaves_in_its_body_is_no_fault_of_the_service(
     port: int, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -80,8 +80,10 @@ def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable
     assert json.loads(sent[1]["body"])["rule"] == "must arrive within 0.3 s"
 
 
-def samples(client: TestClient) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
-    answer = client.get("/metrics")
+def samples(
+    client: TestClient, headers: dict[str, str] | None = None
+) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    answer = client.get("/metrics", headers=headers)
     assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
     found = {}
     for family in text_string_to_metric_families(answer.text):
@@ -154,3 +156,21 @@ def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
     assert samples(client)["coilcal_requests_total", labels] == 1
     (fault,) = (record for record in caplog.records if record.levelname == "ERROR")
     assert (fault.request_id, str(fault.exc_info[1])) == (told["request_id"], "a secret")
+
+
+def test_a_fault_before_the_routes_is_counted_and_told_in_words_too(
+    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise OSError("a disk is full")
+
+    client = idle(require_tokens=True)
+    anne = bearer(client, "anne")
+    with monkeypatch.context() as patched:
+        patched.setattr("estimator.service.guard.caller_of", fails)
+        answer = client.get("/v1/state", headers=anne)
+    refusal(answer, 500)
+    assert "a disk is full" not in answer.text
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    labels = ("method", "GET"), ("route", metrics.NO_ROUTE), ("status", "500")
+    assert samples(client, anne)["coilcal_requests_total", labels] == 1

@@ -211,16 +211,16 @@ def test_tokens_have_names_and_times(tmp_path: Path) -> None:
     database = Database(tmp_path / "tokens.sqlite")
     database.migrate()
     for user, days in (
-        ("", 1),
-        ("a b", 1),
-        ("x" * 65, 1),
-        ("anne", 0),
+        ("", 1.0),
+        ("a b", 1.0),
+        ("x" * 65, 1.0),
+        ("anne", 0.0),
         ("anne", 1e9),
         ("anne", float("nan")),
     ):
         with pytest.raises(InvalidInput):
             create_token(database, user, Scope.READ, days)
-    secret, token_id = create_token(database, "anne", Scope.READ, 1)
+    secret, token_id = create_token(database, "anne", Scope.READ, 1.0)
     caller = caller_of(database, secret)
     assert caller is not None
     assert (caller.user, caller.scope, caller.token_id) == ("anne", Scope.READ, token_id)

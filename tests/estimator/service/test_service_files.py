@@ -58,7 +58,7 @@ def test_systemd_serves_with_those_settings_and_backs_up_the_same_folder() -> No
     assert settings(BACKUP)["ReadWritePaths"] == ["/var/backups/coilcal"]
     for unit in (SERVE, BACKUP):
         caches = dict(word.split("=") for word in settings(unit)["Environment"][0].split())
-        assert all(path.startswith("/var/cache/coilcal/") for path in caches.values())
+        assert all(path.startswith("/var/cache/coilcal") for path in caches.values())
         assert settings(unit)["ProtectSystem"] == ["strict"]
 
 
@@ -129,6 +129,7 @@ def test_the_image_is_made_of_files_that_are_there_and_runs_as_the_user_of_the_p
     assert f"--tag coilcal:{project['project']['version']} " in dockerfile
     (base,), (user,) = ([line[1] for line in lines if line[:1] == [key]] for key in ("FROM", "USER"))
     assert base.removeprefix("python:").removesuffix("-slim") in project["project"]["requires-python"]
+    assert "XDG_CACHE_HOME=/var/cache/coilcal" in next(line for line in lines if line[:1] == ["ENV"])
     context = pod()["securityContext"]
     assert user == f"{context['runAsUser']}:{context['runAsGroup']}"
     assert "--no-cache-dir --constraint constraints.txt" in dockerfile

@@ -100,6 +100,16 @@ SOURCES = {
         "middle_z_m": -0.01,
         "reach_m": 0.05,
     },
+    "coil_bore": {
+        "degree0_slope_cos1_T_per_A": 1e-6,
+        "degree1_sin2_T_per_A": 2e-6,
+        "middle_z_m": 0.02,
+        "along_x": 0.6,
+        "along_y": 0.64,
+        "radius_m": 0.05,
+        "length_m": 0.3,
+    },
+    "room_bore": {"degree0_uniform_cos0_T": 1e-5, "degree1_cos2_T": 2e-5, "radius_m": 0.05, "length_m": 0.3},
     "room_harmonics": {"degree2_cos0_T": 1e-5, "degree2_cos2_T": 2e-5, "middle_x_m": 0.01, "reach_m": 0.05},
     "room_answers": {
         "degree1_cos1_T_per_A": 2e-6,

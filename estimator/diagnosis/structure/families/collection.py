@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -74,12 +75,31 @@ class Collection:
 
     def add_fields(self, name: str, fields: Float[Tensor, "reading column 3"], detail: str = "") -> None:
         """Add columns given by reading and component."""
-        columns = self.fit.posterior.measured_components(fields.movedim(1, 0)).T
-        whitened = columns * self.fit.whitening_per_T[:, None]
-        norm = whitened.square().sum(1).mean().sqrt().clamp(min=1e-300)
-        is_nonzero = whitened.norm(dim=0) > 1e-9 * norm * len(whitened) ** 0.5
-        if bool(is_nonzero.any()):
-            self.families.append(Family.of(name, whitened[:, is_nonzero], detail))
+        self._add(name, fields.movedim(1, 0)[None], (detail,))
+
+    def add_alike(
+        self,
+        name: str,
+        smooth: Float[Tensor, "family reading order"],
+        vectors: Float[Tensor, "reading 3 direction"],
+        details: Sequence[str],
+    ) -> None:
+        """Add several families of one name at once, each the products of its smooth functions and the vectors."""
+        self._add(name, torch.einsum("frk,rcv->fkvrc", smooth, vectors).flatten(1, 2), details)
+
+    def _add(
+        self, name: str, fields: Float[Tensor, "family column reading 3"], details: Sequence[str]
+    ) -> None:
+        columns = self.fit.posterior.measured_components(fields) * self.fit.whitening_per_T
+        square = columns.square().sum(-1)
+        norm = (square.sum(1) / columns.shape[-1]).sqrt().clamp(min=1e-300)
+        is_nonzero = square.sqrt() > 1e-9 * norm[:, None] * columns.shape[-1] ** 0.5
+        scaled = columns / norm[:, None, None]
+        for one, is_kept, detail in zip(scaled, is_nonzero, details, strict=True):
+            if bool(is_kept.all()):
+                self.families.append(Family(name, one.T, detail))
+            elif bool(is_kept.any()):
+                self.families.append(Family.of(name, one[is_kept].T, detail))
 
 
 def by_sensor(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:

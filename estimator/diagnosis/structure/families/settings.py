@@ -67,10 +67,10 @@ def _add_mover_positions(collection: Collection) -> None:
         collection.add(name, polynomials(position, 1, policy.MOVER_DEGREE), slope)
         collection.add(name, legendre(time, policy.TIME_DEGREE)[:, 1:], slope, "moving with time")
         for i, axis in enumerate("xyz"):
-            for half_cycles in range(2, policy.MOST_PERIODS_ALONG_AXIS + 1):
-                phase = 0.5 * math.pi * half_cycles * position[:, i]
-                waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=1)
-                collection.add(name, waves, slope, f"periodic along {axis}")
+            half_cycles = torch.arange(2, policy.MOST_PERIODS_ALONG_AXIS + 1)
+            phase = 0.5 * math.pi * half_cycles[:, None] * position[:, i]
+            waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1)
+            collection.add_alike(name, waves, slope, [f"periodic along {axis}"] * len(half_cycles))
 
 
 def _add_circumstances(collection: Collection) -> None:

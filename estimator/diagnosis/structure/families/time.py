@@ -14,6 +14,8 @@ from estimator.diagnosis.structure.smooth import legendre
 from estimator.effects.circumstances import Circumstances
 from estimator.readings.observations import SECONDS_PER_HOUR
 
+PERIODS_AT_ONCE = 32  # which bounds the memory
+
 
 def add_time(collection: Collection) -> None:
     """Add all families in time."""
@@ -48,11 +50,13 @@ def _add_spells(
     collection: Collection, time: Tensor, instants: list[float], seen: Tensor, sensor: str
 ) -> None:
     """For a while there is something else."""
-    for begin, end in combinations(instants, 2):
-        during = ((time > begin) * (time <= end) * seen)[:, None]
-        if bool(during.any()):
-            for vectors in (collection.axes, collection.along_field):
-                collection.add("a spell in mid session", during, vectors, sensor)
+    spells = [(time > begin) * (time <= end) * seen for begin, end in combinations(instants, 2)]
+    during = torch.stack([spell for spell in spells if bool(spell.any())] or [torch.zeros_like(time)])
+    if bool(during.any()):
+        for vectors in (collection.axes, collection.along_field):
+            collection.add_alike(
+                "a spell in mid session", during[:, :, None], vectors, [sensor] * len(during)
+            )
 
 
 def _add_periods(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:
@@ -69,13 +73,16 @@ def _add_periods(collection: Collection, circumstances: Circumstances, seen: Ten
         else math.inf
     )
     n_instants = round(circumstances.duration_h / typical_h)
-    for half_cycles in range(1, min(n_instants, policy.MOST_PERIODS) + 1):
-        phase = math.pi * half_cycles * circumstances.hours / circumstances.duration_h
-        waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=1) * seen[:, None]
-        period_s = 2.0 * SECONDS_PER_HOUR * circumstances.duration_h / half_cycles
-        detail = ", ".join(filter(None, (f"about {period_s:.3g} s", sensor)))
+    half_cycles = torch.arange(1, min(n_instants, policy.MOST_PERIODS) + 1)
+    for some in half_cycles.split(PERIODS_AT_ONCE) if len(half_cycles) else ():
+        phase = math.pi * some[:, None] * circumstances.hours / circumstances.duration_h
+        waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1) * seen[:, None]
+        periods_s = 2.0 * SECONDS_PER_HOUR * circumstances.duration_h / some
+        details = [
+            ", ".join(filter(None, (f"about {period_s:.3g} s", sensor))) for period_s in periods_s.tolist()
+        ]
         for vectors in (collection.axes, collection.along_field):
-            collection.add("a period in time", waves, vectors, detail)
+            collection.add_alike("a period in time", waves, vectors, details)
 
 
 def _add_wandering(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:

@@ -95,3 +95,16 @@ def test_starts_of_a_cause_have_the_columns_that_each_has_alone(base, cause, mon
         (alone,) = candidates(base, [cause])
         torch.testing.assert_close(alone.columns, candidate.columns, rtol=1e-9, atol=0.0)
         torch.testing.assert_close(alone.shift, candidate.shift, rtol=1e-9, atol=1e-12)
+
+
+def test_pairs_that_reach_the_least_evidence_are_those_of_all_that_exceed_it(base, pool):
+    """The bound leaves out none of them."""
+    noise = torch.randn(len(base.residual), dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    for size in (0.0, 0.3, 3.0):
+        disturbed = with_residual(base, base.residual + size * noise * (1.0 + pool[0].columns[:, 0].abs()))
+        everything = pairs(disturbed, pool)
+        for least in (everything[0][0] - 1e-9, everything[len(everything) // 2][0], -100.0):
+            expected = [(value, first, second) for value, first, second in everything if value > least]
+            ranked = pairs(disturbed, pool, least)
+            assert [value for value, _, _ in ranked] == pytest.approx([value for value, _, _ in expected])
+            assert [p[1:] for p in ranked] == [p[1:] for p in expected]

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
-from estimator.diagnosis.hypotheses.step import Hypothesis, _choice
+from estimator.diagnosis import policy
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.step import Hypothesis, _choice, take_step
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import Pace, unwatched
 from estimator.diagnosis.structure.discrepancy import Discrepancy
-from estimator.rig.rig import Cause
+from estimator.readings.split import pose_blocks
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 
 def of(name: str, log_bayes_factor: float) -> Hypothesis:
@@ -48,3 +56,28 @@ def test_outliers_come_first_where_they_lead_and_a_lone_scatter_is_taken(quiet: 
     alone = [of("position_jitter", 10.0)]
     assert _choice(alone, quiet, lambda one, beside: True) is alone[0]
     assert _choice([], quiet, lambda one, beside: True) is None
+
+
+@pytest.mark.whole
+def test_causes_without_shapes_are_fitted_only_where_one_comes_near_and_the_numbers_stay(
+    small_rig: Rig, small_session: Session, quiet: Discrepancy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings = small_session.observations
+    offset = Cause("sensor_offset", "hall")
+    block = pose_blocks(readings, np.random.default_rng(0))
+
+    def step_of(size_T: float):
+        fit = fit_of(small_rig, with_wrong(small_rig, readings, offset, {"x_T": size_T}))
+        pool = candidates(fit, causes_of(small_rig, fit))
+        return take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), quiet)
+
+    small, large = step_of(2e-6), step_of(200e-6)
+    assert small.taken is None
+    assert large.taken is not None  # the offset or its twin
+    monkeypatch.setattr(policy, "MOST_GAINED_IN_FULL", 100.0)
+    screened = {one.name: one for one in small.hypotheses if one.fit is None}
+    asked_before = [one for one in step_of(2e-6).hypotheses if one.fit is not None and one.name in screened]
+    assert asked_before
+    for fitted in asked_before:
+        value = screened[fitted.name].log_bayes_factor
+        assert value == pytest.approx(fitted.log_bayes_factor, abs=0.1)
