@@ -49,7 +49,7 @@ def bore_field(
     if not waves:
         return total
     amplitude = torch.stack([waves[n] for n in waves], dim=-2)  # half waves, wave
-    wavenumber = math.pi / length * torch.tensor(list(waves), dtype=points.dtype)
+    wavenumber = math.pi / length * points.new_tensor(list(waves))
     amplitude = amplitude / _rms_at_sources(wavenumber)
     x, y, z = (points[..., None, i] * wavenumber for i in range(3))
     s = x.square() + y.square()
