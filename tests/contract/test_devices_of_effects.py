@@ -17,9 +17,8 @@ from tests.far import far_device
 
 pytestmark = pytest.mark.whole
 SINGLE = 2e-5  # of the largest component
-FITTED = {
-    name: place for name, place in reversed(CASES) if not EFFECTS[name].is_record_mistake
-}  # the first place of each
+FIRST_PLACES = dict(reversed(CASES))
+FITTED = {name: place for name, place in FIRST_PLACES.items() if not EFFECTS[name].is_record_mistake}
 
 
 def predicted(rig_with_cause: Rig, readings: Observations, shifted: dict[str, float]) -> torch.Tensor:
@@ -41,7 +40,7 @@ def case(described: Rig, readings: Observations, name: str, place: str) -> tuple
     return rig_with_cause, {key: v for key, v in shifted.items() if key in rig_with_cause.parameters}
 
 
-@pytest.mark.parametrize(("name", "place"), CASES)
+@pytest.mark.parametrize(("name", "place"), FIRST_PLACES.items())
 def test_prediction_on_another_device(rig, observations, name, place):  # noqa: F811
     rig_with_cause, shifted = case(rig, observations, name, place)
     near_T = predicted(rig_with_cause, observations, shifted)
@@ -63,6 +62,7 @@ def test_prediction_in_single_precision(rig, observations, name, place):  # noqa
     assert float(error_T.max()) < SINGLE * float(double_T.abs().max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "place"), FITTED.items())
 def test_density_and_its_derivatives_on_another_device(rig, observations, name, place):  # noqa: F811
     rig_with_cause, _ = case(rig, observations, name, place)

@@ -115,13 +115,13 @@ def test_even_magnetisation_has_the_factor_of_the_literature(slenderness):
     )
     assert along == pytest.approx(expected, rel=3e-3)
     # Even along the axis: nothing fans out, so that charge sits on the faces only and the mean field is the same.
-    share = share_of_heights() / BANDS
+    share = share_of_heights(matrix) / BANDS
     assert float(share @ matrix[:HEIGHTS, :HEIGHTS].sum(1)) == pytest.approx(along, rel=0.06)
 
 
 def test_mutual_energies_are_symmetric_and_positive():
     matrix = demagnetisation(*torch.tensor([0.01, 0.06], dtype=torch.float64))[:HEIGHTS, :HEIGHTS]
-    energy = share_of_heights()[:, None] * matrix
+    energy = share_of_heights(matrix)[:, None] * matrix
     torch.testing.assert_close(energy, energy.mT, rtol=1e-9, atol=1e-12)
     assert float(torch.linalg.eigvalsh(energy).min()) > 0.0
 
