@@ -63,7 +63,7 @@ def test_systemd_makes_the_folders_that_are_written_and_all_else_is_read_only() 
     writable = (f"/var/lib/{unit['StateDirectory'][0]}/", f"/var/cache/{unit['CacheDirectory'][0]}/")
     caches = dict(word.split("=") for word in unit["Environment"][0].split())
     assert caches.keys() == {"MPLCONFIGDIR", "TORCHINDUCTOR_CACHE_DIR", "XDG_CACHE_HOME"}
-    assert all(path.startswith(writable) for path in (registry, *caches.values()))
+    assert all(f"{path}/".startswith(writable) for path in (registry, *caches.values()))
     assert (unit["ProtectSystem"], unit["PrivateTmp"]) == (["strict"], ["yes"])
     assert unit["SuccessExitStatus"] == [f"{EXIT_DRIFTED} {EXIT_REJECTED}"]
 
