@@ -145,9 +145,12 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         least = min(named.probability for named in same)
         sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
         is_probable = any(named.may_be_unknown for named in same)
-        probably = "probably " if is_probable and not first.alternatives else ""
+        if first.alternatives:
+            hedge = "either "
+        else:
+            hedge = "probably " if is_probable else ""
         phrases.append(
-            f"{probably}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}"
+            f"{hedge}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}"
         )
     return phrases
 

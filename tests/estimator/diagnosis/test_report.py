@@ -179,7 +179,9 @@ def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Di
     other = Alternative(Cause("axis_gain", "hall"), 0.25, None)
     (named,) = diagnosis.causes
     findings = replace(diagnosis.findings, causes=(replace(named, alternatives=(other,)),))
-    assert ", or axis_gain 25%" in as_text(replace(diagnosis, findings=findings))
+    either = replace(diagnosis, findings=findings)
+    assert ", or axis_gain 25%" in as_text(either)
+    assert headline(either)[0].startswith("Either ")  # none of several causes is stated as a fact
 
 
 def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: Diagnosis) -> None:
