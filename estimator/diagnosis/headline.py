@@ -145,10 +145,7 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         least = min(named.probability for named in same)
         sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
         is_probable = any(named.may_be_unknown for named in same)
-        if first.alternatives:
-            hedge = "either "
-        else:
-            hedge = "probably " if is_probable else ""
+        hedge = "either " if first.alternatives else "probably " if is_probable else ""
         phrases.append(
             f"{hedge}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}"
         )
