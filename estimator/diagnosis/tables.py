@@ -36,7 +36,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                 "What was found",
                 header,
                 rows,
-                "Quantities of the causes in the extended rig (rig_extended.yaml).",
+                "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the "
+                "readings know it better than either quantity.",
             )
         )
     if diagnosis.improvement is not None:
