@@ -11,6 +11,7 @@ from scripts.documentation.offline import loaded_from_elsewhere
 from tests.test_docs import CAUSE_PAGES, PAGES, ROOT
 
 DOCS = ROOT / "docs"
+GENERATED = DOCS / "reference" / "causes"
 TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)\s]+)\)")
 CELL = re.compile(r"^```\{code-cell\} ipython3\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -43,7 +44,8 @@ def test_every_page_is_reached_from_the_first_one_and_once() -> None:
             if page.exists():
                 to_do.append(page)
     assert len(reached) == len(set(reached)), "a page stands in two tables of contents"
-    assert set(reached) - CAUSE_PAGES == set(on_the_site())
+    written = {page for page in reached if page.parent != GENERATED}  # which are there after `make docs`
+    assert written == set(on_the_site())
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
