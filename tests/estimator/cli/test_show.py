@@ -104,8 +104,11 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
     assert told(run, tmp_path)[1][:3] == [
         "verdict: named",
         "axis_gain[hall] (88%)",
-        "x  0.01  90 %: 0.008 to 0.012",
+        "x                1.0 % (0.8 to 1.2 %)",
     ]
+    difference = {"difference": {"plus": "x", "minus": "z_at_x", **quantity}}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | difference]}))
+    assert "known best: x − z at x 1.0 % (0.8 to 1.2 %)" in told(run, tmp_path)[1]
     others = {"alternatives": [{"name": "backlash"}], "may_be_unknown": True}
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | others]}))
     assert "axis_gain[hall] (88%), or backlash, or something not in the library" in told(run, tmp_path)[1]
