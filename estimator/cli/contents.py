@@ -237,7 +237,8 @@ def _size_lines(cause: dict[str, Any]) -> list[str]:
 
 
 def _with_interval(told: dict[str, Any]) -> str:
-    return interval_with_unit(told["median"], *told["ci90"], told["unit"])
+    low, high = told["ci90"]
+    return interval_with_unit(told["median"], low, high, told["unit"])
 
 
 def _registry(path: Path) -> Contents:
