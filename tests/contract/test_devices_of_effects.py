@@ -18,6 +18,11 @@ from tests.far import far_device
 pytestmark = pytest.mark.whole
 SINGLE = 2e-5  # of the largest component
 FIRST_PLACES = dict(reversed(CASES))
+FIRST_OF_FILES = {type(EFFECTS[name]).__module__: name for name in reversed(FIRST_PLACES)}.values()
+EACH = [  # one cause of each file in every run, the others among the slow tests
+    pytest.param(name, place, marks=() if name in FIRST_OF_FILES else pytest.mark.slow)
+    for name, place in FIRST_PLACES.items()
+]
 FITTED = {name: place for name, place in FIRST_PLACES.items() if not EFFECTS[name].is_record_mistake}
 
 
@@ -40,7 +45,7 @@ def case(described: Rig, readings: Observations, name: str, place: str) -> tuple
     return rig_with_cause, {key: v for key, v in shifted.items() if key in rig_with_cause.parameters}
 
 
-@pytest.mark.parametrize(("name", "place"), FIRST_PLACES.items())
+@pytest.mark.parametrize(("name", "place"), EACH)
 def test_prediction_on_another_device(rig, observations, name, place):  # noqa: F811
     rig_with_cause, shifted = case(rig, observations, name, place)
     near_T = predicted(rig_with_cause, observations, shifted)
@@ -50,7 +55,7 @@ def test_prediction_on_another_device(rig, observations, name, place):  # noqa: 
         torch.testing.assert_close(far_T.cpu(), near_T, rtol=1e-11, atol=1e-17)
 
 
-@pytest.mark.parametrize(("name", "place"), CASES)
+@pytest.mark.parametrize(("name", "place"), FIRST_PLACES.items())
 def test_prediction_in_single_precision(rig, observations, name, place):  # noqa: F811
     rig_with_cause, shifted = case(rig, observations, name, place)
     double_T = predicted(rig_with_cause, observations, shifted)

@@ -53,6 +53,7 @@ def test_fits_of_stacked_sessions_on_another_device(small_session: Session) -> N
             assert_close(covariance(fit.precision).cpu(), covariance(here.precision), rtol=1e-7, atol=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_point_estimate_counts_and_chain_on_another_device(small_session: Session) -> None:
     rig, readings = small_session.rig, small_session.observations.calibration
