@@ -39,18 +39,14 @@ def clearest_difference(
         for quantity in EFFECTS[cause.name].quantities(circumstances.extent)
         if not quantity.is_shape and quantity.key not in unseen and _is_free(fit, cause, quantity)
     ]
-    alone = [
-        abs(float(fit.values[name])) / fit.value_sd(name)
-        for name in (_name(cause, quantity) for quantity in sizes)
-    ]
+    distance = {_name(cause, q): abs(float(fit.values[_name(cause, q)]) - q.null) for q in sizes}
+    alone = [distance[name] / fit.value_sd(name) for name in distance]
     best: Difference | None = None
     for one, other in combinations(sizes, 2):
         if one.unit != other.unit or one.null != other.null:
             continue
-        names = sorted(
-            (_name(cause, one), _name(cause, other)), key=lambda name: -abs(float(fit.values[name]))
-        )
-        difference = _difference(fit, cause, (names[0], names[1]), one.unit, posterior, widening)
+        farther, nearer = sorted((_name(cause, one), _name(cause, other)), key=lambda name: -distance[name])
+        difference = _difference(fit, cause, (farther, nearer), one.unit, posterior, widening)
         if best is None or difference.distance_sd > best.distance_sd:
             best = difference
     least = policy.CLEARER_DIFFERENCE * max(alone, default=0.0)

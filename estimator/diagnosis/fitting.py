@@ -179,6 +179,11 @@ class Fit:
         return float(torch.sqrt(gradient @ self.covariance @ gradient))
 
     @cached_property
+    def log_predictive_by_blocks(self) -> dict[bytes, Float[Tensor, " block"]]:
+        """What `log_predictive` has answered, by the bytes of the readings' blocks."""
+        return {}
+
+    @cached_property
     def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
         """Gradient of every number of the rig in the coordinates."""
         values = self.posterior.coordinates.values

@@ -61,10 +61,7 @@ def log_predictive(fit: Fit, block: Int[np.ndarray, " reading"]) -> Float[Tensor
 
     References: Cook and Weisberg, Residuals and Influence in Regression (1982), section 2.2, for leaving out groups of readings.
     """
-    known: dict[bytes, Tensor] = fit.__dict__.setdefault(
-        "_log_predictive", {}
-    )  # asked of one fit again and again
-    key = block.tobytes()
+    known, key = fit.log_predictive_by_blocks, block.tobytes()  # asked of one fit again and again
     if key not in known:
         known[key] = _log_predictive(fit, block)
     return known[key]

@@ -1,4 +1,4 @@
-"""Whether readings miss as a fit says that they scatter, or the more at some times, places or moves, or along some direction.
+"""Whether readings miss as a fit says that they scatter, or the more at some times, places or moves.
 
 What misses at random leaves no curve, so the bank of curves never sees it: a trigger that comes late now and then, a burst of interference,
 a mover that still swings after a long move. The size of each reading's miss tells, along every covariate and from one reading to the next.
