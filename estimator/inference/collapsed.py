@@ -63,10 +63,32 @@ class _Sums:
     n: Float[Tensor, " sensor"]
 
     @cached_property
-    def principal(self) -> tuple[Tensor, Tensor]:
-        """Eigenvalues and eigenvectors of the matrix of a single sensor."""
-        values, vectors = torch.linalg.eigh(self.gram[0])
-        return values.clamp(min=0.0), vectors
+    def principal(self) -> _Principal:
+        """The sums of a single sensor by principal directions of its design matrix.
+
+        Directions that the readings do not move have a size and a score of rounding, which are taken for zero.
+        """
+        size, vectors = torch.linalg.eigh(self.gram[0])
+        is_moved = size > len(size) * torch.finfo(size.dtype).eps * size[-1]
+        root = torch.where(is_moved, size.clamp(min=0.0), 0.0).sqrt()
+        residual = torch.where(is_moved, vectors.mT @ self.score[0] / root, 0.0)
+        return _Principal(vectors, root, residual, (self.square[0] - residual.square().sum()).clamp(min=0.0))
+
+
+class _Principal(NamedTuple):
+    """Directions in which one amplitude moves one combination of the readings.
+
+    Attributes:
+        vectors: Orthogonal combinations of amplitudes, in columns.
+        size: By how much each moves its combination of the readings, in T.
+        residual: Of that combination of the readings, in T.
+        left: Square of the residuals that no amplitude moves, in T^2.
+    """
+
+    vectors: Float[Tensor, "amplitude direction"]
+    size: Float[Tensor, " direction"]
+    residual: Float[Tensor, " direction"]
+    left: Float[Tensor, ""]
 
 
 class CollapsedPosterior:
@@ -105,14 +127,18 @@ class CollapsedPosterior:
         constant = 0.5 * math.log(2.0 * math.pi) * len(self.full.measured_T)
         if self._is_only_noise:
             sums, sigma_T = self._sums, self._sigma_T(vector)
-            variance = sigma_T**2
+            if (
+                len(sums.n) == 1
+            ):  # a sum of squares, which stays one where the noise is far below the rounding of larger sums
+                vectors, size, residual, left = sums.principal
+                variance = sigma_T**2
+                misfit = (residual + size * (vectors.mT @ self._about)) ** 2 / (variance + size**2)
+                squares = left / variance[:, 0] + (misfit + torch.log1p(size**2 / variance)).sum(-1)
+                return -0.5 * squares - (sums.n * torch.log(sigma_T)).sum(-1) - constant
             constant += 0.5 * float(self._about.square().sum())
-            total = -0.5 * (sums.square / variance).sum(-1) - (sums.n * torch.log(sigma_T)).sum(-1) - constant
-            if len(sums.n) == 1:
-                size, vectors = sums.principal
-                grown = size / variance
-                square = ((vectors.T @ sums.score[0]) / variance - vectors.T @ self._about) ** 2
-                return total + 0.5 * (square / (1.0 + grown) - torch.log1p(grown)).sum(-1)
+            total = (
+                -0.5 * (sums.square / sigma_T**2).sum(-1) - (sums.n * torch.log(sigma_T)).sum(-1) - constant
+            )
             return total + self._gain(*self._normal_equations(vector))
         terms = []
         for rows in vector.split(self._n_rows_at_once):
@@ -192,11 +218,11 @@ class CollapsedPosterior:
         generator = torch.Generator().manual_seed(seed)
         normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64)
         if self._is_only_noise and len(self._sums.n) == 1:
-            size, vectors = self._sums.principal
+            vectors, size, residual, _ = self._sums.principal
             variance = self._sigma_T(rows) ** 2
-            grown = 1.0 + size / variance
-            mean = ((vectors.T @ self._sums.score[0]) / variance - vectors.T @ self._about) / grown
-            standard = self._about + (mean + normal / grown.sqrt()) @ vectors.T
+            grown = 1.0 + size**2 / variance
+            mean = (size * residual / variance - vectors.mT @ self._about) / grown
+            standard = self._about + (mean + normal / grown.sqrt()) @ vectors.mT
         else:
             distinct, row_of = rows[:1], torch.zeros(len(rows), dtype=torch.int64)
             if rows.shape[1]:  # walkers stay where they are now and then

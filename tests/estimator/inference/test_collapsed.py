@@ -80,6 +80,18 @@ def full_posterior(rig: Rig, observations: Observations) -> LogPosterior:
     return LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations), observations)
 
 
+def test_noise_does_not_vanish_where_readings_leave_combinations_of_amplitudes_open():
+    """168 amplitudes and 74 components: most combinations move no reading, and their rounding is no evidence."""
+    rig, observations = problem(TEXT.replace("degree: 2", "degree: 12"))
+    posterior = CollapsedPosterior(full_posterior(rig, observations))
+    start = posterior.coordinates.start()
+    below = start - torch.arange(0.0, 200.0, 5.0)[:, None]  # logarithms of the noise
+    log_evidence = posterior.log_evidence(below)
+    assert torch.isfinite(log_evidence).all()
+    assert log_evidence[-1] < log_evidence.max() - 50.0
+    assert torch.argmax(log_evidence) < 3
+
+
 def design(rig: Rig, observations: Observations) -> np.ndarray:
     """Change of each component per amplitude of c1, without the model of measurement."""
     coil = rig.unwound[0]
