@@ -104,11 +104,11 @@ REFUSALS = {
     "degree of zero": (
         "degree: 3",
         "degree: 0",
-        "coils.c1.degree must be a whole number from 1 to 16; received 0",
+        "coils.c1.degree must be a whole number from 1 to 20; received 0",
         8,
     ),
-    "half a degree": ("degree: 3", "degree: 2.5", "must be a whole number from 1 to 16; received 2.5", 8),
-    "far too many": ("degree: 3", "degree: 17", "must be a whole number from 1 to 16; received 17", 8),
+    "half a degree": ("degree: 3", "degree: 2.5", "must be a whole number from 1 to 20; received 2.5", 8),
+    "far too many": ("degree: 3", "degree: 21", "must be a whole number from 1 to 20; received 21", 8),
     "another region": (
         "exterior",
         "outside",
