@@ -111,7 +111,7 @@ Study: none of its cases has two coils with cores."""
 MOST_GAINED_IN_FULL = 4.0
 """Log evidence that a full fit may find beyond the linear model for a cause without shapes, while little speaks for any: where every cause
 stays farther than this below the evidence that it needs, such causes are not fitted. By measurement: none of 32 gained more than 0.12
-(docs/decisions/0047). Study: not in it yet."""
+(docs/decisions/0047). Study of 2 cases: numbers change in 1."""
 
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead

@@ -151,6 +151,11 @@ class Circumstances:
         return bool(time_s.max() == time_s.min())
 
     @cached_property
+    def hours_for_instants(self) -> Float[Tensor, " reading"]:
+        """Time since the session began; where a single moment stands for a session, before any instant of it."""
+        return torch.full_like(self.hours, -1.0) if self.is_moment else self.hours
+
+    @cached_property
     def interval_h(self) -> float:
         """Median time from one reading to the next; the duration where all were taken at once."""
         steps_s = self.observations.history.time_s.unique().diff()

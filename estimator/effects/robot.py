@@ -15,10 +15,11 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
-from estimator.geometry.motion import ends_of
+from estimator.geometry.motion import base_from_motion, ends_of
 from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
+LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
 SAGGING: dict[
     str, tuple[int, int | None]
 ] = {  # the joint that gives way, and that at which the weight sits; None is the flange
@@ -199,6 +200,46 @@ def _turned(
         turn = rotation_from_vector(turns_rad[i][..., None] * axis)
         pose = Transform(turn, on_axis_m - (turn @ on_axis_m[..., None])[..., 0]) @ pose
     return pose
+
+
+class MoverSlipped(MotionEffect):
+    """The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere."""
+
+    name: ClassVar[str] = "mover_slipped"
+    words: ClassVar[str] = "from one instant on the mover stands elsewhere than it says"
+    source: ClassVar[str] = "lost steps of a motor and pushed feet, 0.1 to 1 mm"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Shift in the frame that the mover reports in, and the time since the session began at which it happened."""
+        return (*triple("xyz", "_m", "m", 500e-6), since(extent))
+
+    def concerns(self, circumstances: Circumstances, mover: str) -> bool:
+        """Where no bumped sensor does the same: several sensors see the shift, or one that the mover turned."""
+        rig, history = circumstances.rig, circumstances.observations.history
+        carries_coil = any(coil.carried_by == mover for coil in rig.coils)
+        read = [rig.sensors[i] for i in history.sensor.unique().tolist()]
+        shifted = [sensor for sensor in read if carries_coil or sensor.carried_by == mover]
+        turn = base_from_motion(rig.mover(mover), history.motion[mover]).rotation
+        is_turned = bool((turn - turn[0]).abs().max() > LEAST_TURN)
+        return len(shifted) > 1 or (is_turned and any(sensor.carried_by == mover for sensor in shifted))
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Instants with enough readings before and after."""
+        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+        """Time since the session began."""
+        return circumstances.hours_for_instants[:, None]
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """An instant needs a session to lie in."""
+        return WHEN
+
+    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+        """Real pose, or real displacement."""
+        is_since = columns[:, 0] >= theta["since_h"][..., None]
+        shift_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
+        return _shifted(pose, is_since[..., None] * shift_m)
 
 
 class MountTilt(MountEffect):

@@ -132,8 +132,7 @@ class GuidesStep(_Steps, MotionEffect):
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
         """Time since the session began."""
-        hours = torch.full_like(circumstances.hours, -1.0) if circumstances.is_moment else circumstances.hours
-        return hours[:, None]
+        return circumstances.hours_for_instants[:, None]
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose, or real displacement."""

@@ -191,7 +191,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     axes_swapped_since current_sign_since coils_exchanged_since rows_shifted_since
     background_gradient
     cross_magnetisation core_remanence rows_shifted rotation_convention position_unit current_dead_band current_asymmetry
-    current_compression current_range sensor_contact joint_sag background_step offset_step noise_grows response_by_place
+    current_compression current_range sensor_contact joint_sag mover_slipped background_step offset_step noise_grows response_by_place
     coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders
     current_wanders current_swings room_answers guides_wander guide_swings moves_remembered axis_curves gain_curve current_pickup reading_ripples zero_swings
     current_steps room_steps guides_step zero_steps axis_steps gain_steps sides_remembered current_remembered field_remembered

@@ -102,6 +102,7 @@ NOT_AT_THE_FIRST_MOMENT = {
     "periodic_interference",
     "position_lag",
     "backlash",
+    "mover_slipped",
     "sensor_bumped",
     "room_wanders",
     "current_wanders",

@@ -136,6 +136,7 @@ def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: 
         "segment_misplaced",
         "position_lag",
         "backlash",
+        "mover_slipped",
         "sensor_bumped",
         "outliers",
         "position_jitter",

@@ -136,6 +136,15 @@ def test_bumped_sensor_sits_elsewhere_in_its_own_axes_from_the_instant_on():
     assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0, sensor_m))
 
 
+def test_slipped_mover_stands_elsewhere_in_its_own_axes_from_the_instant_on():
+    slip_m = np.array([4e-4, -3e-4, 8e-4])
+    given = dict(zip(("x_m", "y_m", "z_m"), slip_m, strict=True)) | {"since_h": 0.15}
+    session = readings(STEPS_M, (1.0, 0.0), mover="arm", time_s=np.array([0.0, 360.0, 720.0]))
+    reading_T = predicted_T(session, {"mover_slipped[arm]": given}, DISPLACED)
+    real_m = STEPS_M + np.array([0.0, 0.0, 1.0])[:, None] * slip_m
+    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(real_m), COIL0))
+
+
 def test_bumped_sensor_on_a_robot_takes_its_shift_along():
     bump_m = np.array([4e-4, -3e-4, 8e-4])
     reading_T = predicted_T(

@@ -10,11 +10,14 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.structure.families.collection import Collection, by_sensor, subsets
+from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.effects.circumstances import Circumstances
+from estimator.model.measurement_model import gradient_T_per_m
 from estimator.readings.observations import SECONDS_PER_HOUR
 
 PERIODS_AT_ONCE = 32  # which bounds the memory
+OF_ALL_SENSORS = "a change of coil, mover or room in mid session"
 
 
 def add_time(collection: Collection) -> None:
@@ -27,6 +30,7 @@ def add_time(collection: Collection) -> None:
     instants = torch.linspace(-1.0, 1.0, policy.N_INSTANTS + 2).tolist()[1:-1]
     for sensor, seen in by_sensor(circumstances):
         _add_changes(collection, time, instants, seen, sensor)
+    _add_changes_of_all(collection, time, instants)
     for sensor, seen in subsets(circumstances):
         _add_spells(collection, time, instants, seen, sensor)
         _add_periods(collection, circumstances, seen, sensor)
@@ -44,6 +48,26 @@ def _add_changes(
         if bool(later.any()):
             for vectors in (collection.axes, collection.along_field, everything):
                 collection.add("a change in mid session", later, vectors, sensor)
+
+
+def _add_changes_of_all(collection: Collection, time: Tensor, instants: list[float]) -> None:
+    """From an instant on a coil's field is stronger, a mover stands elsewhere, or the room has another field, at all sensors alike."""
+    fit, model = collection.fit, collection.fit.posterior.model
+    circumstances = model.circumstances
+    share = circumstances.current_A / circumstances.largest_current_A
+    changes = {
+        coil.name: (unit_field_T(fit, i) * share[:, i, None])[:, :, None]
+        for i, coil in enumerate(fit.rig.coils)
+    }
+    changes |= {mover.name: gradient_T_per_m(model, fit.values, mover.name) for mover in fit.rig.movers}
+    if len(by_sensor(circumstances)) > 1:  # else it is that of the sensor's zero
+        with torch.no_grad():
+            turn = model.world_from_sensor(model.every_row, fit.values).rotation
+        changes["room"] = turn.expand(len(model.every_row), 3, 3)[model.pose_row].mT
+    later = torch.stack([(time > instant).to(time) for instant in instants])
+    later = later[later.any(1)]
+    for place, vectors in changes.items():
+        collection.add_alike(OF_ALL_SENSORS, later[:, :, None], vectors, [place] * len(later))
 
 
 def _add_spells(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import search
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.step import take_step
@@ -102,3 +105,24 @@ def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_sess
     assert told[-1].most == n_fitted
     assert told[0].left_s is None
     assert {progress.what for progress in told} == {"step 1"}
+
+
+def test_a_search_ends_with_the_same_sets_whether_or_not_quiet_causes_are_fitted(
+    small_rig, small_session, small_truth, monkeypatch
+):
+    """Decision 47: the step that takes nothing is quiet."""
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
+    fit = fit_of(small_rig, readings)
+
+    def outcome():
+        found = search.search(fit, lambda words: None, Limits())
+        sets = [(step.taken, {one.name for one in step.credible}) for step in found.steps]
+        n_fitted = sum(one.fit is not None for step in found.steps for one in step.hypotheses)
+        return (sets, found.final.rig.effects), n_fitted
+
+    spared, n_spared = outcome()
+    monkeypatch.setattr(policy, "MOST_GAINED_IN_FULL", math.inf)
+    everything, n_everything = outcome()
+    assert spared == everything
+    assert n_spared < n_everything

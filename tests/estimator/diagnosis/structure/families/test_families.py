@@ -13,6 +13,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
+from estimator.model.measurement_model import gradient_T_per_m
 from tests.estimator.diagnosis.sessions import plain_fit
 
 pytestmark = pytest.mark.whole
@@ -64,6 +65,16 @@ def sag(fit: Fit) -> Tensor:
     return x_m[:, None] ** 2 * fit.observations.field_sensor_T.flip(1)
 
 
+def lost_steps(fit: Fit) -> Tensor:
+    slope_T_per_m = gradient_T_per_m(fit.posterior.model, fit.values, "arm1")
+    is_later = fit.observations.row > 60
+    return is_later[:, None] * (slope_T_per_m @ torch.tensor([0.4, -0.7, 0.2], dtype=torch.float64))
+
+
+def shorted_turn(fit: Fit) -> Tensor:
+    return (fit.observations.row > 60)[:, None] * fit.observations.field_sensor_T
+
+
 DISTURBANCES = {
     "slow wave": (waves(130.0), "in time"),
     "wave near two readings": (waves(4.7), "in time"),
@@ -75,6 +86,8 @@ DISTURBANCES = {
     "current in one direction": (rectified, "current"),
     "ripple of the converter": (ripple, "ripple"),
     "sag": (sag, ""),
+    "lost steps": (lost_steps, "change of coil, mover or room in mid session, arm1"),
+    "shorted turn": (shorted_turn, "change of coil, mover or room in mid session, coil1"),
 }
 
 
