@@ -127,9 +127,8 @@ class CollapsedPosterior:
         constant = 0.5 * math.log(2.0 * math.pi) * len(self.full.measured_T)
         if self._is_only_noise:
             sums, sigma_T = self._sums, self._sigma_T(vector)
-            if (
-                len(sums.n) == 1
-            ):  # a sum of squares, which stays one where the noise is far below the rounding of larger sums
+            if len(sums.n) == 1:
+                # Squares alone: differences of larger sums would turn negative where the noise is below their rounding.
                 vectors, size, residual, left = sums.principal
                 variance = sigma_T**2
                 misfit = (residual + size * (vectors.mT @ self._about)) ** 2 / (variance + size**2)
