@@ -74,7 +74,10 @@ def bore_field(
         outwards = torch.addcmul(outwards, angular, bessel[m + 1])
         upwards = torch.addcmul(upwards, angular, bessel[m])
         below = (real, imaginary)
-        real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+        real, imaginary = (
+            torch.addcmul(x * real, y, imaginary, value=-1.0),
+            torch.addcmul(x * imaginary, y, real),
+        )
     along, rising = torch.sin(phase), torch.cos(phase)
     fields = (along * (slope_x + x * outwards), along * (slope_y + y * outwards), rising * upwards)
     return total + torch.stack([field.sum(-2) for field in fields], dim=-1)
