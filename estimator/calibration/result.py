@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
+from estimator.devices import numpy_of
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.export import formats
 from estimator.export.magnet import Magnet
@@ -46,6 +47,7 @@ SUMMARY_KEYS: Mapping[str, type] = {
 }
 """What pages read of a summary; one that is older than its seal may have been altered unnoticed."""
 INTERVAL_DRAWS = 400
+DOUBLE = torch.empty(0, dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Calibration:
         """Flux density of the calibrated model in the world frame, in tesla.
 
         Args:
-            points_m: Points in the world frame.
+            points_m: Points in the world frame; the prediction is made on their device and in their precision.
             currents_A: Current of each coil by name; coils that are not named are off.
             motion: The six numbers of each mover's columns. A mover that reports displacements defaults to zero, its reference
                 configuration; any other mover that carries a coil must be named.
@@ -85,8 +87,8 @@ class Calibration:
         Raises:
             InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite.
         """
-        best = self.best_values()
-        return self.room(points_m, motion).field_T(best, self.currents(currents_A))
+        room = self.room(points_m, motion)
+        return room.field_T(self.best_values(points_m), self.currents(currents_A, points_m))
 
     def gradient(
         self,
@@ -95,8 +97,8 @@ class Calibration:
         motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
     ) -> Float[Tensor, "point 3 3"]:
         """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free region."""
-        best = self.best_values()
-        return self.room(points_m, motion).gradient_T_per_m(best, self.currents(currents_A))
+        room = self.room(points_m, motion)
+        return room.gradient_T_per_m(self.best_values(points_m), self.currents(currents_A, points_m))
 
     def field_interval(
         self,
@@ -117,7 +119,8 @@ class Calibration:
         """
         _check_level(level)
         room = self.room(points_m, motion)
-        fields = room.field_T(self.draw_values(INTERVAL_DRAWS), self.currents(currents_A))
+        values = self.draw_values(INTERVAL_DRAWS, points_m)
+        fields = room.field_T(values, self.currents(currents_A, points_m))
         return self.ends(fields, (len(points_m), 3), level)
 
     def gradient_interval(
@@ -130,7 +133,8 @@ class Calibration:
         """Credible interval of each dB_i / dx_j, in T/m; as `field_interval`."""
         _check_level(level)
         room = self.room(points_m, motion)
-        gradients = room.gradient_T_per_m(self.draw_values(INTERVAL_DRAWS), self.currents(currents_A))
+        values = self.draw_values(INTERVAL_DRAWS, points_m)
+        gradients = room.gradient_T_per_m(values, self.currents(currents_A, points_m))
         return self.ends(gradients, (len(points_m), 3, 3), level)
 
     def ends(
@@ -141,9 +145,9 @@ class Calibration:
         values = values.expand(n_draws, *shape)  # no batch where no coil is free
         tails = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
         ends = np.quantile(
-            values.numpy(), tails, axis=0
+            numpy_of(values), tails, axis=0
         )  # a third of the time of torch.quantile, which sorts
-        lower, upper = torch.from_numpy(ends)
+        lower, upper = torch.from_numpy(ends).to(values)
         return lower, upper
 
     def room(
@@ -157,7 +161,7 @@ class Calibration:
         Raises:
             InvalidInput: As in `field`.
         """
-        motion = motion or {}
+        motion = {name: rows.to(points_m) for name, rows in (motion or {}).items()}
         carriers = {coil.carried_by for coil in self.rig.coils}
         for mover in self.rig.movers:
             if mover.name in motion:
@@ -172,19 +176,25 @@ class Calibration:
                 )
         if not torch.isfinite(points_m).all():
             raise InvalidInput("points must be finite; received NaN or infinity among them")
-        return RoomField(self.rig, self.best_values(), points_m, motion)
+        return RoomField(self.rig, self.best_values(points_m), points_m, motion)
 
-    def best_values(self) -> dict[str, Tensor]:
-        """Every number of the rig at the maximum of the posterior, as `RoomField` takes them."""
-        return {name: torch.tensor(value, dtype=torch.float64) for name, value in self.best.items()}
+    def best_values(self, like: Tensor = DOUBLE) -> dict[str, Tensor]:
+        """Every number of the rig at the maximum of the posterior, as `RoomField` takes them.
 
-    def draw_values(self, most: int) -> dict[str, Tensor]:
-        """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps."""
+        Args:
+            like: A tensor on the device and in the precision that are wanted; double precision on the processor by default.
+        """
+        return {name: like.new_tensor(value) for name, value in self.best.items()}
+
+    def draw_values(self, most: int, like: Tensor = DOUBLE) -> dict[str, Tensor]:
+        """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps; `like` as in `best_values`."""
         n_draws = self.log_prob.size
         index = np.linspace(0, n_draws - 1, min(most, n_draws)).astype(int)
         chosen = {name: torch.from_numpy(array.T.reshape(-1)[index]) for name, array in self.draws.items()}
         coordinates = Coordinates(self.rig, integer_counts=True)
-        return coordinates.values(coordinates.vector(chosen))
+        return {
+            name: value.to(like) for name, value in coordinates.values(coordinates.vector(chosen)).items()
+        }
 
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
@@ -312,8 +322,8 @@ class Calibration:
         encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
         tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
 
-    def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
-        """Currents in the order of the rig's coils; those that are not named are off."""
+    def currents(self, currents_A: Mapping[str, float], like: Tensor = DOUBLE) -> Float[Tensor, " coil"]:
+        """Currents in the order of the rig's coils; those that are not named are off. `like` as in `best_values`."""
         names = [coil.name for coil in self.rig.coils]
         for name in currents_A:
             if name not in names:
@@ -322,7 +332,7 @@ class Calibration:
                 )
             if not math.isfinite(currents_A[name]):
                 raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
-        return torch.tensor([float(currents_A.get(name, 0.0)) for name in names], dtype=torch.float64)
+        return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
 
 
 def _check_level(level: float) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import click
 
 from estimator.cli.options import (
-    device_option,
+    REFUSED_SINGLE,
     ess_option,
     json_option,
     other_rig_option,
     overwrite_option,
-    precision_option,
+    prediction_options,
     seed_option,
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
@@ -51,8 +51,7 @@ from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalComma
     show_default=True,
     help="Treat free loop counts as whole numbers or as real numbers.",
 )
-@device_option
-@precision_option
+@prediction_options("readings", REFUSED_SINGLE)
 @overwrite_option
 @json_option
 def calibrate_command(

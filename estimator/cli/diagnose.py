@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from estimator.cli.options import json_option, other_rig_option, overwrite_option, seed_option
+from estimator.cli.options import (
+    REFUSED_SINGLE,
+    json_option,
+    other_rig_option,
+    overwrite_option,
+    prediction_options,
+    seed_option,
+)
 from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput
 
@@ -58,6 +65,7 @@ if TYPE_CHECKING:
     help="Readings that causes are searched with, thinned evenly where there are more.",
 )
 @seed_option
+@prediction_options("readings of fits", REFUSED_SINGLE)
 @overwrite_option
 @json_option
 def diagnose_command(
@@ -70,6 +78,8 @@ def diagnose_command(
     most_causes: int | None,
     most_readings: int | None,
     seed: int,
+    device: str,
+    precision: str,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -116,6 +126,8 @@ def diagnose_command(
             has_posterior=has_posterior,
             limits=limits,
             most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
+            device=device,
+            precision=precision,
             on_stage=reporter.stage,
             on_progress=reporter.progress,
         )

@@ -26,20 +26,7 @@ ess_option = click.option(
     show_default=True,
     help="Effective sample size that every parameter must reach.",
 )
-device_option = click.option(
-    "--device",
-    default="cpu",
-    show_default=True,
-    metavar="NAME",
-    help="Where readings are predicted, such as cuda; sampling itself and reports stay on the processor.",
-)
-precision_option = click.option(
-    "--precision",
-    type=click.Choice(["double", "single"]),
-    default="double",
-    show_default=True,
-    help="Of predicted readings; refused where single precision would be seen beside the noise.",
-)
+REFUSED_SINGLE = "; refused where single precision would be seen beside the noise"
 other_rig_option = click.option(
     "--rig",
     "rig_path",
@@ -68,6 +55,30 @@ set_option = click.option(
     metavar="NAME=VALUE",
     help="Set one parameter of the truth, in SI units. Repeatable.",
 )
+
+
+def prediction_options(what: str, refused: str = "") -> Decorator:
+    """Options for the device and the precision of predictions.
+
+    Args:
+        what: Is predicted.
+        refused: When single precision is refused, to follow a semicolon.
+    """
+    device = click.option(
+        "--device",
+        default="cpu",
+        show_default=True,
+        metavar="NAME",
+        help=f"Where {what} are predicted, such as cuda; all else stays on the processor.",
+    )
+    precision = click.option(
+        "--precision",
+        type=click.Choice(["double", "single"]),
+        default="double",
+        show_default=True,
+        help=f"Of predicted {what}{refused}.",
+    )
+    return lambda command: device(precision(command))
 
 
 def truth_option(default: str) -> Decorator:

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import json_option, overwrite_option
+from estimator.cli.options import json_option, overwrite_option, prediction_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
 from estimator.errors import InvalidInput, reason
 
@@ -51,6 +51,7 @@ HEADER = (
     "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="CSV file to write.")
+@prediction_options("points")
 @overwrite_option
 @json_option
 def predict_command(
@@ -60,6 +61,8 @@ def predict_command(
     motions: tuple[str, ...],
     level: float,
     out: Path,
+    device: str,
+    precision: str,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -72,9 +75,11 @@ def predict_command(
 
     from estimator.calibration.result import Calibration
     from estimator.cli.count_progress import CountReporter
+    from estimator.devices import device_named, precision_named
     from estimator.store.files import write_text
 
     refuse_existing(out, overwrite)
+    there = {"device": device_named(device), "dtype": precision_named(precision)}
     calibration = Calibration.load(folder)
     coordinates_m = grid_axes(axes)
     points_m = torch.from_numpy(
@@ -89,9 +94,10 @@ def predict_command(
     with CountReporter() as reporter:
         for n, block in enumerate(points_m.split(BLOCK)):
             reporter("predicting points", n * BLOCK, len(points_m))
-            best = calibration.field(block, currents_A, motion)
-            done.append((best, *calibration.field_interval(block, currents_A, level, motion)))
-    field, lower, upper = (torch.cat(blocks) for blocks in zip(*done, strict=True))
+            points = block.to(**there)
+            best = calibration.field(points, currents_A, motion)
+            done.append((best, *calibration.field_interval(points, currents_A, level, motion)))
+    field, lower, upper = (torch.cat(blocks).to(points_m) for blocks in zip(*done, strict=True))
     is_inside = torch.isnan(field).any(dim=1)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")

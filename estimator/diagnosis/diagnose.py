@@ -6,10 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
+from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
+from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
@@ -46,7 +50,7 @@ from estimator.diagnosis.verdict import (
 )
 from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
-from estimator.model.preflight import check_readings
+from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
 from estimator.rig.rig import Rig
@@ -63,6 +67,8 @@ def diagnose(
     has_posterior: bool = False,
     limits: Limits | None = None,
     most_readings: int = policy.MOST_READINGS_SEARCHED,
+    device: str = "cpu",
+    precision: str = "double",
     on_stage: Callable[[str], None] | None = None,
     on_progress: OnProgress = unwatched,
 ) -> Diagnosis:
@@ -79,6 +85,8 @@ def diagnose(
             current, and a cause or something unexplained, which widens the posterior.
         limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
+        device: Where fits, and sampling, predict readings, such as `cuda`; columns of causes, evidences and reports stay on the processor.
+        precision: `double`, or `single` for those predictions; the last step of every fit is in double precision.
         on_stage: Called with a message at the start of each stage.
         on_progress: Called as the search fits hypotheses, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
@@ -91,9 +99,12 @@ def diagnose(
     if not rig.free:
         raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
     check_readings(rig, session.observations, session.source, needs_current=False)
+    place, dtype = device_named(device), precision_named(precision)
+    if dtype is not torch.float64:
+        check_precision(rig, session.observations)
     seen, unseen = _split(session, validation, seed)
     folder = None if out is None else Path(out)
-    with remembering(folder) as journal:
+    with remembering(folder) as journal, climbing_on(place, dtype):
         if journal is not None and len(journal):
             tell(f"continuing: {len(journal)} fits were made before")
         result = _judged(
@@ -114,6 +125,8 @@ def diagnose(
             result.left_open.widening,
             out=None if folder is None else folder / CALIBRATION_FOLDER,
             seed=seed,
+            device=device,
+            precision=precision,
         )
         result = replace(result, posterior=sampled)
     if folder is not None:

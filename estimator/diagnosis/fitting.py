@@ -15,12 +15,13 @@ from torch import Tensor
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fit_journal import current_journal, key_of
+from estimator.diagnosis.fit_place import climbed
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
-from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt, solve
+from estimator.inference.levenberg_marquardt import Optimum, solve
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -320,7 +321,7 @@ def fit_rig(
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known)
-    optimum = levenberg_marquardt(posterior, vector, tolerance=tolerance, is_race=True)
+    optimum = climbed(posterior, vector, tolerance)
     top = int(optimum.log_posterior.argmax())
     best = optimum.rows(slice(top, top + 1))
     if journal is not None:

@@ -46,12 +46,24 @@ class Projector:
         factor = scale[:, None] * vectors * values.clamp(min=1e-14).rsqrt()
         return cls(jacobian, factor)
 
+    def in_single(self) -> Projector:
+        """The same in single precision; columns are brought to one size first."""
+        n = self.factor.shape[-1]
+        return Projector((self.jacobian @ self.factor).float(), torch.eye(n))
+
     def gram(
         self, first: Float[Tensor, "component column"], second: Float[Tensor, "component column2"]
     ) -> Float[Tensor, "column column2"]:
         """Inner products of two sets of vectors after projection."""
         followed_first, followed_second = (self.factor.T @ (self.jacobian.T @ v) for v in (first, second))
         product: Tensor = first.T @ second - followed_first.T @ followed_second
+        return product
+
+    def own_gram(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, "column column"]:
+        """Inner products of vectors with each other after projection. NumPy computes only half of so symmetric a product."""
+        followed = self.factor.T @ (self.jacobian.T @ columns)
+        array = columns.numpy()
+        product: Tensor = torch.from_numpy(array.T @ array) - followed.T @ followed
         return product
 
     def norms(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, " column"]:

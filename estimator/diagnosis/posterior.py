@@ -14,6 +14,7 @@ from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.widening import Widening
+from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -30,6 +31,8 @@ def extended_posterior(
     out: Path | None = None,
     seed: int = 0,
     settings: SamplerSettings | None = None,
+    device: str = "cpu",
+    precision: str = "double",
 ) -> Calibration:
     """Calibrate the extended rig; widen the draws where something remains unexplained.
 
@@ -41,12 +44,24 @@ def extended_posterior(
         rig: The extended rig.
         widening: By how much to widen; None where nothing remains unexplained.
         out, seed, settings: As in `calibrate`; what `out` holds is replaced.
+        device, precision: Likewise, but where amplitudes are integrated out, which is done on the processor.
     Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation
         of each parameter grew.
     """
     amplitudes = [] if widening is None else _amplitudes(rig)
     held = rig.with_fixed(amplitudes) if amplitudes else rig
-    sampled = calibrate(session, held, out=out, overwrite=True, seed=seed, settings=settings)
+    if free_amplitudes(held):
+        device, precision = "cpu", "double"
+    sampled = calibrate(
+        session,
+        held,
+        out=out,
+        overwrite=True,
+        seed=seed,
+        settings=settings,
+        device=device,
+        precision=precision,
+    )
     if widening is None:
         return sampled
     if amplitudes:

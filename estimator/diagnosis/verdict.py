@@ -21,7 +21,6 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
-from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.relatives import p_not_in_library
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
@@ -113,12 +112,11 @@ def _idealise_the_same(named: list[NamedCause]) -> bool:
 def named_causes(search: Search) -> list[NamedCause]:
     """The causes of the final fit in the order in which they were taken, each with its credible set."""
     final_causes = set(search.final.rig.effects)
-    curves = families(search.final) if final_causes - set(search.base.rig.effects) else []
     named = []
     for step in search.steps:
         if step.taken is None or step.taken not in final_causes:
             continue
-        outside = p_not_in_library(search.final, step.taken, curves)
+        outside = p_not_in_library(search.final, step.taken, search.curves)
         shares = {cause: (1.0 - outside) * share for cause, share in _shares(step.credible).items()}
         leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
         others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]

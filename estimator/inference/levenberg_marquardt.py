@@ -20,6 +20,9 @@ STALLED_AFTER = (
     8  # iterations in which a start that still climbs is expected to rise by more than 50 times the tolerance
 )
 STALLED_BELOW = 50.0
+LEAST_SHRINK = 0.1  # of the damping after a step that the quadratic model foretold; Nielsen's third costs three iterations more
+BEHIND = 5.0  # times the rise that a Newton step promises: a start that lies so far below another climbs a lower maximum
+SAME_SD = 1.0  # between the ends of two Newton steps: they lead to the same maximum
 LEAST_CURVATURE = 0.1  # of the prior in its own units; flat priors have none, and undetermined directions would have no width
 
 
@@ -85,7 +88,7 @@ def levenberg_marquardt(
         start: Coordinates to start from, inside the prior.
         max_iterations: Largest number of iterations.
         tolerance: Stop where a Newton step would increase the log density by less than this.
-        is_race: Whether only the highest maximum counts: a start ends too where at its pace it cannot reach the highest one any more.
+        is_race: Whether only the highest maximum counts: a start ends too where another one goes to the same maximum, or to a higher one.
     Returns: The maxima with their curvature, start by start.
     References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
     """
@@ -98,14 +101,15 @@ def levenberg_marquardt(
     at_bound = torch.zeros_like(is_done)  # the density rises beyond a bound, but no step inside increases it
     before = [value.clone()]
     iteration = 0
-    for iteration in range(1, max_iterations + 1):
+    for iteration in range(1, max_iterations + 1):  # noqa: B007 (told at the end)
         newton = solve(precision, gradient)
-        is_done = is_done | ((gradient * newton).sum(-1) < tolerance) | at_bound | (damping > LARGEST_DAMPING)
+        promised = 0.5 * (gradient * newton).sum(-1)
+        is_done = is_done | (2.0 * promised < tolerance) | at_bound | (damping > LARGEST_DAMPING)
         if len(before) > STALLED_AFTER:
             rise = value - before.pop(0)
             is_done |= rise < STALLED_BELOW * tolerance
-            if is_race:
-                is_done |= value + rise * (max_iterations - iteration + 1) / STALLED_AFTER < value.max()
+        if is_race:
+            is_done |= _is_beaten(value, promised, vector[:, : newton.shape[-1]] + newton, precision)
         active = (~is_done).nonzero().flatten()
         if not len(active):
             break
@@ -118,7 +122,7 @@ def levenberg_marquardt(
         ).sum(-1)
         ratio = (trial_value - value[active]) / expected.clamp(min=1e-300)
         is_better = trial_value > value[active]
-        shrink = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(min=1.0 / 3.0, max=2.0)
+        shrink = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(min=LEAST_SHRINK, max=2.0)
         damping[active] = torch.where(is_better, damping[active] * shrink, damping[active] * growth[active])
         growth[active] = torch.where(is_better, torch.full_like(ratio, 2.0), growth[active] * 2.0)
         damping.clamp_(min=SMALLEST_DAMPING)
@@ -136,6 +140,15 @@ def levenberg_marquardt(
     newton = solve(precision, gradient)
     is_converged = at_bound | ((gradient * newton).sum(-1) < max(tolerance, 1e-6))
     return Optimum(vector, value, precision, information, is_converged, iteration)
+
+
+def _is_beaten(value: Tensor, promised: Tensor, ahead: Tensor, precision: Tensor) -> Tensor:
+    """Starts that a higher one makes superfluous, given the rise that a Newton step promises each and where it leads."""
+    top = int(value.argmax())
+    apart = ahead - ahead[top]
+    joins = ((apart @ precision[top]) * apart).sum(-1) < SAME_SD**2
+    joins[top] = False
+    return joins | (value + BEHIND * promised < value[top])
 
 
 def _trial(

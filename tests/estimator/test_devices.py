@@ -11,7 +11,11 @@ from torch.testing import assert_close
 
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate
+from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import starting_point_with_counts
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.fit_place import climbing_on
+from estimator.diagnosis.fitting import fit_rig
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings, sample
 from estimator.inference.laplace import covariance
@@ -114,11 +118,48 @@ def test_single_precision_is_refused_where_it_would_be_seen(small_session: Sessi
         check_precision(small_session.rig, strong)
 
 
+@pytest.mark.whole
+def test_fit_of_a_diagnosis_climbs_elsewhere_and_ends_as_on_the_processor(small_session: Session) -> None:
+    rig, readings = small_session.rig, small_session.observations.calibration
+    rules = MeasurementModel.build(rig, readings).rules
+    near = fit_rig(rig, readings, {}, rules)
+    moved = list[torch.device]()
+    with far_device() as far:
+        for dtype in (torch.float64, torch.float32):
+            with climbing_on(far, dtype):
+                there = fit_rig(rig, readings, {}, rules)
+            moved.append(there.vector.device)
+            assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
+            assert float(((there.vector - near.vector) ** 2 / near.covariance.diagonal()).max()) < 1e-4
+    assert set(moved) == {torch.device("cpu")}
+
+
+@pytest.mark.whole
+def test_prediction_of_a_calibration_on_another_device_and_in_single_precision(
+    small_calibration: Calibration,
+) -> None:
+    points_m = torch.tensor([[0.0, 0.0, 0.05], [0.1, 0.02, 0.3], [0.0, 0.2, -1.0]], dtype=torch.float64)
+    currents_A = {small_calibration.rig.coils[0].name: 3.0}
+
+    def answer(points_m: torch.Tensor) -> torch.Tensor:
+        field_T = small_calibration.field(points_m, currents_A)
+        ends_T = small_calibration.field_interval(points_m, currents_A)
+        assert field_T.device == ends_T[0].device == points_m.device
+        return torch.stack((field_T, *ends_T))
+
+    near_T = answer(points_m)
+    assert_close(answer(points_m.float()).double(), near_T, rtol=1e-4, atol=1e-12)
+    with far_device() as far:
+        assert_close(answer(points_m.to(far)).cpu(), near_T, rtol=1e-9, atol=1e-18)
+
+
 def test_device_that_is_not_there_is_refused(small_session: Session) -> None:
     with pytest.raises(InvalidInput, match="device must be one that torch can compute on here"):
         calibrate(small_session, device="xpu:7")
     with pytest.raises(InvalidInput, match="precision must be one of double, single"):
         calibrate(small_session, precision="half")
+    with pytest.raises(InvalidInput, match="device must be one that torch can compute on here"):
+        diagnose(small_session, device="xpu:7")
 
 
 def test_readings_keep_their_history_and_the_precision_of_times(small_session: Session) -> None:

@@ -41,7 +41,7 @@ def pairs(
     first, second = first[differ], second[differ]
     columns = torch.cat([candidate.columns for candidate in at_null], dim=1)
     prior_sd = torch.cat([candidate.prior_sd for candidate in at_null])
-    gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
+    gram, score = fit.projector.own_gram(columns), columns.T @ fit.residual
     gram, score = gram * prior_sd[:, None] * prior_sd, score * prior_sd
     width = torch.tensor([len(candidate.keys) for candidate in at_null])
     begin = width.cumsum(0) - width

@@ -62,6 +62,7 @@ class Search:
         dropped: Causes that were taken and later not needed.
         pool: Columns of every cause at the base fit.
         base_discrepancy: Structure in the residual of the base fit.
+        curves: Flexible curves, weighed as the readings are at the final fit.
         ended_early: Why it ended before the evidence did; empty where it did not.
         other_structures: Other structures of the source, where causes of many kinds had piled up; else None.
     """
@@ -73,6 +74,7 @@ class Search:
     dropped: tuple[Cause, ...]
     pool: tuple[Candidate, ...]
     base_discrepancy: Discrepancy
+    curves: tuple[Family, ...]
     ended_early: str = ""
     other_structures: OtherStructures | None = None
 
@@ -136,6 +138,7 @@ def search(
         dropped,
         tuple(pool),
         state.base_discrepancy,
+        tuple(state.curves(fit)),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
     )
@@ -225,7 +228,7 @@ class _SearchState:
         if not together:
             return
         self.tell(f"comparing {len(together)} causes that were taken together again, beside all others")
-        steps = comparison_steps(fit, together, self._pool(fit), self._smooth(fit))
+        steps = comparison_steps(fit, together, self._pool(fit), self.curves(fit))
         for cause, step in zip(together, steps, strict=True):
             self.steps[self._at(cause)] = step
 
@@ -256,7 +259,7 @@ class _SearchState:
         for hypothesis in step.credible:
             if hypothesis.fit is None or hypothesis.cause == step.taken:
                 continue
-            if not leaves_structure(discrepancy(hypothesis.fit, self._smooth(hypothesis.fit))):
+            if not leaves_structure(discrepancy(hypothesis.fit, self.curves(hypothesis.fit))):
                 self.tell(f"{hypothesis.name} leaves less structure and replaces it")
                 assert hypothesis.cause is not None
                 self.steps = [replace(step, taken=hypothesis.cause)]
@@ -315,7 +318,7 @@ class _SearchState:
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
         log_bayes_factor = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(log_bayes_factor)} for them)")
-        self.steps += comparison_steps(wider, new, self._pool(wider), self._smooth(wider))
+        self.steps += comparison_steps(wider, new, self._pool(wider), self.curves(wider))
         self.additions.append(Addition(tuple(new), wider))
         return wider
 
@@ -358,7 +361,7 @@ class _SearchState:
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
-        return take_step(fit, self._pool(fit), self._smooth(fit), self.block, self.limits, pace, remainder)
+        return take_step(fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder)
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""
@@ -380,7 +383,8 @@ class _SearchState:
         others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in self.asked]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
-    def _smooth(self, fit: Fit) -> list[Family]:
+    def curves(self, fit: Fit) -> list[Family]:
+        """Flexible curves, weighed as the readings are at a fit."""
         weight = fit.weight_over(self.screened_at)
         if bool(torch.isclose(weight, weight[:1], rtol=1e-12, atol=0.0).all()):
             return self.smooth  # amplitudes are in units of the noise: a common weight changes nothing

@@ -32,7 +32,7 @@ def p_not_in_library(fit: Fit, cause: Cause, families: Sequence[Family]) -> floa
     Args:
         fit: With the cause.
         cause: One of its rig.
-        families: Curves at that fit.
+        families: Curves, weighed as at that fit.
     """
     if isinstance(EFFECTS[cause.name], NoiseEffect):
         log_odds = max(scatter_of(fit).log_bayes_factor, 0.0)

@@ -48,8 +48,7 @@ def shape_fields(
         [patterns[:, :, None] * torch.linalg.cross(shift, forward) for shift in (outward, upward)]
     )
     arm = (points_coil_m[:, None, :] - elements_m) / radius_m
-    r2 = (arm**2).sum(-1)
-    along_arm = torch.einsum("rsi,csi->rcs", arm, moments)
-    radial = torch.einsum("rcs,rsi->rci", along_arm * 3.0 * r2[:, None, :] ** -2.5, arm)
-    fields: Tensor = radial - torch.einsum("rs,csi->rci", r2**-1.5, moments)
+    r = arm.norm(dim=-1)[..., None, None]
+    per_moment = 3.0 * arm[..., :, None] * arm[..., None, :] / r**5 - torch.eye(3, dtype=torch.float64) / r**3
+    fields: Tensor = moments.flatten(1) @ per_moment.flatten(1, 2)  # one product for all columns
     return fields / len(phi)

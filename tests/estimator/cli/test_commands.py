@@ -224,6 +224,27 @@ def test_predict_takes_motion_and_level(workspace: Path, run: Run, tmp_path: Pat
     assert float(row["Bz_T"]) == pytest.approx(at_rest[0, 2].item(), rel=1e-6)
 
 
+def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
+    workspace: Path, run: Run, tmp_path: Path
+) -> None:
+    call = [
+        "predict",
+        workspace / "calibration",
+        "--grid=x_mm=-20:20:5",
+        "--grid=z_mm=10",
+        "--current=coil1=2",
+    ]
+    run(*call, "--precision", "single", "--out", tmp_path / "f.csv")
+    for single, double in zip(rows(tmp_path / "f.csv"), rows(workspace / "field.csv"), strict=True):
+        assert single["x_m"] == double["x_m"]
+        for key in ("Bz_T", "Bz_lower_T", "Bz_upper_T"):
+            assert single[key] != double[key]
+            assert float(single[key]) == pytest.approx(float(double[key]), rel=1e-4)
+    refused = run(*call, "--device", "xpu:7", "--out", tmp_path / "g.csv")
+    assert refused.exit_code == 2
+    assert "device must be one that torch can compute on here" in refused.stderr
+
+
 def test_report_writes_the_page_again(workspace: Path, run: Run, tmp_path: Path) -> None:
     result = run("report", workspace / "calibration", "--out", tmp_path / "page.html", "--json")
     assert json.loads(result.stdout) == {"report": str(tmp_path / "page.html")}

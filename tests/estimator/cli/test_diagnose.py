@@ -126,8 +126,10 @@ def test_extended_rig_takes_the_session(biased: Path, out: Path, record: dict[st
 
 
 def test_clean_session_in_words_names_nothing_and_ends_well(workspace: Path, run: Run, tmp_path: Path):
+    """In single precision, which changes no verdict."""
     before = contents(workspace / "session.zarr")
-    result = run("diagnose", workspace / "session.zarr", "--out", tmp_path / "clean")
+    single = ("--precision", "single")
+    result = run("diagnose", workspace / "session.zarr", *single, "--out", tmp_path / "clean")
     assert result.exit_code == 0
     assert result.stdout.startswith("verdict: nothing_found\n")
     assert str(tmp_path / "clean" / "diagnosis.json") in result.stdout
@@ -147,6 +149,7 @@ REFUSALS = {
     "diagnose calibration/chain.zarr --out new": "session must be of kind 'coilcal session'; received None (calibration/chain.zarr)",
     "diagnose session.zarr --validation no.zarr --out new": f"{NO_SESSION} no.zarr",
     "diagnose session.zarr --rig no.yaml --out new": "no.yaml must be readable as text: No such file or directory",
+    "diagnose session.zarr --device xpu:7 --out new": "device must be one that torch can compute on here, such as cpu; received 'xpu:7'",
     "diagnose session.zarr --rig plan.yaml --out new": "coils must name at least one; received none (plan.yaml, line 1)",
 }
 

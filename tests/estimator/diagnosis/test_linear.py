@@ -26,6 +26,14 @@ def problem(seed: int, n: int = 40) -> tuple[torch.Tensor, torch.Tensor, torch.T
     return jacobian, torch.diag(torch.tensor([0.5, 2.0, 1.0], dtype=torch.float64)), columns, residual
 
 
+def test_own_products_and_single_precision_are_those_of_the_projector():
+    jacobian, prior, columns, residual = problem(3)
+    projector = Projector.of(jacobian, prior)
+    torch.testing.assert_close(projector.own_gram(columns), projector.gram(columns, columns))
+    single = projector.in_single().rest(residual.float())
+    torch.testing.assert_close(single.double(), projector.rest(residual), rtol=1e-5, atol=1e-5)
+
+
 def test_evidence_of_one_column_is_the_integral_over_its_coefficient():
     random = np.random.default_rng(1)
     column, residual, prior_sd = random.normal(size=30), random.normal(size=30), 0.7

@@ -58,7 +58,16 @@ def step(taken: Cause | None, evidence: dict[Cause, float], structure: float = -
 
 
 def search_with(base: Fit, final: Fit, *steps: Step, whole: float = -3.0) -> Search:
-    return Search(base, final, steps, (), (), tuple(candidates(base, [OFFSET, GAIN])), left(whole))
+    return Search(
+        base,
+        final,
+        steps,
+        (),
+        (),
+        tuple(candidates(base, [OFFSET, GAIN])),
+        left(whole),
+        tuple(families(final)),
+    )
 
 
 def named(cause: Cause, *others: Cause) -> NamedCause:

@@ -285,6 +285,7 @@ def test_a_start_that_cannot_win_any_more_ends_and_the_highest_maximum_stays(tmp
     everything = levenberg_marquardt(posterior, starts, tolerance=1e-4)
     race = levenberg_marquardt(posterior, starts, tolerance=1e-4, is_race=True)
     assert everything.log_posterior.max() - everything.log_posterior.min() > 1000.0
-    assert race.log_posterior.max() == everything.log_posterior.max()
+    assert float(race.log_posterior.max()) == pytest.approx(float(everything.log_posterior.max()), abs=1e-3)
     assert race.is_converged[race.log_posterior.argmax()]
     assert race.n_iterations < 0.5 * everything.n_iterations
+    assert race.is_converged.sum() == 1  # starts that go to the same maximum leave it to one of them

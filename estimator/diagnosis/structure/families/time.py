@@ -6,6 +6,7 @@ import math
 from itertools import combinations
 
 import torch
+from scipy.linalg import eigh
 from torch import Tensor
 
 from estimator.diagnosis import policy
@@ -114,10 +115,9 @@ def _add_wandering(collection: Collection, circumstances: Circumstances, seen: T
     apart_h = (circumstances.hours[:, None] - circumstances.hours[None, :]).abs()
     for share in policy.WANDERING_SHARES:
         kernel = torch.exp(-apart_h / (share * circumstances.duration_h)) * seen[:, None] * seen[None, :]
-        size, vectors = torch.linalg.eigh(kernel)
-        components = (
-            vectors[:, -policy.WANDERING_COMPONENTS :]
-            * size[-policy.WANDERING_COMPONENTS :].clamp(min=0.0).sqrt()
-        )
+        n = len(kernel)
+        largest = (max(n - policy.WANDERING_COMPONENTS, 0), n - 1)
+        size, vectors = map(torch.from_numpy, eigh(kernel.numpy(), subset_by_index=largest))
+        components = vectors * size.clamp(min=0.0).sqrt()
         for directions in (collection.axes, collection.along_field):
             collection.add("wandering in time", components, directions, sensor)
