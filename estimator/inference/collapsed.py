@@ -62,32 +62,20 @@ class _Sums:
     square: Float[Tensor, " sensor"]
     n: Float[Tensor, " sensor"]
 
-    @cached_property
-    def principal(self) -> _Principal:
-        """The sums of a single sensor by principal directions of its design matrix.
-
-        Directions that the readings do not move have a size and a score of rounding, which are taken for zero.
-        """
-        size, vectors = torch.linalg.eigh(self.gram[0])
-        is_moved = size > len(size) * torch.finfo(size.dtype).eps * size[-1]
-        root = torch.where(is_moved, size.clamp(min=0.0), 0.0).sqrt()
-        residual = torch.where(is_moved, vectors.mT @ self.score[0] / root, 0.0)
-        return _Principal(vectors, root, residual, (self.square[0] - residual.square().sum()).clamp(min=0.0))
-
 
 class _Principal(NamedTuple):
-    """Directions in which one amplitude moves one combination of the readings.
+    """Combinations of amplitudes that each move a combination of the readings of their own: singular vectors of the design matrix.
 
     Attributes:
         vectors: Orthogonal combinations of amplitudes, in columns.
         size: By how much each moves its combination of the readings, in T.
-        residual: Of that combination of the readings, in T.
-        left: Square of the residuals that no amplitude moves, in T^2.
+        measured: That combination of the readings less its prediction with all amplitudes at their centres, in T.
+        left: Square of what no amplitude moves, in T^2.
     """
 
     vectors: Float[Tensor, "amplitude direction"]
     size: Float[Tensor, " direction"]
-    residual: Float[Tensor, " direction"]
+    measured: Float[Tensor, " direction"]
     left: Float[Tensor, ""]
 
 
@@ -129,9 +117,9 @@ class CollapsedPosterior:
             sums, sigma_T = self._sums, self._sigma_T(vector)
             if len(sums.n) == 1:
                 # Squares alone: differences of larger sums would turn negative where the noise is below their rounding.
-                vectors, size, residual, left = sums.principal
+                _, size, measured, left = self._principal
                 variance = sigma_T**2
-                misfit = (residual + size * (vectors.mT @ self._about)) ** 2 / (variance + size**2)
+                misfit = measured**2 / (variance + size**2)
                 squares = left / variance[:, 0] + (misfit + torch.log1p(size**2 / variance)).sum(-1)
                 return -0.5 * squares - (sums.n * torch.log(sigma_T)).sum(-1) - constant
             constant += 0.5 * float(self._about.square().sum())
@@ -151,6 +139,10 @@ class CollapsedPosterior:
         """The amplitudes given all else, for each set of values."""
         if self._is_only_noise:
             precision, score = self._normal_equations(vector)
+            if len(self._sums.n) == 1:
+                vectors, size, measured, _ = self._principal
+                mean = size * measured / (self._sigma_T(vector) ** 2 + size**2)
+                return Conditional(mean @ vectors.mT, precision)
         else:
             design, residual, _ = self._whitened(vector)
             precision, score = self._least_squares(design, residual)
@@ -217,11 +209,11 @@ class CollapsedPosterior:
         generator = torch.Generator().manual_seed(seed)
         normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64)
         if self._is_only_noise and len(self._sums.n) == 1:
-            vectors, size, residual, _ = self._sums.principal
+            vectors, size, measured, _ = self._principal
             variance = self._sigma_T(rows) ** 2
-            grown = 1.0 + size**2 / variance
-            mean = (size * residual / variance - vectors.mT @ self._about) / grown
-            standard = self._about + (mean + normal / grown.sqrt()) @ vectors.mT
+            mean = size * measured / (variance + size**2)
+            along = normal @ vectors  # combinations that move no reading keep their prior
+            standard = normal + (mean + along / (1.0 + size**2 / variance).sqrt() - along) @ vectors.mT
         else:
             distinct, row_of = rows[:1], torch.zeros(len(rows), dtype=torch.int64)
             if rows.shape[1]:  # walkers stay where they are now and then
@@ -283,6 +275,15 @@ class CollapsedPosterior:
             torch.stack([residual_T[rows].square().sum() for rows in own]),
             self.full.n_by_sensor,
         )
+
+    @cached_property
+    def _principal(self) -> _Principal:
+        """Of the readings of a single sensor. Not by the matrix of `_sums`, whose small eigenvalues are rounding."""
+        design_T, residual_T = self._at_start
+        combinations, size, vectors = torch.linalg.svd(design_T, full_matrices=False)
+        measured_T = combinations.mT @ residual_T
+        left_T = residual_T - combinations @ measured_T
+        return _Principal(vectors.mT, size, measured_T, left_T.square().sum())
 
     def _normal_equations(self, vector: Tensor) -> tuple[Tensor, Tensor]:
         """Precision of the amplitudes and right-hand side of their normal equations, where only the noise is free."""
