@@ -140,11 +140,12 @@ def judge_one(
     n = len(session.observations)
     rms_T = float(session.observations.field_sensor_T.square().sum(-1).mean().sqrt())
     share = (squares / n) ** 0.5 / rms_T
+    asked = "" if None in gains else f"evidence for a degree more {np.median(gains):+.0f}, "
     judged = "" if target is None else f"({'below' if share < target else 'NOT below'} {target:.1%}), "
     print(
         f"  {rig.coils[0].name}: {n:5} places, rms field {rms_T * 1e3:.3f} mT/A, error {share:8.4%} {judged}"
         f"largest {worst_T / rms_T:7.3%}, coverage {n_held / n:.1%}, "
-        f"evidence for a degree more {np.median(gains):+.0f}, {(time.perf_counter() - begin_s) / N_FOLDS:.1f} s each",
+        f"{asked}{(time.perf_counter() - begin_s) / N_FOLDS:.1f} s each",
         flush=True,
     )
 
