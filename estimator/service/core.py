@@ -30,6 +30,7 @@ from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.recent import Recent
 from estimator.service.removal import Tidy
+from estimator.service.room import Room
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
@@ -42,6 +43,10 @@ DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512_000_000  # of draws in memory
 MOST_FITS = 4
+MOST_IMPORTS, MOST_IMPORTS_WAITING = (
+    2,
+    20,
+)  # sessions of `most_unpacked_MB` in memory, and bodies of `most_body_MB`
 
 
 class Core:
@@ -83,6 +88,7 @@ class Core:
         self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
+        self.importing = Room("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch(
             "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
@@ -155,6 +161,7 @@ class Core:
         self.watching.stop()
         for ticker in self._tickers:
             ticker.stop()
+        self.courier.stop()
         self.predictor.close()
         self.jobs.stop()
         self.sessions.close()
