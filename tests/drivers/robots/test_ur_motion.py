@@ -42,7 +42,9 @@ def test_an_arm_has_not_arrived_a_little_beyond(monkeypatch, off):
 
 @pytest.mark.parametrize(("offset_m", "is_right"), [(0.9e-6, True), (1.1e-6, False)])
 def test_a_tool_centre_point_off_the_flange_is_refused(monkeypatch, offset_m, is_right):
-    control = SimpleNamespace(setWatchdog=lambda _: True, getTCPOffset=lambda: [0.0, offset_m, 0.0] + [0.0] * 3)
+    control = SimpleNamespace(
+        setWatchdog=lambda _: True, getTCPOffset=lambda: [0.0, offset_m, 0.0] + [0.0] * 3
+    )
     library = SimpleNamespace(RTDEControlInterface=lambda *_: control)
     monkeypatch.setitem(sys.modules, "rtde_control", library)
     for name in ("TcpPort", "RtdeReader", "run_ahead"):
