@@ -6,12 +6,12 @@ import os
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Status, as_completed
 from distributed.comm.core import CommClosedError
-from tornado.ioloop import PeriodicCallback
+from tornado.ioloop import IOLoop, PeriodicCallback
 
 from estimator.errors import InvalidInput
 
@@ -176,12 +176,12 @@ def _replacing(local: LocalCluster, n: int) -> Iterator[None]:
         if len(local.workers) < n:
             local.scale(n)
 
-    looks = PeriodicCallback(replace, REPLACE_EVERY_MS)
-    local.loop.add_callback(looks.start)
+    looks, loop = PeriodicCallback(replace, REPLACE_EVERY_MS), cast(IOLoop, local.loop)  # it runs
+    loop.add_callback(looks.start)
     try:
         yield
     finally:
-        local.loop.add_callback(looks.stop)
+        loop.add_callback(looks.stop)
 
 
 @contextmanager
