@@ -109,7 +109,7 @@ export class LiveView {
     const caption = isField ? "Measured field" : "Measured less predicted field, in colour over three standard deviations,";
     return figure(
       "places", "Places taken",
-      html`${caption} in the frame of ${coil}; the newest reading thick, coils where it found them. ${arrows} ${choice}`,
+      html`${caption} in the frame of ${coil}; the newest reading thick, and the coils as they stood then. ${arrows} ${choice}`,
       space({ name: isField ? "Places and field" : "Places and residuals", points, vectors, kinds, winding: null, rings, extent, field, view: this.view }),
       () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "residual_x_T", "residual_y_T", "residual_z_T", "rms_sigma"],
         ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.field_T, ...one.residual_T, one.rms_sigma])],
