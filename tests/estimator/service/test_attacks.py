@@ -209,14 +209,6 @@ def test_members_are_counted_before_a_list_of_them_is_made(
     assert problem["rule"] == "must hold at most 5000 files"
 
 
-def test_a_name_twice_is_refused_in_words(client: TestClient, rig_id: str) -> None:
-    with pytest.warns(UserWarning, match="Duplicate name"):
-        twice = archive(("zarr.json", b"{}"), ("zarr.json", b"{}"))
-    call = {"content": twice, "headers": {"Content-Type": ZIP}}
-    problem = refusal(client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call), 422)
-    assert problem["rule"] == "must hold each name once"
-
-
 def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_they_are_made_up(
     idle: Callable[..., TestClient],
     rig_text: str,
