@@ -77,7 +77,7 @@ class Core:
         self.watching = Watching(self.sessions.path, settings.most_watched, settings.running_diagnosis)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
         self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
-        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.jobs.folder)
+        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.remove_folder)
         self._tickers = (
             Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
             Ticker("alerts", alerts.LOOK_EVERY_S, self.alerts.tick),
@@ -114,6 +114,12 @@ class Core:
     def calibration(self, folder: Path) -> Calibration:
         """A calibration, checked when it is read; those used last stay in memory."""
         return self._calibrations[folder]
+
+    def remove_folder(self, job_id: str) -> None:
+        """Remove the folder of a job that is gone, and its calibration from memory."""
+        folder = self.jobs.folder(job_id)
+        shutil.rmtree(folder, ignore_errors=True)
+        self._calibrations.forget(lambda path: Path(path).is_relative_to(folder))
 
     def _fitted(self, session_id: str) -> Fit:
         return fit_for_what_if(load_session(self.sessions.path(session_id)))

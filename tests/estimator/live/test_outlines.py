@@ -45,6 +45,8 @@ def test_a_coil_that_is_carried_stands_where_its_last_place_was_seen_from(
 ) -> None:
     """Its frame holds the places, and the sensor stays where it is: origin and axes lead from one to the other."""
     readings, values = small_session.observations, nominal_tensors(small_rig)
+    for key, angle_rad in {"rx": 0.3, "ry": -0.2, "rz": 0.4}.items():
+        values[f"coil1.world_from_coil0.{key}_rad"] = torch.tensor(angle_rad, dtype=torch.float64)
     sensor_m = [small_rig.nominal_values()[f"hall.world_from_sensor.{axis}_m"] for axis in "xyz"]
     for n in (1, 7, len(readings)):
         part = readings.rows(torch.arange(n))
