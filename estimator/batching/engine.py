@@ -6,17 +6,20 @@ import os
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, KilledWorker, LocalCluster, Status, as_completed
 from distributed.comm.core import CommClosedError
+from tornado.ioloop import IOLoop, PeriodicCallback
 
 from estimator.errors import InvalidInput
 
 DEATHS_ALLOWED = 3  # workers that may die on one job before the job is taken for the cause
 RECONNECTIONS, PATIENCE_S = 5, 60
 LOOKS = 10
+LOST_S = 60  # a worker that was killed starts again in seconds, on a busy computer in half a minute; Dask gives it up for ever after 15 s
+REPLACE_EVERY_MS = 1000
 ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 # With this variable, Dask returns memory to the system at once, and a fit takes up to twice as long.
 TRIM_VARIABLE = "MALLOC_TRIM_THRESHOLD_"
@@ -163,6 +166,25 @@ def outcome(future: Future[Any]) -> str | None:
 
 
 @contextmanager
+def _replacing(local: LocalCluster, n: int) -> Iterator[None]:
+    """Start workers in place of those that Dask has given up: their process did not come back in time, or was killed while it started."""
+
+    def replace() -> None:
+        for name, worker in list(local.workers.items()):
+            if worker.status in (Status.closed, Status.failed):
+                del local.workers[name]
+        if len(local.workers) < n:
+            local.scale(n)
+
+    looks, loop = PeriodicCallback(replace, REPLACE_EVERY_MS), cast(IOLoop, local.loop)  # it runs
+    loop.add_callback(looks.start)
+    try:
+        yield
+    finally:
+        loop.add_callback(looks.stop)
+
+
+@contextmanager
 def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
     """Start workers, or connect to those of a scheduler.
 
@@ -176,13 +198,18 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
         raise InvalidInput("workers must not be given for a scheduler that has its own; received both")
     environment = dict(dask.config.get(ENVIRONMENT))
     environment.pop(TRIM_VARIABLE, None)
-    settings = {"distributed.scheduler.allowed-failures": DEATHS_ALLOWED, ENVIRONMENT: environment}
+    settings = {
+        "distributed.scheduler.allowed-failures": DEATHS_ALLOWED,
+        "distributed.deploy.lost-worker-timeout": f"{LOST_S}s",
+        ENVIRONMENT: environment,
+    }
     with dask.config.set(settings), ExitStack() as stack:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))
             local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
             address = stack.enter_context(local).scheduler_address
+            stack.enter_context(_replacing(local, n))
         try:
             client = Client(address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

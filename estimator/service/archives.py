@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import io
+import json
 import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from estimator.errors import CoilcalError
 from estimator.service.problems import Problem
-from estimator.store.admission import MOST_FILES, admit
+from estimator.store.admission import METADATA, admit
 from estimator.store.session import Session, load_session
 
+MOST_MEMBERS = (
+    5_000  # a session of 200,000 readings has about a hundred; a file that is made costs half a millisecond
+)
 MOST_NAME = 200  # characters
 MOST_LEVELS = 6  # folders inside each other; a session has four
 PIECE = 1 << 20
 BYTES_OF_NUMBER = 8
+ENTRY = b"PK\x01\x02"  # with which each entry of the list of members begins
+TIMES = "time_s"  # array with a number for each reading
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -40,13 +46,14 @@ def zipped(folder: Path, parts: Sequence[str] = ()) -> bytes:
 
 
 @contextmanager
-def unpacked_session(body: bytes, folder: Path, most_bytes: int) -> Iterator[Session]:
+def unpacked_session(body: bytes, folder: Path, most_bytes: int, most_readings: int) -> Iterator[Session]:
     """The session in a zip file, unpacked for as long as the block lasts.
 
     Args:
         body: The zip file.
         folder: Where to unpack; it must not exist, and is gone afterwards.
         most_bytes: Size that it may have when unpacked.
+        most_readings: Readings that it may claim; zarr makes numbers up for chunks that are missing.
     Raises:
         Problem: It is no zip file, is beyond a limit, or has a name that leads out of the folder.
         CorruptStore: The store's checks refuse it.
@@ -58,6 +65,7 @@ def unpacked_session(body: bytes, folder: Path, most_bytes: int) -> Iterator[Ses
             raise Problem(422, "archive", "must hold the zarr.json of a session at its top; it holds none")
         try:
             admit(folder, "session", most_bytes // BYTES_OF_NUMBER)
+            check_length(_n_claimed(folder), most_readings)
             session = load_session(folder)
         except Problem:
             raise
@@ -69,17 +77,31 @@ def unpacked_session(body: bytes, folder: Path, most_bytes: int) -> Iterator[Ses
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def check_length(n_readings: int, most_readings: int) -> None:
+    """Refuse a session that has more readings than the service takes."""
+    if n_readings > most_readings:
+        raise Problem(413, "session", f"must have at most {most_readings} readings", n_readings)
+
+
+def _n_claimed(folder: Path) -> int:
+    """Readings of a session that was admitted, by its metadata; 0 where they do not say."""
+    file = folder / TIMES / METADATA
+    shape = json.loads(file.read_text(encoding="utf-8")).get("shape") if file.is_file() else None
+    return int(shape[0]) if shape else 0
+
+
 class UploadRefused(CoilcalError):
     """What was uploaded is damaged, or no session."""
 
 
 def _unpack(body: bytes, folder: Path, most_bytes: int) -> None:
     """Unpack by the bytes that come out, not by the sizes that the archive claims."""
+    if (n := body.count(ENTRY)) > MOST_MEMBERS:  # before a list of them is made
+        raise Problem(413, "archive", f"must hold at most {MOST_MEMBERS} files", n)
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
             members = archive.infolist()
-            if len(members) > MOST_FILES:
-                raise Problem(413, "archive", f"must hold at most {MOST_FILES} files", len(members))
+            _check_names({member.filename for member in members}, len(members))
             left = most_bytes
             for member in members:
                 _check_member(member)
@@ -115,6 +137,11 @@ def _unpack_file(
                 )
             target.write(piece)
     return size
+
+
+def _check_names(names: Set[str], n_members: int) -> None:
+    if len(names) < n_members:
+        raise Problem(422, "archive", "must hold each name once", place=f"{n_members - len(names)} too many")
 
 
 def _check_member(member: zipfile.ZipInfo) -> None:

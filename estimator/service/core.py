@@ -30,6 +30,7 @@ from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.recent import Recent
 from estimator.service.removal import Tidy
+from estimator.service.room import Room
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
@@ -42,6 +43,10 @@ DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512_000_000  # of draws in memory
 MOST_FITS = 4
+MOST_IMPORTS, MOST_IMPORTS_WAITING = (
+    2,
+    20,
+)  # sessions of `most_unpacked_MB` in memory, and bodies of `most_body_MB`
 
 
 class Core:
@@ -72,7 +77,7 @@ class Core:
         self.watching = Watching(self.sessions.path, settings.most_watched, settings.running_diagnosis)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
         self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
-        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.jobs.folder)
+        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.remove_folder)
         self._tickers = (
             Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
             Ticker("alerts", alerts.LOOK_EVERY_S, self.alerts.tick),
@@ -83,6 +88,7 @@ class Core:
         self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
+        self.importing = Room("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch(
             "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
@@ -108,6 +114,12 @@ class Core:
     def calibration(self, folder: Path) -> Calibration:
         """A calibration, checked when it is read; those used last stay in memory."""
         return self._calibrations[folder]
+
+    def remove_folder(self, job_id: str) -> None:
+        """Remove the folder of a job that is gone, and its calibration from memory."""
+        folder = self.jobs.folder(job_id)
+        shutil.rmtree(folder, ignore_errors=True)
+        self._calibrations.forget(lambda path: Path(path).is_relative_to(folder))
 
     def _fitted(self, session_id: str) -> Fit:
         return fit_for_what_if(load_session(self.sessions.path(session_id)))
@@ -155,6 +167,7 @@ class Core:
         self.watching.stop()
         for ticker in self._tickers:
             ticker.stop()
+        self.courier.stop()
         self.predictor.close()
         self.jobs.stop()
         self.sessions.close()

@@ -11,6 +11,7 @@ import logging
 import re
 import time
 import uuid
+from dataclasses import dataclass
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
@@ -30,6 +31,9 @@ LOGIN = "/v1/login"
 PUBLIC = frozenset({"/healthz", "/readyz", LOGIN, *page_files()})
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 SAFE = ("GET", "HEAD")
+MOST_PUBLIC_BYTES = 10_000  # of a body from somebody who has not said who it is: a token has a hundred
+MOST_BODIES = 16  # of the greatest size, that all requests together may hold in memory
+RETRY_AFTER_S = 5
 HOST = re.compile(
     r"([^\s\[\]:/?#@\\]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{0,5})?"
 )  # a name or an address, and a port
@@ -54,6 +58,7 @@ class Guard:
     ) -> None:
         self._app, self._settings, self._database, self._metrics = app, settings, database, metrics
         self._cookies, self._rates = cookies, RateLimits(settings)
+        self._n_held = 0  # bytes of all bodies
         own = LOOPBACK_NAMES if settings.is_loopback else (_bracketed(settings.host),)
         self._hosts = {name.lower() for name in (*own, *settings.allowed_hosts)}
 
@@ -67,6 +72,7 @@ class Guard:
 
         begin_s = time.monotonic()
         has_begun = False
+        body = _Body()
 
         async def send_with_headers(message: Message) -> None:
             nonlocal has_begun
@@ -82,7 +88,7 @@ class Guard:
 
         try:
             try:
-                limited = await self._admitted(scope, receive)
+                limited = await self._admitted(scope, receive, body)
             except Problem as problem:
                 await answer_to(problem, request_id)(scope, receive, send_with_headers)
                 return
@@ -92,15 +98,17 @@ class Guard:
                 raise
             log.error("a request failed", exc_info=error, extra={"request_id": request_id})
             await answer_to(failure(), request_id)(scope, receive, send_with_headers)
+        finally:
+            self._n_held -= body.n_bytes
 
-    async def _admitted(self, scope: Scope, receive: Receive) -> Receive:
+    async def _admitted(self, scope: Scope, receive: Receive, body: _Body) -> Receive:
         """Where the body of an admitted request comes from; its caller is in `scope`."""
         headers = Headers(scope=scope)
         _check_framing(scope, headers)
         self._check_site(scope, headers)
         address = scope["client"][0] if scope.get("client") else ""
         scope["caller"] = await self._caller(scope, headers, address)
-        return self._limited(headers, receive)
+        return self._limited(scope, headers, receive, body)
 
     def _note(self, scope: Scope, status: int, took_s: float) -> None:
         """Log and count a request whose answer begins; a token that is guessed at the login counts as one that is guessed elsewhere."""
@@ -179,21 +187,24 @@ class Guard:
             raise Problem(401, "login", "must be recent, with a token that is still valid", headers=CHALLENGE)
         return caller
 
-    def _limited(self, headers: Headers, receive: Receive) -> Receive:
-        """A body that ends with a refusal where it is too long or takes too long."""
+    def _limited(self, scope: Scope, headers: Headers, receive: Receive, body: _Body) -> Receive:
+        """A body that ends with a refusal where it is too long, takes too long, or is too much beside those of others."""
         if headers.get("content-encoding", "identity") != "identity":
             raise Problem(
                 415, "body", "must not be encoded", headers["content-encoding"], "header Content-Encoding"
             )
         most, most_s = self._settings.most_body_bytes, self._settings.most_body_s
+        most_held = MOST_BODIES * most
+        if scope["path"] in PUBLIC:
+            most = min(most, MOST_PUBLIC_BYTES)
         length = headers.get("content-length", "0")
         if not (length.isascii() and length.isdecimal()) or int(length[:20]) > most:
             raise _too_long(most, length)
-        n_received, is_whole = 0, False
+        is_whole = False
         end_s = asyncio.get_running_loop().time() + most_s
 
         async def limited() -> Message:
-            nonlocal n_received, is_whole
+            nonlocal is_whole
             if is_whole:  # from here on it waits for the client to leave
                 return await receive()
             try:
@@ -201,13 +212,27 @@ class Guard:
                     message = await receive()
             except TimeoutError:
                 raise Problem(408, "body", f"must arrive within {most_s:g} s") from None
-            n_received += len(message.get("body", b""))
+            n = len(message.get("body", b""))
+            body.n_bytes += n
+            self._n_held += n
             is_whole = not message.get("more_body", False)
-            if n_received > most:
-                raise _too_long(most, n_received)
+            if body.n_bytes > most:
+                raise _too_long(most, body.n_bytes)
+            if self._n_held > most_held:
+                rule = f"must have at most {most_held} bytes together"
+                raise Problem(
+                    429, "bodies of all requests", rule, headers={"Retry-After": str(RETRY_AFTER_S)}
+                )
             return message
 
         return limited
+
+
+@dataclass
+class _Body:
+    """What of a request's body has arrived."""
+
+    n_bytes: int = 0
 
 
 def _check_framing(scope: Scope, headers: Headers) -> None:

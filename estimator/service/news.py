@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from estimator.live.outlines import CoilOutline
 from estimator.live.places import Place
 from estimator.live.stream import Interval
 from estimator.service.devices import Device
@@ -45,6 +46,7 @@ class News:
         alarms: All alarms so far, in words.
         is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
         places: Where readings were taken, and what the estimate left of them when it was last computed.
+        coils: Where the coils stood at the last reading.
         history: How the intervals shrank.
         devices: What each instrument showed last.
         diagnosis: The latest running diagnosis; None before the first.
@@ -58,6 +60,7 @@ class News:
     alarms: list[str]
     is_redrawn: bool
     places: list[Place]
+    coils: list[CoilOutline]
     history: list[Widths]
     devices: list[Device]
     diagnosis: Verdict | None

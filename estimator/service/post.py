@@ -15,7 +15,10 @@ import hmac
 import ipaddress
 import re
 import socket
+import threading
 from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
@@ -51,22 +54,31 @@ def check_url(url: str, networks: Sequence[str]) -> None:
     """
     try:
         parts = urlsplit(url)
-        host, _ = parts.hostname, parts.port
+        host, port = parts.hostname, parts.port
         has_more = bool(parts.username or parts.password or parts.fragment)
         httpx.URL(url)
     except (ValueError, httpx.InvalidURL):
-        host, has_more = None, True
-    is_named = host is not None and (":" in host or HOST.fullmatch(host))
+        host, port, has_more = None, None, True
+    is_named = host is not None and port != 0 and (":" in host or HOST.fullmatch(host))
     if not is_named or has_more or parts.scheme not in ("http", "https") or len(url) > LONGEST_URL:
         raise Problem(422, "url", "must be an http or https address without user and fragment", url, "body")
-    try:
-        literal = ipaddress.ip_address(str(host))
-    except ValueError:
-        return  # names are looked up when something is sent
-    if not may_reach(literal, networks):
+    literal = _literal(str(host))  # names are looked up when something is sent
+    if literal is not None and not may_reach(literal, networks):
         raise Problem(
             422, "url", "must not be at a private address, unless webhook_networks names it", url, "body"
         )
+
+
+def _literal(host: str) -> Address | None:
+    """The address that a host spells, such as 127.1 or 0x7f000001 for 127.0.0.1; None for a name."""
+    try:
+        return ipaddress.ip_address(host)
+    except ValueError:
+        pass
+    try:
+        return ipaddress.IPv4Address(socket.inet_aton(host))
+    except OSError:
+        return None
 
 
 def may_reach(address: Address, networks: Sequence[str]) -> bool:
@@ -146,7 +158,7 @@ async def _status(url: str, headers: dict[str, str], body: bytes, networks: Sequ
 
 async def _address(host: str, port: int, networks: Sequence[str]) -> Address:
     """The address of a host, all of whose addresses may be reached."""
-    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    found = await asyncio.wrap_future(_looked_up(host, port))
     addresses = [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found]
     for address in addresses:
         if not may_reach(address, networks):
@@ -154,3 +166,19 @@ async def _address(host: str, port: int, networks: Sequence[str]) -> Address:
                 f"receiver must not be at a private address, unless webhook_networks names it; {host} is at {address}"
             )
     return addresses[0]
+
+
+def _looked_up(host: str, port: int) -> Future[list[Any]]:
+    """The addresses of a name, from a thread of its own: the end of an event loop waits for its threads, and a name server may be slow."""
+    answer: Future[list[Any]] = Future()
+
+    def look_up() -> None:
+        if not answer.set_running_or_notify_cancel():
+            return
+        try:
+            answer.set_result(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
+        except Exception as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=look_up, name="coilcal name", daemon=True).start()
+    return answer

@@ -24,8 +24,11 @@ class Recent(Generic[Key, Value]):
         >>> squares = Recent(lambda n: made.append(n) or n * n, 2)
         >>> [squares[n] for n in (1, 2, 1, 3, 1, 2)]
         [1, 4, 1, 9, 1, 4]
+        >>> squares.forget(lambda n: n == 1)
+        >>> squares[1]
+        1
         >>> made
-        [1, 2, 3, 2]
+        [1, 2, 3, 2, 1]
     """
 
     def __init__(
@@ -42,3 +45,9 @@ class Recent(Generic[Key, Value]):
             while len(self._values) > 1 and sum(map(self._size, self._values.values())) > self._most:
                 self._values.popitem(last=False)
             return value
+
+    def forget(self, is_gone: Callable[[Key], bool]) -> None:
+        """Drop the values of keys that are gone, which nobody asks for again."""
+        with self._lock:
+            for key in [key for key in self._values if is_gone(key)]:
+                del self._values[key]

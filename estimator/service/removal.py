@@ -75,11 +75,13 @@ class Tidy:
     Args:
         database: Rows of jobs.
         keep_jobs_days: 0 keeps jobs for ever.
-        folder: Of a job, by its id.
+        remove_folder: Removes that of a job, by its id.
     """
 
-    def __init__(self, database: Database, keep_jobs_days: float, folder: Callable[[str], Path]) -> None:
-        self._database, self._keep_days, self._folder = database, keep_jobs_days, folder
+    def __init__(
+        self, database: Database, keep_jobs_days: float, remove_folder: Callable[[str], None]
+    ) -> None:
+        self._database, self._keep_days, self._remove_folder = database, keep_jobs_days, remove_folder
 
     def tick(self) -> int:
         """Remove what is due; the number of jobs."""
@@ -92,7 +94,7 @@ class Tidy:
             ids = [job.id for job in jobs]
             _remove_rows(db, jobs)
         for job_id in ids:
-            shutil.rmtree(self._folder(job_id), ignore_errors=True)
+            self._remove_folder(job_id)
         if ids:
             log.info("old jobs were removed", extra={"jobs": len(ids), "days": self._keep_days})
         return len(ids)

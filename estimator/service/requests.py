@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request
@@ -72,6 +72,15 @@ def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
 
 StreamRoom = Annotated[None, Depends(_room)]
 """Of routes with event streams. What such a route refuses has to be refused by what it depends on: once it runs, the answer has begun."""
+
+
+async def _import_room(core: CoreOf) -> AsyncIterator[None]:
+    async with core.importing.taken():
+        yield
+
+
+ImportRoom = Annotated[None, Depends(_import_room)]
+"""Of routes that read a whole session; stands after the body, so that who sends slowly takes no place."""
 
 
 def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes]]:

@@ -41,7 +41,7 @@ class Settings:
         most_job_hours: Time after which a job is ended.
         most_body_MB: Size of a request's body.
         most_unpacked_MB: Size of an uploaded archive when it is unpacked.
-        most_readings: Readings of one session that are appended.
+        most_readings: Readings of one session, appended or imported.
         most_open_sessions: Sessions that may be open at once.
         most_points: Points of one prediction.
         most_grid_points: Points of one prediction on a grid.

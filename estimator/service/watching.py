@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from estimator.errors import CoilcalError
+from estimator.live.outlines import CoilOutline, outlines
 from estimator.live.places import Place, places
 from estimator.live.refresh import FEWEST_READINGS, Refreshed
 from estimator.live.refresh import GROWTH as GROWTH_OF_DIAGNOSIS
@@ -53,6 +54,7 @@ class Watched:
         self._stream = Stream(self._rig)
         self._entries: list[Entry] = []
         self._places: list[Place] = []
+        self._coils: list[CoilOutline] = []
         self._history: list[Widths] = []
         self._devices: list[Device] = []
         self._intervals: dict[str, Interval] = {}
@@ -136,6 +138,7 @@ class Watched:
                 alarms=[alarm.words for alarm in self._stream.alarms],
                 is_redrawn=is_redrawn,
                 places=[one for one in self._places if one.number > after],
+                coils=list(self._coils),
                 history=[one for one in self._history if is_redrawn or one.n_readings > n_history],
                 devices=list(self._devices),
                 diagnosis=self._verdict,
@@ -199,8 +202,10 @@ class Watched:
         new = self._drawn(entries, len(self._entries))
         widths = Widths(estimate.n_readings, {name: one.sd for name, one in estimate.intervals.items()})
         devices = updated(self._devices, entries, self._rig)
+        coils = outlines(self._rig, self._stream.values, observations_of(entries[-1:], self._rig))
         with self._lock:
             self._entries += entries
+            self._coils = coils
             self._devices = devices
             self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
             self._places = [*self._places, *new][-MOST_PLACES:]

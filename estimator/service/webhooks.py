@@ -10,6 +10,7 @@ import asyncio
 import json
 import logging
 import math
+import threading
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -19,7 +20,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from estimator.service.database import Database, new_id, now
-from estimator.service.post import Undelivered, post
+from estimator.service.post import MOST_S, Undelivered, post
 from estimator.service.schema import Delivery, Job, Webhook
 from estimator.service.settings import Settings
 
@@ -35,6 +36,7 @@ PAUSES_S = (
 )  # before each further attempt; a weekend with the receiver off is survived by few more
 KEPT_DAYS = 90  # of what was delivered or has failed
 LOOK_EVERY_S, TIDY_EVERY_S = 1.0, 3600.0
+MOST_LATE_S = 5.0  # between the end of a receiver's time and the row that tells of it
 log = logging.getLogger("coilcal.service")
 
 
@@ -69,26 +71,39 @@ class Courier:
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database, self._settings = database, settings
         self._tidied_s = -math.inf
+        self._at_work: dict[str, threading.Thread] = {}  # by webhook
 
     def tick(self) -> None:
-        """Deliver what is due, and tidy now and then."""
-        self.deliver_due()
+        """Begin to deliver what is due, and tidy now and then."""
+        self.begin_due()
         if time.monotonic() - self._tidied_s >= TIDY_EVERY_S:
             self.tidy()
             self._tidied_s = time.monotonic()
 
-    def deliver_due(self) -> int:
-        """Try the oldest message of each webhook that is due, all at once; how many there were."""
+    def begin_due(self) -> list[threading.Thread]:
+        """Try the oldest message of each webhook that is due, in a thread for each; a receiver that is slow holds up its own messages only.
+
+        Returns: The threads.
+        """
+        self._at_work = {each: thread for each, thread in self._at_work.items() if thread.is_alive()}
         with self._database.reading() as db:
             due = select(func.min(Delivery.number)).where(
-                Delivery.state == WAITING, Delivery.next_attempt <= now()
+                Delivery.state == WAITING,
+                Delivery.next_attempt <= now(),
+                Delivery.webhook_id.not_in(self._at_work),
             )
             numbers = list(db.scalars(due.group_by(Delivery.webhook_id)))
             query = select(Delivery, Webhook).join(Webhook, Webhook.id == Delivery.webhook_id)
             rows = [(row[0], row[1]) for row in db.execute(query.where(Delivery.number.in_(numbers)))]
-        if rows:
-            asyncio.run(self._deliver_all(rows))
-        return len(rows)
+        begun = {webhook.id: self._begun(delivery, webhook) for delivery, webhook in rows}
+        self._at_work |= begun
+        return list(begun.values())
+
+    def stop(self) -> None:
+        """Wait for what is being delivered; a receiver has its own time to answer."""
+        end_s = time.monotonic() + MOST_S + MOST_LATE_S
+        for thread in self._at_work.values():
+            thread.join(max(0.0, end_s - time.monotonic()))
 
     def tidy(self) -> None:
         """Forget what ended long ago."""
@@ -96,8 +111,12 @@ class Courier:
         with self._database.writing() as db:
             db.execute(delete(Delivery).where(Delivery.state != WAITING, Delivery.created < before))
 
-    async def _deliver_all(self, rows: list[tuple[Delivery, Webhook]]) -> None:
-        await asyncio.gather(*(self._deliver(delivery, webhook) for delivery, webhook in rows))
+    def _begun(self, delivery: Delivery, webhook: Webhook) -> threading.Thread:
+        thread = threading.Thread(
+            target=lambda: asyncio.run(self._deliver(delivery, webhook)), name="coilcal delivery", daemon=True
+        )
+        thread.start()
+        return thread
 
     async def _deliver(self, delivery: Delivery, webhook: Webhook) -> None:
         fault, status = None, None

@@ -75,6 +75,7 @@ def test_a_rig_is_opened_checked_and_measures(section, world):
             FlangePose((0.3, 0.02, 0.2), (0.0, 3.0, 0.0)), speed_m_per_s=0.1, timeout_s=5.0
         )
         devices.sources["coil1"].set_current_A(2.0, timeout_s=3.0)
+        assert devices.sources["coil1"]._tolerance_A == pytest.approx(1e-3 * SUPPLY["tolerance_mA"])
         field_T = devices.sensors["hall"].read_field_T(timeout_s=2.0).value
         assert field_T == pytest.approx(along_z(world.snapshot()), abs=1e-9)
         with pytest.raises(Refused, match="arm.target.y_m"):

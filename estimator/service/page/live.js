@@ -4,7 +4,7 @@ import { html } from "./vendor/lit-html.js";
 import { get } from "./api.js";
 import { lines } from "./chart.js";
 import { figure } from "./figure.js";
-import { arrowScale, extentOf, space, Viewpoint } from "./space.js";
+import { arrowScale, extentOf, ringsAround, space, Viewpoint } from "./space.js";
 import { breakable, minus, rounded, short, shownIn, size } from "./words.js";
 
 const STRONG_SIGMA = 3;
@@ -97,6 +97,8 @@ export class LiveView {
     const isField = this.arrows === "field";
     const vectors = here.map((one) => (isField ? one.field_T : one.residual_T));
     const field = arrowScale(vectors);
+    const rings = ringsAround(this.state.coils, coil);
+    const extent = extentOf([...points, ...rings.flatMap((ring) => ring.points)]);
     const last = this.places.at(-1);
     const kinds = here.map((one) => (one === last ? "last" : isField || one.rms_sigma > STRONG_SIGMA ? "strong" : "weak"));
     const choice = coils.length < 2 ? null
@@ -107,8 +109,8 @@ export class LiveView {
     const caption = isField ? "Measured field" : "Measured less predicted field, in colour over three standard deviations,";
     return figure(
       "places", "Places taken",
-      html`${caption} in the frame of ${coil}; the newest reading thick. ${arrows} ${choice}`,
-      space({ name: isField ? "Places and field" : "Places and residuals", points, vectors, kinds, winding: null, extent: extentOf(points), field, view: this.view }),
+      html`${caption} in the frame of ${coil}; the newest reading thick, and the coils as they stood then. ${arrows} ${choice}`,
+      space({ name: isField ? "Places and field" : "Places and residuals", points, vectors, kinds, winding: null, rings, extent, field, view: this.view }),
       () => [["number", "coil", "x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", "residual_x_T", "residual_y_T", "residual_z_T", "rms_sigma"],
         ...this.places.map((one) => [one.number, one.coil, ...one.position_m, ...one.field_T, ...one.residual_T, one.rms_sigma])],
     );

@@ -1,4 +1,4 @@
-// A view in space that can be turned: places with arrows, and the coil's winding. Orthographic, so that lengths can be compared.
+// A view in space that can be turned: places with arrows, and the coil's winding or several coils. Orthographic, so that lengths can be compared.
 
 import { svg } from "./vendor/lit-html.js";
 import { size } from "./words.js";
@@ -8,6 +8,7 @@ const HEIGHT = 360;
 const TURN = Math.PI / 200; // per pixel
 const STEP = Math.PI / 24; // per key
 const HEAD = 4.5;
+const RING = 64; // points of a coil's outline, none of them on an axis
 
 // The direction of view, shared by figures that are compared.
 export class Viewpoint {
@@ -53,9 +54,9 @@ function nice(value) {
   return [5, 2, 1].map((k) => k * power).find((k) => k <= 1.001 * value);
 }
 
-/* options: name (for screen readers), points (m), vectors (T), kinds (class of each arrow), winding, extent, field (of the longest
-   arrows), view. */
-export function space({ name, points, vectors, kinds, winding, extent, field, view }) {
+/* options: name (for screen readers), points (m), vectors (T), kinds (class of each arrow), winding, rings (of coils, with name and
+   points), extent, field (of the longest arrows), view. */
+export function space({ name, points, vectors, kinds, winding, rings = [], extent, field, view }) {
   const pixels = (0.54 * Math.min(WIDTH, HEIGHT) * view.zoom) / extent.half;
   const at = (point) => {
     const [right, up, near] = view.project(point.map((v, k) => v - extent.middle[k]));
@@ -82,6 +83,7 @@ export function space({ name, points, vectors, kinds, winding, extent, field, vi
       aria-label="${name}. Arrow keys turn it, plus and minus change its size."
       @pointerdown=${grip} @pointermove=${turn} @keydown=${(event) => onKey(event, view)}>
     ${winding ? windingLines(winding, at) : null}
+    ${rings.map((ring) => ringLine(ring, at))}
     ${axes(at, extent)}
     ${keys.map((key) => svg`<path class="arrow ${key}" d=${strokes[key]} />`)}
     <g transform="translate(14 ${HEIGHT - 14})">
@@ -115,6 +117,38 @@ function arrowPath([x0, y0], [x1, y1]) {
   const head = Math.min(HEAD, 0.45 * length);
   const side = (s) => `M${f(x1)} ${f(y1)}L${f(x1 - head * (dx + s * 0.5 * dy))} ${f(y1 - head * (dy - s * 0.5 * dx))}`;
   return `${dot}M${f(x0)} ${f(y0)}L${f(x1)} ${f(y1)}${side(1)}${side(-1)}`;
+}
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+// The mean turn of each coil in the frame of one of them: arcs, with straight sides between where there are any.
+export function ringsAround(coils, name) {
+  const frame = coils.find((coil) => coil.name === name);
+  if (!frame) return [];
+  const axes = [frame.x_axis, frame.y_axis, cross(frame.x_axis, frame.y_axis)];
+  const inFrame = (point) => axes.map((axis) => dot(axis, point.map((v, k) => v - frame.origin_m[k])));
+  return coils.map((coil) => {
+    const normal = cross(coil.x_axis, coil.y_axis);
+    const along = (x, y) => coil.origin_m.map((v, k) => v + x * coil.x_axis[k] + y * coil.y_axis[k] - coil.depth_m * normal[k]);
+    const [halfX, halfY] = coil.straight_m.map((v) => v / 2);
+    const points = Array.from({ length: RING }, (_, k) => {
+      const a = (2 * Math.PI * (k + 0.5)) / RING;
+      const [c, s] = [Math.cos(a), Math.sin(a)];
+      return inFrame(along(coil.radius_m * c + halfX * Math.sign(c), coil.radius_m * s + halfY * Math.sign(s)));
+    });
+    return { name: coil.name, points };
+  });
+}
+
+// A closed line with the name above its highest point.
+function ringLine({ name, points }, at) {
+  const shown = points.map(at);
+  const [x, y] = shown.reduce((a, b) => (b[1] < a[1] ? b : a));
+  return svg`<g class="winding ring">
+    <path d="M${shown.map(([x0, y0]) => `${x0.toFixed(1)} ${y0.toFixed(1)}`).join("L")}Z" />
+    <text class="middle" x=${x} y=${y - 5}>${name}</text>
+  </g>`;
 }
 
 function windingLines(winding, at) {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 from fastapi import APIRouter, Request
 from sqlalchemy import select
 
@@ -26,7 +24,7 @@ def delete_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> No
         _check_owner(job.user, caller, "job", job_id)
         remove_job(db, job)
         audited(db, request, caller, "job.delete", job_id)
-    shutil.rmtree(core.jobs.folder(job_id), ignore_errors=True)
+    core.remove_folder(job_id)
 
 
 @router.delete("/sessions/{session_id}", status_code=204, tags=["sessions"])
@@ -40,9 +38,10 @@ def delete_session(request: Request, core: CoreOf, caller: Writer, session_id: I
         job_ids = remove_session(db, session)
         audited(db, request, caller, "session.delete", session_id)
     core.sessions.remove(session_id)
+    core.fits.forget(lambda known: known == session_id)
     core.watching.wake(session_id)
     for job_id in job_ids:
-        shutil.rmtree(core.jobs.folder(job_id), ignore_errors=True)
+        core.remove_folder(job_id)
 
 
 def _check_owner(user: str, caller: Caller, thing: str, row_id: str) -> None:

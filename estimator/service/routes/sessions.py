@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
 from estimator.rig_files.read import rig_from_text
-from estimator.service.archives import unpacked_session, zipped
+from estimator.service.archives import check_length, unpacked_session, zipped
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.problems import Problem, not_found
@@ -27,6 +27,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    ImportRoom,
     Key,
     Limit,
     Page,
@@ -156,7 +157,14 @@ def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: st
     status_code=201,
     openapi_extra=documented_body("text/csv", "Readings, units in the header."),
 )
-def import_csv(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, body: Csv) -> SessionInfo:
+def import_csv(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    rig_id: RigId,
+    body: Csv,
+    room: ImportRoom,  # noqa: ARG001
+) -> SessionInfo:
     """Make a closed session of a readings CSV."""
     with core.database.reading() as db:
         version = db.get(RigVersion, rig_id)
@@ -166,6 +174,7 @@ def import_csv(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, bo
         path = Path(folder) / "readings.csv"
         path.write_bytes(body)
         session = read_readings_csv(path, rig_from_text(version.text, "rig"))
+        check_length(len(session.observations), core.settings.most_readings)
         return _kept(core, request, caller, session, version.id)
 
 
@@ -174,14 +183,21 @@ def import_csv(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, bo
     status_code=201,
     openapi_extra=documented_body("application/zip", "A session.zarr, its files at the top of the archive."),
 )
-def import_zip(request: Request, core: CoreOf, caller: Writer, rig_id: RigId, body: Zip) -> SessionInfo:
+def import_zip(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    rig_id: RigId,
+    body: Zip,
+    room: ImportRoom,  # noqa: ARG001
+) -> SessionInfo:
     """Make a closed session of a zipped session.zarr, whose coils, sensors and movers must be those of the rig."""
     with core.database.reading() as db:
         version = db.get(RigVersion, rig_id)
     if version is None:
         raise not_found("rig", rig_id)
-    most_bytes = int(core.settings.most_unpacked_MB * 1e6)
-    with unpacked_session(body, _made(core.uploads) / new_id(), most_bytes) as session:
+    limits = int(core.settings.most_unpacked_MB * 1e6), core.settings.most_readings
+    with unpacked_session(body, _made(core.uploads) / new_id(), *limits) as session:
         session.check_rig(rig_from_text(version.text, "rig"))
         return _kept(core, request, caller, session, version.id)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
 
-from estimator.batching.engine import Runner, ThisProcess, cluster
+from estimator.batching import engine
+from estimator.batching.engine import Runner, ThisProcess, cluster, outcome
 from estimator.errors import InvalidInput
 from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly, variable
 from tests.estimator.batching.schedulers import free_address, started, stop
@@ -71,6 +73,17 @@ def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given
         assert results(where, calls) == {i: 2 * i for i in range(6)}
         assert (tmp_path / "flag").exists()
         assert str(results(where, {"x": (deadly, ())})["x"]) == "4 workers died on it"
+
+
+def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Its process takes longer to start again than Dask waits, and then its calls waited for ever."""
+    monkeypatch.setattr(engine, "LOST_S", 0)
+    monkeypatch.setattr(engine, "REPLACE_EVERY_MS", 100)
+    has_ended = threading.Event()
+    with cluster(1, None) as where:
+        future = where.start((deadly_once, (str(tmp_path / "flag"), 3)), has_ended.set)
+        assert has_ended.wait(30)
+        assert outcome(future) == "done"
 
 
 def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():

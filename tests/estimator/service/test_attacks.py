@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
+import shutil
 import socket
 import struct
 import threading
@@ -11,15 +13,19 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import h11
 import pytest
 from starlette.testclient import TestClient
 
-from estimator.service import connections
+from estimator.service import archives, connections
+from estimator.service.archives import zipped
 from estimator.service.connections import PromptHttp
-from estimator.service.post import check_url
+from estimator.service.post import Undelivered, post
 from estimator.service.problems import Problem
+from estimator.service.room import Room
+from estimator.store.session import Session
 from tests.estimator.service.conftest import Served, begin_session, refusal, upload_rig
 
 YAML, JSON, ZIP = "application/yaml", "application/json", "application/zip"
@@ -187,14 +193,83 @@ def test_an_address_of_a_webhook_is_refused(client: TestClient, address: str) ->
 
 
 @pytest.mark.parametrize("address", ["http://2130706433/", "http://0x7f.1/", "http://localhost/"])
-def test_odd_spellings_of_loopback_are_refused_when_they_are_looked_up(address: str) -> None:
-    import asyncio
-
-    from estimator.service.post import Undelivered, post
-
-    check_url(address, ())
+def test_odd_spellings_of_loopback_are_refused_when_they_are_looked_up_too(address: str) -> None:
     with pytest.raises(Undelivered, match="private address|must be reached"):
         asyncio.run(post(address, "whsec_AAAA", "1", 1, b"{}", ()))
+
+
+def test_members_are_counted_before_a_list_of_them_is_made(
+    client: TestClient, rig_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """600,000 members of 50 bytes took half a gigabyte and seconds in which nothing else was answered."""
+    flood = archive(*((f"{n}", b"") for n in range(archives.MOST_MEMBERS + 1)), kind=zipfile.ZIP_STORED)
+    monkeypatch.setattr(archives.zipfile, "ZipFile", None)
+    call = {"content": flood, "headers": {"Content-Type": ZIP}}
+    problem = refusal(client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call), 413)
+    assert problem["rule"] == "must hold at most 5000 files"
+
+
+def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_they_are_made_up(
+    idle: Callable[..., TestClient],
+    rig_text: str,
+    small_session: Session,
+    readings_csv: bytes,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seven kilobytes without a chunk became a session of three million readings, in half a gigabyte."""
+    client = idle(most_readings=len(small_session.observations) - 1)
+    rig_id = upload_rig(client, rig_text)
+    small_session.save(tmp_path / "s.zarr")
+    for chunks in (tmp_path / "s.zarr").glob("*/c"):
+        shutil.rmtree(chunks)
+    call = {"content": zipped(tmp_path / "s.zarr"), "headers": {"Content-Type": ZIP}}
+    monkeypatch.setattr(archives, "load_session", None)
+    n = len(small_session.observations)
+    problem = refusal(client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call), 413)
+    assert (problem["rule"], problem["value"]) == (f"must have at most {n - 1} readings", str(n))
+    call = {"content": readings_csv, "headers": {"Content-Type": "text/csv"}}
+    refusal(client.post("/v1/sessions/import-csv", params={"rig_id": rig_id}, **call), 413)
+
+
+def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread() -> None:
+    async def crowd() -> tuple[int, int, int]:
+        room, at_work, is_over, refused = Room("sessions", 2, 3), [0], asyncio.Event(), 0
+        counts: list[int] = []
+
+        async def one() -> None:
+            async with room.taken():
+                at_work[0] += 1
+                counts.append(at_work[0])
+                await is_over.wait()
+                at_work[0] -= 1
+
+        tasks = [asyncio.create_task(one()) for _ in range(5)]
+        await asyncio.sleep(0)
+        for _ in range(4):
+            try:
+                async with asyncio.timeout(0.01), room.taken():
+                    pass
+            except Problem:
+                refused += 1
+        is_over.set()
+        await asyncio.gather(*tasks)
+        return max(counts), len(counts), refused
+
+    assert asyncio.run(crowd()) == (2, 5, 4)
+
+
+def test_imports_stand_in_that_line(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle()
+    rig_id = upload_rig(client, rig_text)
+    client.app.state.core.importing = Room("sessions to import", 1, 0)
+    for kind, body in (("csv", readings_csv), ("zip", b"PK")):
+        headers = {"Content-Type": "text/csv" if kind == "csv" else ZIP}
+        answer = client.post(f"/v1/sessions/import-{kind}?rig_id={rig_id}", content=body, headers=headers)
+        assert refusal(answer, 429)["thing"] == "sessions to import"
+        assert answer.headers["Retry-After"] == "10"
 
 
 def test_names_are_words_and_no_headers(client: TestClient, rig_id: str) -> None:

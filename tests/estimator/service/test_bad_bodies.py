@@ -201,4 +201,4 @@ def test_an_archive_with_a_name_twice_is_refused(idle: Callable[..., TestClient]
         content=buffer.getvalue().replace(b"zarr.jso2", b"zarr.json"),
         headers={"Content-Type": ZIP},
     )
-    assert "must be a zip file that can be read" in refused(answer, time.monotonic())
+    assert "must hold each name once" in refused(answer, time.monotonic())

@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
-from estimator.service import metrics, rate_limits
+from estimator.service import guard, metrics, rate_limits
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, bearer, begin_session, lines_of, refusal, upload_rig
 
@@ -59,6 +59,13 @@ def test_loopback_without_tokens_has_no_rate(idle: Callable[..., TestClient]) ->
     assert [client.get("/v1/state").status_code for _ in range(5)] == [200] * 5
 
 
+def posted(path: str) -> dict[str, Any]:
+    """The head of a request, for the application itself."""
+    headers = [(b"host", b"127.0.0.1:8765"), (b"content-type", b"application/yaml")]
+    scope = {"type": "http", "method": "POST", "scheme": "http", "path": path, "raw_path": path.encode()}
+    return scope | {"query_string": b"", "headers": headers, "client": ("127.0.0.1", 5), "root_path": ""}
+
+
 def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable[..., TestClient]) -> None:
     client = idle(most_body_s=0.3)
     sent: list[dict[str, Any]] = []
@@ -70,14 +77,54 @@ def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable
     async def send(message: Any) -> None:
         sent.append(message)
 
-    headers = [(b"host", b"127.0.0.1:8765"), (b"content-type", b"application/yaml")]
-    scope = {"type": "http", "method": "POST", "scheme": "http", "path": "/v1/rigs", "raw_path": b"/v1/rigs"}
-    scope |= {"query_string": b"", "headers": headers, "client": ("127.0.0.1", 5), "root_path": ""}
     begin_s = time.monotonic()
-    asyncio.run(client.app(scope, receive, send))
+    asyncio.run(client.app(posted("/v1/rigs"), receive, send))
     assert time.monotonic() - begin_s < 5.0
     assert sent[0]["status"] == 408
     assert json.loads(sent[1]["body"])["rule"] == "must arrive within 0.3 s"
+
+
+def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle: Callable[..., TestClient]) -> None:
+    """A thousand connections with bodies of 32 MB each to the login would have taken 32 GB."""
+    client = idle(require_tokens=True)
+    problem = refusal(client.post("/v1/login", content=b" " * 10_001), 413)
+    assert problem["rule"] == "must have at most 10000 bytes"
+    headers = {"Content-Type": "application/json"}
+    refusal(client.post("/v1/login", content=b'{"token": "guess"}', headers=headers), 401)
+
+
+def test_bodies_of_all_requests_together_have_an_end_and_their_room_comes_back(
+    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard, "MOST_BODIES", 3)
+    client = idle(most_body_MB=1e-3)
+
+    async def crowd() -> list[int]:
+        is_over, statuses = asyncio.Event(), []
+
+        async def one() -> None:
+            pieces = iter([{"type": "http.request", "body": b" " * 900, "more_body": True}])
+
+            async def receive() -> dict[str, Any]:
+                if (piece := next(pieces, None)) is not None:
+                    return piece
+                await is_over.wait()
+                return {"type": "http.request", "body": b"", "more_body": False}
+
+            async def send(message: Any) -> None:
+                statuses.extend([message["status"]] if "status" in message else [])
+
+            await client.app(posted("/v1/rigs"), receive, send)
+
+        tasks = [asyncio.create_task(one()) for _ in range(5)]
+        while len(statuses) < 2:
+            await asyncio.sleep(0.01)
+        is_over.set()
+        await asyncio.gather(*tasks)
+        return statuses
+
+    for _ in range(2):  # what the first ones held is free again
+        assert asyncio.run(asyncio.wait_for(crowd(), 30)) == [429, 429, 422, 422, 422]
 
 
 def samples(

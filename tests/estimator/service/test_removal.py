@@ -10,6 +10,7 @@ from starlette.testclient import TestClient
 from estimator.rig.rig import Rig
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
+from estimator.service.recent import Recent
 from estimator.service.schema import CalibrationRow, Job
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
@@ -56,8 +57,14 @@ def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
     assert "delete them first" in refusal(client.delete(f"/v1/sessions/{session_id}"), 409)["rule"]
     folder = ended(core, job_id, LONG_AGO)
     assert client.get("/v1/calibrations").json()["items"]
+    loaded: list[Path] = []
+    core._calibrations = Recent(lambda path: loaded.append(path) or path, 10)
+    other = core.jobs.folder("0" * 32) / "calibration"
+    for path in (folder / "calibration", folder / "diagnosis" / "calibration", other):
+        core.calibration(path)
     assert client.delete(f"/v1/jobs/{job_id}").status_code == 204
     assert not folder.exists()
+    assert list(core._calibrations._values) == [other]  # what is deleted leaves memory too
     assert client.get("/v1/calibrations").json()["items"] == []
     refusal(client.get(f"/v1/jobs/{job_id}"), 404)
     assert client.delete(f"/v1/sessions/{session_id}").status_code == 204

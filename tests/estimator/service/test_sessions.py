@@ -16,12 +16,20 @@ from starlette.testclient import TestClient
 from estimator.rig.rig import Rig
 from estimator.service.archives import zipped
 from estimator.store.session import Session, load_session
-from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
+from tests.estimator.service.conftest import (
+    append,
+    begin_session,
+    import_csv,
+    lines_of,
+    numbered,
+    refusal,
+    upload_rig,
+)
 
 
 @pytest.fixture
 def client(idle: Callable[..., TestClient]) -> TestClient:
-    return idle(most_readings=30, most_open_sessions=3, most_body_MB=1.0, most_unpacked_MB=0.2)
+    return idle(most_readings=36, most_open_sessions=3, most_body_MB=1.0, most_unpacked_MB=0.2)
 
 
 @pytest.fixture
@@ -132,7 +140,7 @@ def test_a_full_disk_is_said_in_words_and_the_readings_can_be_sent_again(
 def test_a_gap_another_reading_and_too_many_are_refused(
     client: TestClient, session_id: str, small_session: Session, small_rig: Rig
 ) -> None:
-    lines = lines_of(small_session, small_rig).splitlines(keepends=True)
+    lines = numbered(small_session, small_rig, 37)
     assert append(client, session_id, lines[0]).status_code == 200
     assert (
         refusal(append(client, session_id, lines[2]), 409)["rule"]
@@ -141,8 +149,8 @@ def test_a_gap_another_reading_and_too_many_are_refused(
     other = json.dumps({**json.loads(lines[0]), "repeat": 3}).encode()
     assert refusal(append(client, session_id, other), 409)["thing"] == "reading 0"
     assert (
-        refusal(append(client, session_id, b"".join(lines[1:36])), 409)["rule"]
-        == "must have at most 30 readings"
+        refusal(append(client, session_id, b"".join(lines[1:])), 409)["rule"]
+        == "must have at most 36 readings"
     )
     assert refusal(append(client, session_id, lines[1] + lines[3]), 422)["place"] == "body, line 2"
     early = json.dumps({**json.loads(lines[1]), "time_s": 0.0}).encode()

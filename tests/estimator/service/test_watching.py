@@ -89,6 +89,9 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
     assert {place.rms_sigma < 3.0 for place in last.places} == {True}
     added = next(one for one in told if one.n_appended == 14 and not one.is_redrawn)
     assert [place.number for place in added.places] == [14]
+    assert [coil.name for coil in last.coils] == ["coil1"]
+    assert last.coils[0].radius_m == pytest.approx(last.intervals["coil1.radius_m"].value, rel=0.3)
+    assert len({one.coils[0].origin_m for one in told if one.coils}) > 1  # it was carried
     widths = [one.sd["coil1.radius_m"] for one in last.history]
     assert len(widths) >= 4
     assert widths[-1] < 0.5 * widths[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import json
@@ -10,6 +11,7 @@ import threading
 import time
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -22,7 +24,7 @@ from starlette.testclient import TestClient
 from estimator.service import post as post_module
 from estimator.service import webhooks
 from estimator.service.app import create_app
-from estimator.service.post import signature
+from estimator.service.post import Undelivered, post, signature
 from estimator.service.schema import Delivery
 from estimator.service.settings import Settings
 from tests.estimator.service.conftest import import_csv, refusal, upload_rig
@@ -81,7 +83,10 @@ def made(client: TestClient, url: str) -> dict[str, Any]:
 
 
 def deliver(client: TestClient) -> int:
-    return int(client.app.state.core.courier.deliver_due())
+    threads = client.app.state.core.courier.begin_due()
+    for thread in threads:
+        thread.join(60)
+    return len(threads)
 
 
 def log_of(client: TestClient, webhook: dict[str, Any]) -> list[dict[str, Any]]:
@@ -91,6 +96,10 @@ def log_of(client: TestClient, webhook: dict[str, Any]) -> list[dict[str, Any]]:
 def make_due(client: TestClient) -> None:
     with client.app.state.core.database.writing() as db:
         db.execute(update(Delivery).where(Delivery.state == "waiting").values(next_attempt="2000-01-01"))
+
+
+def sent(url: str, networks: tuple[str, ...] = ()) -> int:
+    return asyncio.run(post(url, "whsec_AAAA", "1", 1, b"{}", networks))
 
 
 def test_the_signature_is_that_of_the_specification() -> None:
@@ -184,12 +193,18 @@ def test_a_receiver_that_hangs_holds_up_no_other(
         slow.may_answer.clear()
         client = idle(webhook_networks=LOOPBACK)
         hanging, quick = made(client, slow.url), made(client, receiver.url)
-        for webhook in (hanging, quick):
+        for webhook in (hanging, quick, quick):
             client.post(f"/v1/webhooks/{webhook['id']}/test")
         begin_s = time.monotonic()
-        assert deliver(client) == 2
+        begun = client.app.state.core.courier.begin_due()
+        while len(receiver.got) < 1:
+            time.sleep(0.01)
+        begun[-1].join(60)
+        assert deliver(client) == 1  # the next of the quick one, while the other hangs
+        assert begun[0].is_alive()
+        assert [entry["state"] for entry in log_of(client, quick)] == ["delivered"] * 2
+        client.app.state.core.courier.stop()
         assert time.monotonic() - begin_s < 20
-        assert log_of(client, quick)[0]["state"] == "delivered"
         assert log_of(client, hanging)[0]["fault"] == "receiver must answer within 3 s"
     finally:
         slow.may_answer.set()
@@ -197,9 +212,13 @@ def test_a_receiver_that_hangs_holds_up_no_other(
 
 
 PRIVATE = ("127.0.0.1", "10.0.0.1", "192.168.1.1", "169.254.169.254", "100.64.0.1", "0.0.0.0", "224.0.0.1", "[::1]",
-           "[::ffff:10.0.0.1]", "[64:ff9b::a00:1]", "[2002:a00:1::]", "[fe80::1]", "[fc00::1]", "[::7f00:1]", "[2001:0:a00::1]")  # fmt: skip
+           "[::ffff:10.0.0.1]", "[64:ff9b::a00:1]", "[2002:a00:1::]", "[fe80::1]", "[fc00::1]", "[::7f00:1]", "[2001:0:a00::1]",
+           "[::ffff:0:127.0.0.1]", "[64:ff9b:1::7f00:1]", "[ff02::1]", "[fe80::1%25lo]", "255.255.255.255", "198.18.0.1", "192.0.0.170",
+           "127.1", "127.0.1", "0x7f000001", "2130706433", "017700000001", "0x0a.0.1", "0")  # fmt: skip
 NO_URLS = ("ftp://example.com", "http://", "http:///x", "//example.com", "http://a:b@example.com", "file:///etc/passwd",
-           "http://example.com:99999", "http://example.com/#x", "http://exa mple.com", "javascript:1", "http://[::1")  # fmt: skip
+           "http://example.com:99999", "http://example.com:0/", "http://example.com:-1", "http://example.com/#x",
+           "http://10.0.0.1\\@example.com/", "http://example.com\\@10.0.0.1/", "http://example.com:80@10.0.0.1/", "http://%31%32%37.0.0.1/",
+           "http://127。0。0。1/", "http://①②⑦.0.0.1/", "http://127.0.0.1./", "http://0177.0.0.1/", "data:text/plain,x", "ws://example.com/", "http://exa mple.com", "javascript:1", "http://[::1")  # fmt: skip
 
 
 def test_private_addresses_and_what_is_no_address_are_refused(idle: Callable[..., TestClient]) -> None:
@@ -248,6 +267,71 @@ def test_the_connection_goes_to_the_address_that_was_checked_and_names_the_host(
     assert receiver.got[0][0]["host"] == f"hooks.example:{port}"
     assert asked[0] == "hooks.example"
     assert "hooks.example" not in asked[1:]
+
+
+def test_a_name_server_that_is_slow_takes_no_more_time_than_the_receiver_has(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(post_module, "MOST_S", 0.2)
+    is_over = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: is_over.wait(30) and [])
+    begin_s = time.monotonic()
+    with pytest.raises(Undelivered, match=r"must answer within 0\.2 s"):
+        sent("http://slow.example/")
+    assert time.monotonic() - begin_s < 15
+    is_over.set()
+
+
+HEAD = b"HTTP/1.1 200 OK\r\n"
+ANSWERS = {  # first bytes, those that follow without an end, and what is said of them
+    "a body without an end": (HEAD + b"Content-Length: 99999999999\r\n\r\n", b"x" * 65536, "200"),
+    "a body that unfolds": (
+        HEAD + b"Content-Encoding: gzip\r\nContent-Length: 9999\r\n\r\n",
+        b"\x1f\x8b\x08",
+        "200",
+    ),
+    "chunks without an end": (
+        b"HTTP/1.1 500 No\r\nTransfer-Encoding: chunked\r\n\r\n",
+        b"1\r\nx\r\n",
+        "it answers 500",
+    ),
+    "a head without an end": (HEAD, b"X: " + b"a" * 1000 + b"\r\n", "Receive buffer too long"),
+    "a line without an end": (HEAD + b"X: ", b"a" * 65536, "Receive buffer too long"),
+    "more to come, without an end": (b"", b"HTTP/1.1 103 Early Hints\r\n\r\n" * 100, "must answer within"),
+    "another protocol": (b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: x\r\n\r\n", b"", "must be reached"),
+    "no status": (b"\x00\xff" * 100, b"", "must be reached"),
+    "elsewhere": (
+        b"HTTP/1.1 307 X\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n",
+        b"",
+        "it answers 307",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_an_answer_without_an_end_ends(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(post_module, "MOST_S", 2.0)
+    first, more, expected = ANSWERS[name]
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def answer() -> None:
+        line, _ = listener.accept()
+        with line, suppress(OSError):
+            line.recv(65536)
+            line.sendall(first)
+            while more:
+                line.sendall(more)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    try:
+        said = str(sent(f"http://127.0.0.1:{listener.getsockname()[1]}/", LOOPBACK))
+    except Undelivered as undelivered:
+        said = str(undelivered)
+    thread.join(30)
+    listener.close()
+    assert expected in said
+    assert not thread.is_alive()  # the connection was closed
 
 
 def test_deleted_webhooks_are_told_nothing_and_old_messages_are_forgotten(

@@ -119,12 +119,15 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
     sample(backend, CHECKPOINT_STEPS - 1)
     before = {file: file.read_bytes() for file in files_of(path)}
     synced: dict[Path, bytes] = {}
+    committed_at_sync: list[bytes] = []  # what stood there whenever the names in the folder were synced
     fsync, replace = os.fsync, Path.replace
 
     def syncing(descriptor: int) -> None:
         file = Path(f"/proc/self/fd/{descriptor}").readlink()
         if file.is_file():
             synced[file] = file.read_bytes()
+        elif file == path:
+            committed_at_sync.append((path / "zarr.json").read_bytes())
         fsync(descriptor)
 
     def committing(self: Path, target: Path) -> Path:
@@ -145,6 +148,7 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
     monkeypatch.setattr(Path, "replace", committing)
     sample(backend, 1)
     assert ZarrBackend.open(path).iteration == CHECKPOINT_STEPS
+    assert committed_at_sync == [(path / "zarr.json").read_bytes()]
 
 
 def test_steps_reach_the_disk_at_checkpoints_only_until_flushed(tmp_path: Path) -> None:
