@@ -10,8 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.steps import log_choices, steps_of
-from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.corrections.linear_fit import linear_fit
+from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
@@ -114,13 +115,28 @@ class CorrectionKind:
 
 @dataclass(frozen=True)
 class CorrectionOption:
-    """One kind up to one degree, with the widths of its amplitudes that have most evidence."""
+    """One kind up to one degree, with the widths of its amplitudes that have most evidence.
+
+    Attributes:
+        columns_T: Change of the measured components per unit of each amplitude.
+    """
 
     kind: CorrectionKind
     start: dict[str, float]
     degree: int
     widths: dict[str, float]
+    columns_T: Float[Tensor, "component amplitude"]
     log_bayes_factor: float
+
+    def fitted(self, fit: Fit) -> Fit:
+        """A fit with this correction as well: in the linear model, or in full where it has a frequency, which moves off its grid."""
+        rig = self.kind.rig(fit, self.start, self.widths)
+        names = [f"{self.kind.cause.label}.{key}" for key in self.widths]
+        linear = linear_fit(fit, rig, dict(zip(names, self.columns_T.unbind(1), strict=True)))
+        if len(rig.free) == len(fit.rig.free) + len(names):
+            return linear
+        rules = fit.posterior.model.rules
+        return fit_rig(rig, fit.observations, linear.values, rules, tolerance=policy.ROUGH_TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -150,8 +166,8 @@ class CorrectionCandidate:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
         if self.kind.effect.is_stepwise:
             return _best_steps(fit, self.kind, self.columns * weight)
-        families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
-        by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
+        starts = Starts.of(fit, self.columns * weight)
+        by_start = starts.evidence_beside([], range(len(self.columns)))
         top = int(by_start.argmax())
         if top not in self.of_all_degrees:
             start = [self.kind.starts[top]]
@@ -198,7 +214,8 @@ def _best_degree(
     degree, keys, per_rms = by_degree[top]
     rms = policy.AMPLITUDES[int(evidence[top].argmax())]
     widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
-    return CorrectionOption(kind, start, degree, widths, log_mean_exp(evidence[top]))
+    columns_T = columns[:, : len(keys)] / fit.whitening_per_T[:, None]
+    return CorrectionOption(kind, start, degree, widths, columns_T, log_mean_exp(evidence[top]))
 
 
 def kinds_of(fit: Fit) -> list[CorrectionKind]:

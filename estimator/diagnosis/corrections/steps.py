@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +12,8 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import TINY, log_bayes_factor
+from estimator.diagnosis.linear import TINY, log_bayes_factor_by_width
+from estimator.diagnosis.structure.discrepancy import MOST_COLUMNS
 
 PATIENCE = 2  # steps that may bring nothing by themselves: what opens and closes needs two
 
@@ -26,7 +28,7 @@ def steps_of(fit: Fit, columns: Float[Tensor, "start component amplitude"], most
         columns: Of one step at each start, whitened.
         most: Number of steps, at most.
     """
-    among = _Starts.of(fit, columns)
+    among = Starts.of(fit, columns)
     chosen: list[int] = []
     best: tuple[float, list[int]] = (-math.inf, [])
     for n in range(1, min(most, len(columns)) + 1):
@@ -55,8 +57,8 @@ def log_choices(n: int, k: int) -> float:
 
 
 @dataclass(frozen=True)
-class _Starts:
-    """One step at each of many starts.
+class Starts:
+    """The columns of a kind at each of many starts.
 
     Attributes:
         columns: Whitened.
@@ -72,14 +74,23 @@ class _Starts:
     power: Float[Tensor, " start"]
 
     @classmethod
-    def of(cls, fit: Fit, columns: Float[Tensor, "start component amplitude"]) -> _Starts:
+    def of(cls, fit: Fit, columns: Float[Tensor, "start component amplitude"]) -> Starts:
         """All of them, at a fit."""
-        score = columns.mT @ fit.residual
-        return cls(fit, columns, fit.projector.grams(columns), score, columns.square().sum(-1).mean(-1))
+        parts = columns.split(max(1, MOST_COLUMNS // columns.shape[-1]))
+        own = torch.cat([fit.projector.grams(part) for part in parts])
+        score = torch.cat([part.mT @ fit.residual for part in parts])
+        power = torch.cat([part.square().sum(-1).mean(-1) for part in parts])
+        return cls(fit, columns, own, score, power)
 
     def next_beside(self, chosen: list[int]) -> tuple[int, float]:
         """The start that has most evidence beside those that were chosen, and the evidence of all, averaged over amplitudes."""
         free = [i for i in range(len(self.columns)) if i not in chosen]
+        mean = self.evidence_beside(chosen, free)
+        row = int(mean.argmax())
+        return free[row], float(mean[row])
+
+    def evidence_beside(self, chosen: list[int], free: Sequence[int]) -> Float[Tensor, " start"]:
+        """Evidence of each of some starts together with those that were chosen, averaged over amplitudes."""
         n, width = len(free), self.columns.shape[-1]
         beside = self.columns[chosen].transpose(0, 1).flatten(1)
         n_beside = beside.shape[1]
@@ -93,13 +104,6 @@ class _Starts:
         score = torch.cat((self.score[chosen].flatten().expand(n, -1), self.score[free]), dim=1)
         power = self.power[chosen].sum() + self.power[free]
         sd = torch.tensor(policy.AMPLITUDES, dtype=torch.float64) / power[:, None].clamp(min=TINY).sqrt()
-        shape = (n, sd.shape[1], n_beside + width)
-        evidence = log_bayes_factor(
-            gram[:, None].expand(*shape, shape[-1]),
-            score[:, None].expand(shape),
-            sd[..., None].expand(shape),
-            self.fit.free_noise,
-        )
-        mean = torch.logsumexp(evidence, 1) - math.log(sd.shape[1])
-        row = int(mean.argmax())
-        return free[row], float(mean[row])
+        evidence = log_bayes_factor_by_width(gram, score, sd, self.fit.free_noise)
+        mean: Tensor = torch.logsumexp(evidence, 1) - math.log(sd.shape[1])
+        return mean

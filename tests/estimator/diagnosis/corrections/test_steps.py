@@ -7,7 +7,7 @@ import torch
 
 from estimator.diagnosis.corrections.choice import corrected
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, CorrectionKind, kinds_of
-from estimator.diagnosis.corrections.steps import _Starts, log_choices, steps_of
+from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
@@ -73,7 +73,7 @@ def test_contact_that_opened_and_closed_is_two_steps_at_its_instants(loosened, l
 def test_evidence_of_a_further_step_is_that_of_all_columns_together(loosened_fit):
     columns = CorrectionCandidate.at(kind_of(loosened_fit, STEPS), loosened_fit).columns
     first, second = steps_of(loosened_fit, columns, 2)
-    row, evidence = _Starts.of(loosened_fit, columns).next_beside([first])
+    row, evidence = Starts.of(loosened_fit, columns).next_beside([first])
     together = Family.of("", torch.cat((columns[first], columns[row]), dim=1))
     assert row == second
     assert evidence == pytest.approx(
