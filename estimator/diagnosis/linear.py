@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -45,6 +46,11 @@ class Projector:
         values, vectors = torch.linalg.eigh(precision * scale[:, None] * scale[None, :])
         factor = scale[:, None] * vectors * values.clamp(min=1e-14).rsqrt()
         return cls(jacobian, factor)
+
+    @cached_property
+    def basis(self) -> Float[Tensor, "component parameter"]:
+        """What the fit can follow of a vector is this times its inner products with this."""
+        return self.jacobian @ self.factor
 
     def gram(
         self, first: Float[Tensor, "component column"], second: Float[Tensor, "component column2"]

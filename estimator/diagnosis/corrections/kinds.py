@@ -75,7 +75,7 @@ class CorrectionKind:
             if factors is not None:
                 reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)
                 of_component = factors[:, reading[fit.observations.is_measured]]
-                return of_component[..., None] * self.columns(fit, starts[:1], degree)
+                return (of_component[:, None] * self.columns(fit, starts[:1], degree).mT).mT
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
         keys = [key for _, key in self.keys(degree)]
         n = len(starts) * len(keys)
@@ -166,8 +166,7 @@ class CorrectionCandidate:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
         if self.kind.effect.is_stepwise:
             return _best_steps(fit, self.kind, self.columns * weight)
-        starts = Starts.of(fit, self.columns * weight)
-        by_start = starts.evidence_beside([], range(len(self.columns)))
+        by_start = Starts.of(fit, self.columns * weight).evidence_beside([])
         top = int(by_start.argmax())
         if top not in self.of_all_degrees:
             start = [self.kind.starts[top]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import TINY, log_bayes_factor_by_width
-from estimator.diagnosis.structure.discrepancy import MOST_COLUMNS
 
 PATIENCE = 2  # steps that may bring nothing by themselves: what opens and closes needs two
 
@@ -61,48 +59,55 @@ class Starts:
     """The columns of a kind at each of many starts.
 
     Attributes:
-        columns: Whitened.
         own: Inner products of the columns of each after projection.
         score: Inner products with the residual.
         power: Mean over components of the summed squares of its columns.
+        rows: The columns one after another, whitened.
+        followed: What the parameters of the fit can follow of each, along an orthonormal basis.
     """
 
     fit: Fit
-    columns: Float[Tensor, "start component amplitude"]
     own: Float[Tensor, "start amplitude amplitude"]
     score: Float[Tensor, "start amplitude"]
     power: Float[Tensor, " start"]
+    rows: Float[Tensor, "column component"]
+    followed: Float[Tensor, "column parameter"]
 
     @classmethod
     def of(cls, fit: Fit, columns: Float[Tensor, "start component amplitude"]) -> Starts:
-        """All of them, at a fit."""
-        parts = columns.split(max(1, MOST_COLUMNS // columns.shape[-1]))
-        own = torch.cat([fit.projector.grams(part) for part in parts])
-        score = torch.cat([part.mT @ fit.residual for part in parts])
-        power = torch.cat([part.square().sum(-1).mean(-1) for part in parts])
-        return cls(fit, columns, own, score, power)
+        """All of them, at a fit; quickest where the components of each column lie side by side."""
+        n, n_components, width = columns.shape
+        rows = columns.mT.flatten(0, 1)
+        followed = rows @ fit.projector.basis
+        each = followed.unflatten(0, (n, width))
+        squares = columns.mT @ columns
+        power = torch.diagonal(squares, dim1=1, dim2=2).sum(1) / n_components
+        score = (rows @ fit.residual).unflatten(0, (n, width))
+        return cls(fit, squares - each @ each.mT, score, power, rows, followed)
 
     def next_beside(self, chosen: list[int]) -> tuple[int, float]:
         """The start that has most evidence beside those that were chosen, and the evidence of all, averaged over amplitudes."""
-        free = [i for i in range(len(self.columns)) if i not in chosen]
-        mean = self.evidence_beside(chosen, free)
+        mean = self.evidence_beside(chosen)
+        mean[chosen] = -math.inf
         row = int(mean.argmax())
-        return free[row], float(mean[row])
+        return row, float(mean[row])
 
-    def evidence_beside(self, chosen: list[int], free: Sequence[int]) -> Float[Tensor, " start"]:
-        """Evidence of each of some starts together with those that were chosen, averaged over amplitudes."""
-        n, width = len(free), self.columns.shape[-1]
-        beside = self.columns[chosen].transpose(0, 1).flatten(1)
-        n_beside = beside.shape[1]
+    def evidence_beside(self, chosen: list[int]) -> Float[Tensor, " start"]:
+        """Evidence of each start together with those that were chosen, averaged over amplitudes."""
+        n, width = self.score.shape
+        n_beside = len(chosen) * width
         gram = torch.empty(n, n_beside + width, n_beside + width, dtype=torch.float64)
-        gram[:, n_beside:, n_beside:] = self.own[free]
+        gram[:, n_beside:, n_beside:] = self.own
         if chosen:
-            every = self.columns[free].transpose(0, 1).flatten(1)
-            cross = self.fit.projector.gram(beside, every).unflatten(1, (n, width)).transpose(0, 1)
-            gram[:, :n_beside, :n_beside] = self.fit.projector.gram(beside, beside)
-            gram[:, :n_beside, n_beside:], gram[:, n_beside:, :n_beside] = cross, cross.mT
-        score = torch.cat((self.score[chosen].flatten().expand(n, -1), self.score[free]), dim=1)
-        power = self.power[chosen].sum() + self.power[free]
+            beside, followed = (
+                vectors.unflatten(0, (n, width))[chosen].flatten(0, 1)
+                for vectors in (self.rows, self.followed)
+            )
+            cross = (self.rows @ beside.T - self.followed @ followed.T).unflatten(0, (n, width))
+            gram[:, :n_beside, :n_beside] = beside @ beside.T - followed @ followed.T
+            gram[:, n_beside:, :n_beside], gram[:, :n_beside, n_beside:] = cross, cross.mT
+        score = torch.cat((self.score[chosen].flatten().expand(n, -1), self.score), dim=1)
+        power = self.power[chosen].sum() + self.power
         sd = torch.tensor(policy.AMPLITUDES, dtype=torch.float64) / power[:, None].clamp(min=TINY).sqrt()
         evidence = log_bayes_factor_by_width(gram, score, sd, self.fit.free_noise)
         mean: Tensor = torch.logsumexp(evidence, 1) - math.log(sd.shape[1])
