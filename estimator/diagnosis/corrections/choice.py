@@ -108,7 +108,7 @@ def _linear_trial(
         options = [candidate.best_option(fit) for candidate in candidates]
         order = sorted(range(len(options)), key=lambda i: options[i].log_bayes_factor, reverse=True)
         ranked = [candidates[i] for i in order[: policy.MOST_ASKED_AGAIN + 1]]
-        if fit is before and candidates is leaders:
+        if len(ranked) < len(candidates):  # when none was taken
             leaders = ranked
         best = options[order[0]]
         if best.log_bayes_factor <= policy.LEAST_LOG_EVIDENCE_CORRECTED:
