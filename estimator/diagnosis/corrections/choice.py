@@ -12,6 +12,7 @@ import numpy as np
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
+from estimator.diagnosis.corrections.linear_fit import full_fit
 from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.cross_validation import held_out
@@ -41,7 +42,8 @@ def best_corrected(
     ]  # columns hardly change as corrections are taken
     trial = _linear_trial(extended, candidates, tell)
     if searched.rig.effects != extended.rig.effects:
-        other = _linear_trial(searched, trial.leaders, tell)
+        asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
+        other = _linear_trial(searched, asked, tell)
         lead = other.fit.log_evidence - trial.fit.log_evidence
         if other.parts and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not trial.parts):
             trial = other
@@ -82,8 +84,7 @@ class _LinearTrial:
         if not self.parts:
             refusal = "no correction has clear evidence and predicts places held out better"
             return Correction(before, (), limits, refusal, before)
-        rules = before.posterior.model.rules
-        fit = fit_rig(self.fit.rig, before.observations, self.fit.values, rules)
+        fit = full_fit(self.fit, before)
         gain = held_out(before, fit, pose_blocks(fit.observations, np.random.default_rng(0)))
         if gain.elpd_difference <= 0.0 or fit.log_evidence <= before.log_evidence:
             refusal = "fitted in full, what was tried predicts places held out no better"

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.linear_fit import linear_fit
+from estimator.diagnosis.corrections.linear_fit import density_in_full, full_fit, linear_fit
 from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
@@ -129,14 +129,17 @@ class CorrectionOption:
     log_bayes_factor: float
 
     def fitted(self, fit: Fit) -> Fit:
-        """A fit with this correction as well: in the linear model, or in full where it has a frequency, which moves off its grid."""
+        """A fit with this correction as well, in the linear model.
+
+        In full where that does not hold, so that the full model is no more probable there; and with a frequency, which moves off its grid.
+        """
         rig = self.kind.rig(fit, self.start, self.widths)
         names = [f"{self.kind.cause.label}.{key}" for key in self.widths]
         linear = linear_fit(fit, rig, dict(zip(names, self.columns_T.unbind(1), strict=True)))
-        if len(rig.free) == len(fit.rig.free) + len(names):
-            return linear
-        rules = fit.posterior.model.rules
-        return fit_rig(rig, fit.observations, linear.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+        has_frequency = len(rig.free) > len(fit.rig.free) + len(names)
+        if has_frequency or density_in_full(linear) <= density_in_full(fit):
+            return full_fit(linear, fit, policy.ROUGH_TOLERANCE)
+        return linear
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.rig.coordinates import Coordinates
@@ -71,3 +71,17 @@ def linear_fit(fit: Fit, rig: Rig, columns_T: dict[str, Float[Tensor, " componen
     linear = LinearPosterior(posterior, about, fit.predicted_T, jacobian_T)
     optimum = levenberg_marquardt(linear, about[None], tolerance=policy.ROUGH_TOLERANCE)
     return Fit(linear, optimum)
+
+
+def density_in_full(fit: Fit) -> float:
+    """Log posterior density of the full model at a fit, up to the constant of its rig."""
+    posterior = LogPosterior(fit.posterior.coordinates, fit.posterior.model, fit.observations)
+    with torch.no_grad():
+        return float(posterior(fit.vector[None])[0])
+
+
+def full_fit(linear: Fit, before: Fit, tolerance: float | None = None) -> Fit:
+    """The full fit of a rig that was fitted in the linear model, from its values, or from those of the fit before if more probable."""
+    is_better = density_in_full(linear) > density_in_full(before)
+    start = linear.values if is_better else before.start_with(linear.rig)
+    return fit_rig(linear.rig, linear.observations, start, linear.posterior.model.rules, tolerance=tolerance)

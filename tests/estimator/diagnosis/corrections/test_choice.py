@@ -11,6 +11,7 @@ from torch import Tensor
 
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
+from estimator.diagnosis.corrections.linear_fit import density_in_full
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.posterior import extended_posterior
@@ -92,6 +93,15 @@ def test_linear_model_says_what_a_full_fit_says(plain: Fit):
     assert after[0] - before == pytest.approx(after[1] - before, rel=0.02)
     difference = (linear.predicted_T - full.predicted_T) * full.whitening_per_T
     assert float(difference.square().mean().sqrt()) < 0.1
+
+
+def test_where_the_linear_model_does_not_hold_a_trial_is_fitted_in_full(plain: Fit):
+    """Columns that are wrong by a factor of a hundred, as of another fit, ask for a hundred times the amplitudes."""
+    kind = next(kind for kind in kinds_of(plain) if kind.cause == HARMONICS)
+    option = CorrectionCandidate.at(kind, plain).best_option(plain)
+    widths = {key: 100.0 * width for key, width in option.widths.items()}
+    wrong = replace(option, widths=widths, columns_T=0.01 * option.columns_T)
+    assert density_in_full(wrong.fitted(plain)) > density_in_full(plain) + 50.0
 
 
 def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig, plain, corrected_fit):
