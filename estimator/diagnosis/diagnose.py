@@ -17,6 +17,7 @@ from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
+    leaves_much_of_the_field,
     refit_outside,
     rules_and_refusal,
     without_record_mistakes,
@@ -251,11 +252,13 @@ def _searched(
 def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:
     """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
-    It may if more remains unexplained than a mistake explained, or if the causes that were found explain the unchanged record better.
+    It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
+    more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
     """
     remainder, final = search_result.steps[-1].discrepancy, search_result.final
     least = min(mistake.log_bayes_factor for mistake in mistakes)
-    if leaves_structure(remainder) and least < remainder.log_bayes_factor:
+    is_little = least < remainder.log_bayes_factor or leaves_much_of_the_field(search_result.base)
+    if leaves_structure(remainder) and is_little:
         return True
     rig = final.rig
     for mistake in mistakes:

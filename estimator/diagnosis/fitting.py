@@ -251,7 +251,7 @@ class Fit:
         copy.__dict__.update(projector=projector, residual=residual)
         return copy
 
-    @property
+    @cached_property
     def free_noise(self) -> FreeNoise | None:
         """The fitted noise of the sensors, as far as it may shrink; None where the noise is known."""
         priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]

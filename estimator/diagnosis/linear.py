@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -49,7 +50,12 @@ class Projector:
     def in_single(self) -> Projector:
         """The same in single precision; columns are brought to one size first."""
         n = self.factor.shape[-1]
-        return Projector((self.jacobian @ self.factor).float(), torch.eye(n))
+        return Projector(self.basis.float(), torch.eye(n))
+
+    @cached_property
+    def basis(self) -> Float[Tensor, "component parameter"]:
+        """What the fit can follow of a vector is this times its inner products with this."""
+        return self.jacobian @ self.factor
 
     def gram(
         self, first: Float[Tensor, "component column"], second: Float[Tensor, "component column2"]
@@ -124,9 +130,42 @@ def log_bayes_factor(
         15.514
     """
     scaled = gram * prior_sd[..., :, None] * prior_sd[..., None, :]
+    return _of_directions(*_directions(scaled, score * prior_sd), noise, started)
+
+
+def log_bayes_factor_by_width(
+    gram: Float[Tensor, "*batch column column"],
+    score: Float[Tensor, "*batch column"],
+    width: Float[Tensor, "*#batch width"],
+    noise: FreeNoise | None = None,
+) -> Float[Tensor, "*batch width"]:
+    """The same for each of several widths that all columns of a set share; their directions are found once.
+
+    Args:
+        gram, score, noise: As above.
+        width: Standard deviation of the coefficients.
+    """
+    size, square = _directions(gram, score)
+    variance = width.square()[..., None]
+    return _of_directions(size[..., None, :] * variance, square[..., None, :] * variance, noise)
+
+
+def _directions(
+    scaled: Float[Tensor, "*batch column column"], score: Float[Tensor, "*batch column"]
+) -> tuple[Float[Tensor, "*batch column"], Float[Tensor, "*batch column"]]:
+    """Sizes of independent directions, ascending, and the squares of their scores."""
     size, vectors = torch.linalg.eigh(scaled)
-    size = size.clamp(min=0.0)
-    square = ((vectors.mT @ (score * prior_sd)[..., None])[..., 0]) ** 2
+    square: Tensor = ((vectors.mT @ score[..., None])[..., 0]) ** 2
+    return size.clamp(min=0.0), square
+
+
+def _of_directions(
+    size: Float[Tensor, "*batch column"],
+    square: Float[Tensor, "*batch column"],
+    noise: FreeNoise | None,
+    started: Float[Tensor, "*#batch"] | float = 0.0,
+) -> Float[Tensor, "*batch"]:
+    """Log Bayes factor of columns, given their independent directions."""
     if noise is None:
         evidence: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
         return evidence

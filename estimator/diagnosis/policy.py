@@ -58,8 +58,9 @@ LARGEST_MEAN_SQUARE = 1.5
 standard deviations above 1 for 72 components, more for larger sessions. Study of 5 cases: no change."""
 
 LEAST_LEFT_BY_MISTAKE = 0.05
-"""Residual over field, both rms, from which on mistakes that begin in mid-session are looked for: they have hundreds of starts. Argument:
-an axis reversed for a twenty-fifth of the readings leaves 0.2, and causes that are no mistakes leave a per cent. Study: none."""
+"""Residual over field, both rms, from which on mistakes that begin in mid-session are looked for: they have hundreds of starts. Where more
+is left by a record that was put right, and in the end something is unexplained, its mistakes are doubtful. Argument: an axis reversed for a
+twenty-fifth of the readings leaves 0.2, and causes that are no mistakes leave a per cent. Study: none."""
 
 MOST_READINGS_COMPARED = 100
 """Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
@@ -277,11 +278,11 @@ LEAST_LOG_EVIDENCE_CORRECTED = 2.0 * math.log(20.0)
 judgement. Study of 1 case: numbers change in 1."""
 
 MOST_CORRECTIONS = 6
-"""Kinds and places that one diagnosis corrects. Effort: each is a fit with tens of amplitudes. Study of 1 case: no change."""
+"""Kinds and places that one diagnosis corrects. Effort: each has tens of amplitudes. Study of 1 case: no change."""
 
 MOST_ASKED_AGAIN = 12
-"""Kinds of corrections, with their places, that are asked again beside one that was taken: those that had most evidence before. Effort: of
-forty that a session may have, the others had none. Study: not in it."""
+"""Kinds of corrections, with their places, that are asked again beside one that was taken, and one more beside causes that stand in: those
+that had most evidence before. Effort: of forty that a session may have, the others had none. Study: not in it."""
 
 # Widening of intervals
 

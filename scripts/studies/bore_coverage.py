@@ -13,11 +13,11 @@ import numpy as np
 import torch
 
 from estimator.diagnosis import policy
-from estimator.effects.bore_corrections import TREND
+from estimator.effects.bore_corrections import BEYOND, TREND
 from estimator.field.bore import WAVES, bore_field
 
-LENGTH = 10.0  # in radii
-N_CASES, FRESH_SEED = 12, 7100  # turns and widths of the waves were chosen on 7000 to 7011
+LENGTH = 8.0 + 2.0 * BEYOND  # of the cylinder, in radii
+N_CASES, FRESH_SEED = 12, 7200  # turns, widths and length of the waves were chosen on 7000 to 7011
 N_FITTED, N_ASKED, NOISE_SHARE = 171, 400, 1.0 / 30.0
 DEGREES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 24)
 SIGMA90 = 1.645

@@ -56,6 +56,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--most-causes", type=int, default=policy.MOST_CAUSES, help="where each search ends")
     parser.add_argument(
+        "--thin",
+        type=int,
+        default=policy.MOST_READINGS_SEARCHED,
+        help="readings that causes are searched with",
+    )
+    parser.add_argument(
         "--carry",
         help="FOLDER/CAUSE: take a cause as known, with the values that an earlier run in FOLDER gave it; only the step of the "
         "room's field across a plate stays free",
@@ -70,21 +76,26 @@ def main() -> None:
         sys.exit(f"diagnose_real: names must be data sets of this study; received {name}")
     for data_set in data_sets:
         if not options.names or data_set.name in options.names:
-            run(data_set, Path(data), options.out, options.seed, options.most_causes, options.carry)
+            run(data_set, Path(data), options)
 
 
-def run(data_set: DataSet, data: Path, out: Path, seed: int, most_causes: int, carry: str | None) -> None:
-    begin = time.perf_counter()
+def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
+    begin, out = time.perf_counter(), options.out
     session = session_of(data_set, data)
     print(f"\n{data_set.name}: {len(session.observations)} readings", flush=True)
-    if carry:
-        session = with_known(session, carry)
+    if options.carry:
+        session = with_known(session, options.carry)
 
     def tell(words: str) -> None:
         print(f"  {time.perf_counter() - begin:5.0f} s  {words}", flush=True)
 
     diagnosis = diagnose(
-        session, seed=seed, out=out / data_set.name, limits=Limits(most_causes), on_stage=tell
+        session,
+        seed=options.seed,
+        out=out / data_set.name,
+        limits=Limits(options.most_causes),
+        most_readings=options.thin,
+        on_stage=tell,
     )
     write_text(
         out / data_set.name / REPORT,

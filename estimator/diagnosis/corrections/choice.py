@@ -1,17 +1,18 @@
-"""Which corrections are taken: the best by its evidence is fitted in full, and must predict blocks of places held out better.
+"""Which corrections are taken: the best by its evidence in the linear model, if it predicts blocks of places held out better.
 
-Then the rest is asked again. At the end unseen readings may drop what was taken.
+Then the rest is asked again. What was taken is fitted in full once, and at the end unseen readings may drop it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
+from estimator.diagnosis.corrections.linear_fit import full_fit
 from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.cross_validation import held_out
@@ -20,7 +21,6 @@ from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
-from estimator.rig.rig import Rig
 
 
 def best_corrected(
@@ -35,19 +35,24 @@ def best_corrected(
         unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
     """
-    best = corrected(extended, tell)
+    kinds = kinds_of(extended)
+    limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
+    candidates = [
+        CorrectionCandidate.at(kind, extended) for kind in kinds if kind.limit.degree >= kind.effect.lowest
+    ]  # columns hardly change as corrections are taken
+    trial = _linear_trial(extended, candidates, tell)
     if searched.rig.effects != extended.rig.effects:
-        other = corrected(searched, tell)
-        lead = other.fit.log_evidence - best.fit.log_evidence
-        if other.is_taken and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not best.is_taken):
-            best = other
+        asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
+        other = _linear_trial(searched, asked, tell)
+        lead = other.fit.log_evidence - trial.fit.log_evidence
+        if other.parts and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not trial.parts):
+            trial = other
+    best = trial.in_full(limits)
     if not best.is_taken:
         return best
-    polished = _fitted(best.fit.rig, best.fit, policy.FINE_TOLERANCE)
-    best = replace(best, fit=polished, final=polished)
-    if causes.observations is not polished.observations:
-        rules = polished.posterior.model.rules
-        best = replace(best, final=fit_rig(polished.rig, causes.observations, polished.values, rules))
+    if causes.observations is not best.fit.observations:
+        rules = best.fit.posterior.model.rules
+        best = replace(best, final=fit_rig(best.fit.rig, causes.observations, best.fit.values, rules))
     if not len(unseen):
         return best
     widened = Widening(best.final, best.final.covariance).over_blocks(best.fit)
@@ -57,30 +62,60 @@ def best_corrected(
     return replace(best, gain=gain)
 
 
-def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
-    """Correct a fit by what has clear evidence and predicts blocks of places held out better, the best first; roughly fitted.
+@dataclass(frozen=True)
+class _LinearTrial:
+    """Corrections that were taken in the linear model.
+
+    Attributes:
+        before: The full fit without them.
+        fit: With them, in the linear model about the fit before.
+        parts: The corrections, as they were taken.
+        leaders: Candidates that had most evidence when none was taken.
+    """
+
+    before: Fit
+    fit: Fit
+    parts: tuple[Part, ...]
+    leaders: Sequence[CorrectionCandidate]
+
+    def in_full(self, limits: dict[str, str]) -> Correction:
+        """The same fitted in full; refused where that has no evidence any more, or predicts places held out worse."""
+        before = self.before
+        if not self.parts:
+            refusal = "no correction has clear evidence and predicts places held out better"
+            return Correction(before, (), limits, refusal, before)
+        fit = full_fit(self.fit, before)
+        gain = held_out(before, fit, pose_blocks(fit.observations, np.random.default_rng(0)))
+        if gain.elpd_difference <= 0.0 or fit.log_evidence <= before.log_evidence:
+            refusal = "fitted in full, what was tried predicts places held out no better"
+            return Correction(before, (), limits, refusal, before)
+        return Correction(fit, self.parts, limits, "", fit)
+
+
+def _linear_trial(
+    fit: Fit, candidates: Sequence[CorrectionCandidate], tell: Callable[[str], None]
+) -> _LinearTrial:
+    """Correct a fit by what has clear evidence and predicts blocks of places held out better, the best first.
 
     Args:
         fit: With all causes.
+        candidates: Kinds of corrections, with columns of a similar fit.
         tell: Called with a message for each correction that is taken.
     """
+    before, leaders = fit, candidates
     block = pose_blocks(fit.observations, np.random.default_rng(0))
-    kinds = kinds_of(fit)
-    limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
-    kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
-    candidates = [
-        CorrectionCandidate.at(kind, fit) for kind in kinds
-    ]  # columns hardly change as corrections are taken
     parts = list[Part]()
     while candidates and len(parts) < policy.MOST_CORRECTIONS:
         options = [candidate.best_option(fit) for candidate in candidates]
         order = sorted(range(len(options)), key=lambda i: options[i].log_bayes_factor, reverse=True)
+        ranked = [candidates[i] for i in order[: policy.MOST_ASKED_AGAIN + 1]]
+        if len(ranked) < len(candidates):  # when none was taken
+            leaders = ranked
         best = options[order[0]]
         if best.log_bayes_factor <= policy.LEAST_LOG_EVIDENCE_CORRECTED:
             break
-        candidates = [candidates[i] for i in order[1 : policy.MOST_ASKED_AGAIN + 1]]
-        rig = best.kind.rig(fit, best.start, best.widths)
-        after = _fitted(rig, fit, policy.ROUGH_TOLERANCE)
+        candidates = ranked[1:]
+        after = best.fitted(fit)
         gain = held_out(fit, after, block)
         log_bayes_factor = after.log_evidence - fit.log_evidence
         if gain.elpd_difference <= 0.0 or log_bayes_factor <= 0.0:
@@ -89,10 +124,4 @@ def corrected(fit: Fit, tell: Callable[[str], None]) -> Correction:
         tell(f"correcting by {label} to degree {best.degree} ({odds(log_bayes_factor)} for it)")
         parts.append(Part(best.kind.cause, best.degree, len(best.widths), log_bayes_factor, gain))
         fit = after
-    refusal = "" if parts else "no correction has clear evidence and predicts places held out better"
-    return Correction(fit, tuple(parts), limits, refusal, fit)
-
-
-def _fitted(rig: Rig, fit: Fit, tolerance: float) -> Fit:
-    rules = fit.posterior.model.rules
-    return fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=tolerance)
+    return _LinearTrial(before, fit, tuple(parts), leaders)

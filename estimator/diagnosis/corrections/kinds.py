@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.steps import log_choices, steps_of
+from estimator.diagnosis.corrections.linear_fit import density_in_full, full_fit, linear_fit
+from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
@@ -74,7 +75,7 @@ class CorrectionKind:
             if factors is not None:
                 reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)
                 of_component = factors[:, reading[fit.observations.is_measured]]
-                return of_component[..., None] * self.columns(fit, starts[:1], degree)
+                return (of_component[:, None] * self.columns(fit, starts[:1], degree).mT).mT
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
         keys = [key for _, key in self.keys(degree)]
         n = len(starts) * len(keys)
@@ -114,13 +115,31 @@ class CorrectionKind:
 
 @dataclass(frozen=True)
 class CorrectionOption:
-    """One kind up to one degree, with the widths of its amplitudes that have most evidence."""
+    """One kind up to one degree, with the widths of its amplitudes that have most evidence.
+
+    Attributes:
+        columns_T: Change of the measured components per unit of each amplitude.
+    """
 
     kind: CorrectionKind
     start: dict[str, float]
     degree: int
     widths: dict[str, float]
+    columns_T: Float[Tensor, "component amplitude"]
     log_bayes_factor: float
+
+    def fitted(self, fit: Fit) -> Fit:
+        """A fit with this correction as well, in the linear model.
+
+        In full where that does not hold, so that the full model is no more probable there; and with a frequency, which moves off its grid.
+        """
+        rig = self.kind.rig(fit, self.start, self.widths)
+        names = [f"{self.kind.cause.label}.{key}" for key in self.widths]
+        linear = linear_fit(fit, rig, dict(zip(names, self.columns_T.unbind(1), strict=True)))
+        has_frequency = len(rig.free) > len(fit.rig.free) + len(names)
+        if has_frequency or density_in_full(linear) <= density_in_full(fit):
+            return full_fit(linear, fit, policy.ROUGH_TOLERANCE)
+        return linear
 
 
 @dataclass(frozen=True)
@@ -150,8 +169,7 @@ class CorrectionCandidate:
             return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
         if self.kind.effect.is_stepwise:
             return _best_steps(fit, self.kind, self.columns * weight)
-        families = [Family.of(self.kind.cause.label, own * weight) for own in self.columns]
-        by_start = torch.tensor([log_mean_exp(row) for row in evidence_by_amplitude(fit, families)])
+        by_start = Starts.of(fit, self.columns * weight).evidence_beside([])
         top = int(by_start.argmax())
         if top not in self.of_all_degrees:
             start = [self.kind.starts[top]]
@@ -198,7 +216,8 @@ def _best_degree(
     degree, keys, per_rms = by_degree[top]
     rms = policy.AMPLITUDES[int(evidence[top].argmax())]
     widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
-    return CorrectionOption(kind, start, degree, widths, log_mean_exp(evidence[top]))
+    columns_T = columns[:, : len(keys)] / fit.whitening_per_T[:, None]
+    return CorrectionOption(kind, start, degree, widths, columns_T, log_mean_exp(evidence[top]))
 
 
 def kinds_of(fit: Fit) -> list[CorrectionKind]:

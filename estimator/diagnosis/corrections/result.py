@@ -19,7 +19,7 @@ class Part:
     Attributes:
         degree: Highest degree of its terms.
         n_amplitudes: Their number.
-        log_bayes_factor: Of the full fit, against none of this kind.
+        log_bayes_factor: In the linear model, against none of this kind; of a full fit where it has a frequency.
         held_out: Gain in predicting blocks of places from the others.
     """
 

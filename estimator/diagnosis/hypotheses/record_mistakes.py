@@ -117,6 +117,13 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
     return base, mistakes
 
 
+def leaves_much_of_the_field(fit: Fit) -> bool:
+    """Whether the residual is a share of the field that no cause but a mistake leaves."""
+    measured = fit.posterior.measured_T * fit.whitening_per_T
+    share = float(fit.residual.square().sum() / measured.square().sum())
+    return share > policy.LEAST_LEFT_BY_MISTAKE**2
+
+
 def _is_as_expected(fit: Fit) -> bool:
     """Whether the residual, the fitted noise and the fitted parameters are all as expected."""
     if float(fit.residual.square().mean()) > policy.LARGEST_MEAN_SQUARE:
@@ -148,7 +155,7 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     (least_stepped,) = _after_linear_step(as_recorded, as_recorded.coordinates.start()[None])
     least_stepped -= policy.MOST_LOST_ON_FEW
     ranked: list[tuple[float, Cause, Mapping[str, float]]] = []
-    is_absurd = _leaves_much_of_the_field(base)
+    is_absurd = leaves_much_of_the_field(base)
     # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
     for name, effect in reversed(EFFECTS.items()):
         if not effect.is_record_mistake or name in present:
@@ -199,13 +206,6 @@ def _at_finest_instant(base: Fit, cause: Cause, start: Mapping[str, float]) -> M
         narrower = starts_between(circumstances, beside[0][SINCE], beside[-1][SINCE], start)
         nearer = narrower if len(nearer) == MOST_INSTANTS else []
     return start
-
-
-def _leaves_much_of_the_field(fit: Fit) -> bool:
-    """Whether the residual is a share of the field that no cause but a mistake leaves."""
-    measured = fit.posterior.measured_T * fit.whitening_per_T
-    share = float(fit.residual.square().sum() / measured.square().sum())
-    return share > policy.LEAST_LEFT_BY_MISTAKE**2
 
 
 def _explains_a_field(fit: Fit) -> bool:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import log_bayes_factor_by_width, log_mean_exp
 from estimator.diagnosis.structure.families.collection import Family
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
@@ -89,11 +89,7 @@ def evidence_by_amplitude(
             some = members[first : first + n_together]
             columns = torch.stack([families[i].columns for i in some])
             gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-            sd = rms[:, None].expand(len(some), -1, width)
-            shape = (len(some), len(rms), width)
-            result[some] = log_bayes_factor(
-                gram[:, None].expand(*shape, width), score[:, None].expand(shape), sd, fit.free_noise
-            )
+            result[some] = log_bayes_factor_by_width(gram, score, rms.expand(len(some), -1), fit.free_noise)
     return result
 
 

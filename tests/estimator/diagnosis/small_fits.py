@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import torch
 
+from estimator.diagnosis.corrections.choice import best_corrected
+from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
@@ -20,6 +22,16 @@ def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
         wider = with_effect(fit.rig, cause, observations, {})
         fit = fit_rig(wider, observations, fit.start_with(wider), fit.posterior.model.rules)
     return fit
+
+
+def unheard(words: str) -> None:
+    """Stages, which no test reads."""
+
+
+def corrected(fit: Fit) -> Correction:
+    """The correction of a fit, judged by no unseen readings."""
+    none = fit.observations.rows(torch.zeros(0, dtype=torch.int64))
+    return best_corrected(fit, fit, fit, none, unheard)
 
 
 def with_wrong(

@@ -14,6 +14,7 @@ from estimator.diagnosis.linear import (
     Projector,
     highest_log_bayes_factor,
     log_bayes_factor,
+    log_bayes_factor_by_width,
     log_mean_exp,
 )
 
@@ -63,6 +64,16 @@ def test_evidence_beside_fitted_parameters_is_that_of_the_marginal_normal():
     residual = data - jacobian @ torch.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ data)
     value = log_bayes_factor(projector.gram(columns, columns), columns.T @ residual, sd)
     assert value.item() == pytest.approx(float(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [None, FreeNoise(40.0, 0.5)])
+def test_widths_that_columns_share_are_those_of_one_evaluation_each(noise: FreeNoise | None):
+    jacobian, prior, columns, residual = problem(4)
+    gram, score = Projector.of(jacobian, prior).gram(columns, columns), columns.T @ residual
+    widths = torch.tensor([0.1, 1.0, 5.0], dtype=torch.float64)
+    together = log_bayes_factor_by_width(gram, score, widths, noise)
+    each = torch.stack([log_bayes_factor(gram, score, width.expand(2), noise) for width in widths])
+    torch.testing.assert_close(together, each, rtol=1e-12, atol=1e-12)
 
 
 def test_projection_takes_out_what_parameters_without_prior_can_follow():

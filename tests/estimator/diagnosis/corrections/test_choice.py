@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.corrections.choice import best_corrected, corrected
+from estimator.diagnosis.corrections.choice import best_corrected
+from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
+from estimator.diagnosis.corrections.linear_fit import density_in_full
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.posterior import extended_posterior
+from estimator.diagnosis.structure.cross_validation import log_predictive
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.validation import validation_scores
@@ -24,12 +28,13 @@ from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
+from estimator.readings.split import pose_blocks
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, with_wrong
+from tests.estimator.diagnosis.small_fits import corrected, fit_of, predicted_T, unheard, with_wrong
 
 pytestmark = pytest.mark.whole
 
@@ -37,10 +42,6 @@ HARMONICS, GAIN = Cause("coil_harmonics", "coil1"), Cause("axis_gain", "hall")
 N_TERMS = {1: 3, 2: 8, 3: 15, 4: 24, 5: 35}
 CURRENT_A = 3.0
 NOISE_T = 5e-6
-
-
-def unheard(words: str) -> None:
-    """Stages, which no test here reads."""
 
 
 def with_dipole(observations: Observations, coil_z_m: float) -> Observations:
@@ -65,7 +66,7 @@ def plain(small_rig: Rig, flawed: Observations) -> Fit:
 
 @pytest.fixture(scope="module")
 def corrected_fit(plain: Fit) -> Fit:
-    correction = corrected(plain, unheard)
+    correction = corrected(plain)
     assert correction.parts[0].cause.name in ("coil_harmonics", "coil_multipoles")
     return correction.fit
 
@@ -77,6 +78,30 @@ def test_unknown_source_beside_the_coil_is_corrected_where_nothing_was_read(plai
     assert after.coverage90 > 0.8
     assert corrected_fit.rig.effects == ()
     assert corrected_fit.rig.corrections
+
+
+def test_linear_model_says_what_a_full_fit_says(plain: Fit):
+    """Evidence, predictions, and those of blocks held out, of a correction many times the noise."""
+    kind = next(kind for kind in kinds_of(plain) if kind.cause == HARMONICS)
+    linear = CorrectionCandidate.at(kind, plain).best_option(plain).fitted(plain)
+    full = fit_rig(linear.rig, plain.observations, linear.values, plain.posterior.model.rules)
+    gain = full.log_evidence - plain.log_evidence
+    assert gain > 50.0
+    assert linear.log_evidence - plain.log_evidence == pytest.approx(gain, rel=0.02)
+    block = pose_blocks(plain.observations, np.random.default_rng(0))
+    before, *after = (float(log_predictive(fit, block).sum()) for fit in (plain, linear, full))
+    assert after[0] - before == pytest.approx(after[1] - before, rel=0.02)
+    difference = (linear.predicted_T - full.predicted_T) * full.whitening_per_T
+    assert float(difference.square().mean().sqrt()) < 0.1
+
+
+def test_where_the_linear_model_does_not_hold_a_trial_is_fitted_in_full(plain: Fit):
+    """Columns that are wrong by a factor of a hundred, as of another fit, ask for a hundred times the amplitudes."""
+    kind = next(kind for kind in kinds_of(plain) if kind.cause == HARMONICS)
+    option = CorrectionCandidate.at(kind, plain).best_option(plain)
+    widths = {key: 100.0 * width for key, width in option.widths.items()}
+    wrong = replace(option, widths=widths, columns_T=0.01 * option.columns_T)
+    assert density_in_full(wrong.fitted(plain)) > density_in_full(plain) + 50.0
 
 
 def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig, plain, corrected_fit):
@@ -116,7 +141,7 @@ def test_posterior_of_the_amplitudes_is_that_of_linear_least_squares(small_rig: 
 
 def test_nothing_is_corrected_where_a_cause_explains_all(small_rig: Rig, small_session: Session):
     observations = with_wrong(small_rig, small_session.observations, GAIN, {"x": 0.05})
-    correction = corrected(fit_of(small_rig, observations.calibration, GAIN), unheard)
+    correction = corrected(fit_of(small_rig, observations.calibration, GAIN))
     assert correction.parts == ()
     assert not correction.is_taken
     assert correction.words(str) == f"Nothing is corrected: {correction.refusal}."
@@ -130,7 +155,7 @@ def test_a_current_that_swings_is_followed_at_its_own_frequency(small_rig: Rig, 
     swing = 1.0 + 0.05 * torch.sin(2.0 * torch.pi * frequency_per_h * hours)[:, None]
     swinging = observations.with_field(swing * observations.field_sensor_T)
     plain = fit_of(small_rig, swinging.calibration)
-    correction = corrected(plain, unheard)
+    correction = corrected(plain)
     assert correction.parts[0].cause == Cause("current_swings", "coil1")
     found = float(correction.fit.values["current_swings[coil1].frequency_per_h"])
     assert found == pytest.approx(frequency_per_h, rel=0.02)
@@ -173,7 +198,7 @@ def test_posterior_of_a_corrected_rig_is_drawn_without_sampling_its_amplitudes(
     count = "coil1.axial_loops"
     known = small_rig.with_values({count: small_session.truth[count]}).with_fixed([count])
     searched = fit_of(known, flawed.calibration)
-    fit = corrected(searched, unheard).fit
+    fit = corrected(searched).fit
     widening = Widening.of(searched, searched, discrepancy(searched, families(searched))).carried_to(fit)
     rig = extended_rig(known, fit)
     session = Session(known, flawed, "simulated")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis.corrections.choice import corrected
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, CorrectionKind, kinds_of
-from estimator.diagnosis.corrections.steps import _Starts, log_choices, steps_of
+from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
@@ -17,16 +16,12 @@ from estimator.effects.history_corrections import directions
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+from tests.estimator.diagnosis.small_fits import corrected, fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
 
 NOISE_T = 5e-6
 STEPS, SIDES = Cause("current_steps", "coil1"), Cause("sides_remembered", "arm1")
-
-
-def unheard(words: str) -> None:
-    """Stages, which no test here reads."""
 
 
 def hours_of(observations: Observations) -> torch.Tensor:
@@ -58,7 +53,7 @@ def kind_of(fit: Fit, cause: Cause) -> CorrectionKind:
 
 
 def test_contact_that_opened_and_closed_is_two_steps_at_its_instants(loosened, loosened_fit, opened_h):
-    correction = corrected(loosened_fit, unheard)
+    correction = corrected(loosened_fit)
     part = correction.parts[0]
     assert (part.cause, part.degree) == (STEPS, 2)
     fitted_h = hours_of(loosened)[~loosened.is_validation]
@@ -73,7 +68,7 @@ def test_contact_that_opened_and_closed_is_two_steps_at_its_instants(loosened, l
 def test_evidence_of_a_further_step_is_that_of_all_columns_together(loosened_fit):
     columns = CorrectionCandidate.at(kind_of(loosened_fit, STEPS), loosened_fit).columns
     first, second = steps_of(loosened_fit, columns, 2)
-    row, evidence = _Starts.of(loosened_fit, columns).next_beside([first])
+    row, evidence = Starts.of(loosened_fit, columns).next_beside([first])
     together = Family.of("", torch.cat((columns[first], columns[row]), dim=1))
     assert row == second
     assert evidence == pytest.approx(

@@ -9,8 +9,12 @@ import pytest
 import torch
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.diagnose import _are_doubtful
 from estimator.diagnosis.hypotheses import record_mistakes
-from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
+from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
+from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.step import Step
+from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
 from estimator.effects.record import DisplacementFrameError
 from estimator.readings.observations import Observations
@@ -39,6 +43,22 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
     _, mistakes = without_record_mistakes(fit_of(small_rig, readings))
     assert [mistake.cause.name for mistake in mistakes] == []
+
+
+@pytest.mark.parametrize(
+    ("gain", "left", "is_doubtful"), [(0.3, 10.0, True), (0.3, -3.0, False), (0.02, 10.0, False)]
+)
+def test_mistake_is_doubtful_where_something_is_left_and_the_record_was_far_from_right(
+    small_rig: Rig, small_session: Session, gain: float, left: float, is_doubtful: bool
+):
+    """An axis that reads too much leaves a share of the field, beside a mistake of 300 in log evidence."""
+    wrong = with_wrong(small_rig, small_session.observations, Cause("axis_gain", "hall"), {"x": gain})
+    base = fit_of(small_rig, wrong.calibration)
+    nothing = torch.zeros(len(base.residual), 0, dtype=torch.float64)
+    remainder = Discrepancy(left, "", {}, 1.0, nothing)
+    found = Search(base, base, (Step((), None, (), remainder),), (), (), (), remainder)
+    mistake = RecordMistake(Cause("axes_swapped", "hall"), 300.0, ())
+    assert _are_doubtful([mistake], found) is is_doubtful
 
 
 def turning(observations: Observations) -> Observations:
