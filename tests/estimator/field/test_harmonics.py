@@ -24,7 +24,7 @@ def each_of(field: Field, points: Tensor, degree: int) -> Tensor:
 
 
 @pytest.mark.parametrize("field", [interior_field, exterior_field])
-@pytest.mark.parametrize("degree", (*DEGREES, HIGHEST_DEGREE))
+@pytest.mark.parametrize("degree", [*DEGREES, HIGHEST_DEGREE])
 def test_fields_have_neither_divergence_nor_curl(field: Field, degree: int) -> None:
     points = torch.randn(7, 3, generator=torch.Generator().manual_seed(degree), dtype=torch.float64)
     points = points / points.norm(dim=-1, keepdim=True) * torch.linspace(0.8, 1.2, 7)[:, None]
