@@ -35,7 +35,7 @@ class Killed(BaseException):
 def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(session, tmp_path, monkeypatch):
     whole = diagnose(session, seed=1, out=tmp_path / "whole")
     n_fits = []
-    climb = fitting.levenberg_marquardt
+    climb = fitting.climbed
 
     def killed_after_three(*args, **kwargs):
         n_fits.append(1)
@@ -43,12 +43,12 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(session, tmp_
             raise Killed
         return climb(*args, **kwargs)
 
-    monkeypatch.setattr(fitting, "levenberg_marquardt", killed_after_three)
+    monkeypatch.setattr(fitting, "climbed", killed_after_three)
     with pytest.raises(Killed):
         diagnose(session, seed=1, out=tmp_path / "killed")
     with (tmp_path / "killed" / FITS).open("a") as file:
         file.write('{"key": "torn')
-    monkeypatch.setattr(fitting, "levenberg_marquardt", climb)
+    monkeypatch.setattr(fitting, "climbed", climb)
     told = []
     diagnose(session, seed=1, out=tmp_path / "killed", on_stage=told.append)
     assert told[0] == "continuing: 3 fits were made before"

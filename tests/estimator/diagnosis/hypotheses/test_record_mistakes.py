@@ -56,7 +56,7 @@ def test_mistake_is_doubtful_where_something_is_left_and_the_record_was_far_from
     base = fit_of(small_rig, wrong.calibration)
     nothing = torch.zeros(len(base.residual), 0, dtype=torch.float64)
     remainder = Discrepancy(left, "", {}, 1.0, nothing)
-    found = Search(base, base, (Step((), None, (), remainder),), (), (), (), remainder)
+    found = Search(base, base, (Step((), None, (), remainder),), (), (), (), remainder, ())
     mistake = RecordMistake(Cause("axes_swapped", "hall"), 300.0, ())
     assert _are_doubtful([mistake], found) is is_doubtful
 
