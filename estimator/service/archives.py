@@ -17,9 +17,7 @@ from estimator.service.problems import Problem
 from estimator.store.admission import METADATA, admit
 from estimator.store.session import Session, load_session
 
-MOST_MEMBERS = (
-    5_000  # a session of 200,000 readings has about a hundred; a file that is made costs half a millisecond
-)
+MOST_MEMBERS = 5_000  # a session of 200,000 readings has about a hundred; each file takes half a millisecond
 MOST_NAME = 200  # characters
 MOST_LEVELS = 6  # folders inside each other; a session has four
 PIECE = 1 << 20

@@ -43,10 +43,8 @@ DATABASE, LOCK = "coilcal.sqlite", "lock"
 SESSIONS, JOBS, UPLOADS, REGISTRIES = "sessions", "jobs", "uploads", "registries"
 MOST_CALIBRATION_BYTES = 512_000_000  # of draws in memory
 MOST_FITS = 4
-MOST_IMPORTS, MOST_IMPORTS_WAITING = (
-    2,
-    20,
-)  # sessions of `most_unpacked_MB` in memory, and bodies of `most_body_MB`
+MOST_IMPORTS = 2  # sessions of `most_unpacked_MB` in memory
+MOST_IMPORTS_WAITING = 20  # bodies of `most_body_MB` in memory
 
 
 class Core:
