@@ -214,7 +214,7 @@ def test_an_open_session_is_watched_by_who_has_logged_in(
         residuals = page.locator("svg.space").inner_html()
         page.get_by_label("Arrows").select_option("field")
         assert page.locator("svg.space").inner_html() != residuals
-        assert page.locator("svg.space .ring text").all_inner_texts() == ["coil1"]
+        assert page.locator("svg.space .ring text").all_text_contents() == ["coil1"]
         assert page.locator("figure").count() == 3
         devices = page.get_by_role("region", name="Devices").get_by_role("row")
         assert "in the last reading" in devices.filter(has_text="sensor hall").inner_text()
