@@ -83,6 +83,7 @@ class Core:
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
         self._streams: Counter[str] = Counter()
+        self.is_ending = False
         self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
@@ -152,6 +153,10 @@ class Core:
                 self._streams[user] -= 1
                 self._streams += Counter()  # forgets users without one
 
+    def end_streams(self) -> None:
+        """Let event streams end at their next look, for the service is about to; a client asks again when it is back."""
+        self.is_ending = True
+
     def start(self) -> None:
         """Begin to work on jobs, to tell webhooks and to follow schedules."""
         self.tidy.remove_unknown(self.data / JOBS)
@@ -162,6 +167,7 @@ class Core:
 
     def close(self) -> None:
         """Hand everything back for the next process."""
+        self.end_streams()
         self.watching.stop()
         for ticker in self._tickers:
             ticker.stop()

@@ -88,11 +88,6 @@ class Dispatcher:
         """Whether jobs can run."""
         return self._ready.is_set() and self._thread.is_alive()
 
-    @property
-    def is_stopping(self) -> bool:
-        """Whether the service ends."""
-        return self._stopping.is_set()
-
     def folder(self, job_id: str) -> Path:
         """Folder of a job."""
         return self._folder / job_id

@@ -35,7 +35,7 @@ async def events_of(
         int(last_event_id) if last_event_id and last_event_id.isascii() and last_event_id.isdecimal() else 0
     )
     lines = _Lines(path)
-    while not core.jobs.is_stopping:
+    while not core.is_ending:
         has_ended = job.state in ENDED  # asked before the file is read, so that no line is missed
         for number, line in await run_in_threadpool(lines.new):
             if number > n_known:

@@ -6,6 +6,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Callable
+from types import FrameType
 
 import uvicorn
 from fastapi import FastAPI
@@ -13,7 +14,7 @@ from fastapi import FastAPI
 from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
 from estimator.service.connections import MOST_CONNECTIONS, PromptHttp, allow_files
-from estimator.service.core import DATABASE
+from estimator.service.core import DATABASE, Core
 from estimator.service.database import Database, now
 from estimator.service.logs import install_logs
 from estimator.service.settings import KEYS, Settings
@@ -42,7 +43,20 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     tell(address)
     if opens:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-    uvicorn.Server(config_of(app, settings)).run(sockets=[listener])
+    _Server(config_of(app, settings), app.state.core).run(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """Ends event streams when the signal comes: uvicorn would first wait for them until `GRACE_S` is over, and then cut them."""
+
+    def __init__(self, config: uvicorn.Config, core: Core) -> None:
+        super().__init__(config)
+        self._core = core
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """See uvicorn."""
+        self._core.end_streams()
+        super().handle_exit(sig, frame)
 
 
 def config_of(app: FastAPI, settings: Settings) -> uvicorn.Config:

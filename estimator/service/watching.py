@@ -69,7 +69,7 @@ class Watched:
         self._watchers: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
         threading.Thread(target=self._run, name="coilcal watching", daemon=True).start()
 
-    async def news(self, is_stopping: Callable[[], bool]) -> AsyncGenerator[News]:
+    async def news(self, is_ending: Callable[[], bool]) -> AsyncGenerator[News]:
         """What becomes of the session, from its first reading on; the last news have `has_ended`."""
         changed = asyncio.Event()
         mine = asyncio.get_running_loop(), changed
@@ -77,14 +77,14 @@ class Watched:
         with self._lock:
             self._watchers.add(mine)
         try:
-            while not is_stopping():
+            while not is_ending():
                 changed.clear()
                 drawing, n_places, news = self._news(drawing, n_places, n_history)
                 n_history = news.history[-1].n_readings if news.history else n_history
                 yield news
                 if news.has_ended:
                     return
-                while not (changed.is_set() or is_stopping()):
+                while not (changed.is_set() or is_ending()):
                     with suppress(TimeoutError):
                         async with asyncio.timeout(LOOK_EVERY_S):
                             await changed.wait()
@@ -244,7 +244,6 @@ class Watching:
         self._watched: dict[str, Watched] = {}
         self._n_watchers: Counter[str] = Counter()
         self._lock = threading.Lock()
-        self.is_stopping = False
         self._diagnosis = RunningDiagnosis(self._all) if is_diagnosed else None
 
     def start(self) -> None:
@@ -290,7 +289,6 @@ class Watching:
 
     def stop(self) -> None:
         """End all threads."""
-        self.is_stopping = True
         if self._diagnosis is not None:
             self._diagnosis.stop()
         with self._lock:

@@ -260,7 +260,7 @@ async def watch_session(
     watched: Annotated[Watched, Depends(_watched)],
 ) -> AsyncIterator[ServerSentEvent]:
     """The estimate of an open session as server-sent events: `estimate` after readings were appended, and `end` when it is closed."""
-    async with aclosing(watched.news(lambda: core.watching.is_stopping)) as changes:
+    async with aclosing(watched.news(lambda: core.is_ending)) as changes:
         async for news in changes:
             yield ServerSentEvent(data=asdict(news), event="end" if news.has_ended else "estimate")
 

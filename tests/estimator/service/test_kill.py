@@ -156,3 +156,19 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
     service = served()
     job = wait_for(service.client, job_id)
     assert (job["state"], job["starts"]) == ("done", 2)
+
+
+def test_event_streams_end_with_the_service_and_without_a_fault(
+    served: Callable[..., Served], rig_text: str, tmp_path: Path
+) -> None:
+    """Else uvicorn waits for them until its patience is over, and logs each as a fault."""
+    service = served()
+    client = service.client
+    session_id = begin_session(client, upload_rig(client, rig_text))
+    with client.stream("GET", f"/v1/sessions/{session_id}/live") as stream:
+        lines = stream.iter_lines()
+        next(lines)
+        assert service.end() == -signal.SIGTERM
+        for _ in lines:
+            pass
+    assert '"ERROR"' not in (tmp_path / "data.log").read_text(encoding="utf-8")
