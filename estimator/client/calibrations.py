@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as attribute
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.client import predictions
 from estimator.client.connection import AsyncConnection, Connection
+from estimator.client.exports import exported
 from estimator.client.predictions import AT_ZERO, Axis, Currents, Gradients, Motion, Points
 from estimator.client.steps import Steps, send, send_json
 from estimator.rig.rig import Rig
@@ -16,6 +18,8 @@ from estimator.rig_files.read import rig_from_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from estimator.export.request import Grid
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,22 @@ class RemoteCalibration(CalibrationRecord):
         axes = {"x": x, "y": y, "z": z}
         return self.connection.run(predictions.grid(self.id, currents_A, level, motion, axes, has_gradient))
 
+    def export(
+        self,
+        to: str,
+        path: Path | str | None = None,
+        *,
+        grid: Grid | None = None,
+        currents_A: Currents | None = None,
+        motion: Motion | None = None,
+    ) -> Path:
+        """Write the model for other programs; as `estimator.Calibration.export`.
+
+        Raises:
+            InvalidInput: As there, or the file cannot be written.
+        """
+        return self.connection.run(exported(self.id, to, path, grid, currents_A, motion))
+
 
 @dataclass(frozen=True)
 class AsyncRemoteCalibration(CalibrationRecord):
@@ -159,6 +179,22 @@ class AsyncRemoteCalibration(CalibrationRecord):
         return await self.connection.run(
             predictions.grid(self.id, currents_A, level, motion, axes, has_gradient)
         )
+
+    async def export(
+        self,
+        to: str,
+        path: Path | str | None = None,
+        *,
+        grid: Grid | None = None,
+        currents_A: Currents | None = None,
+        motion: Motion | None = None,
+    ) -> Path:
+        """Write the model for other programs; as `RemoteCalibration.export`.
+
+        Raises:
+            InvalidInput: As there, or the file cannot be written.
+        """
+        return await self.connection.run(exported(self.id, to, path, grid, currents_A, motion))
 
 
 def summary_of(calibration_id: str) -> Steps[tuple[str, dict[str, Any]]]:

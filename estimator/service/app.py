@@ -21,6 +21,7 @@ from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
 from estimator.service.routes import (
     calibrations,
+    exports,
     jobs,
     login,
     operation,
@@ -83,6 +84,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         jobs,
         calibrations,
         predictions,
+        exports,
         removal,
         webhooks,
         schedules,

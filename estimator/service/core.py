@@ -45,6 +45,7 @@ MOST_CALIBRATION_BYTES = 512_000_000  # of draws in memory
 MOST_FITS = 4
 MOST_IMPORTS = 2  # sessions of `most_unpacked_MB` in memory
 MOST_IMPORTS_WAITING = 20  # bodies of `most_body_MB` in memory
+MOST_EXPORTS_WAITING = 20
 
 
 class Core:
@@ -88,6 +89,7 @@ class Core:
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
         self.importing = Room("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
+        self.exporting = Room("exports", 1, MOST_EXPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch(
             "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
@@ -100,6 +102,11 @@ class Core:
     def uploads(self) -> Path:
         """Folder of what is being unpacked; it does not survive."""
         return self.data / UPLOADS
+
+    def scratch(self) -> Path:
+        """The same folder, made where it is not there."""
+        self.uploads.mkdir(parents=True, exist_ok=True)
+        return self.uploads
 
     def registry_path(self, rig_name: str) -> Path:
         """Folder of the registry of a rig; no word of a request becomes part of it."""

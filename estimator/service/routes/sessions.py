@@ -170,7 +170,7 @@ def import_csv(
         version = db.get(RigVersion, rig_id)
     if version is None:
         raise not_found("rig", rig_id)
-    with tempfile.TemporaryDirectory(dir=_made(core.uploads)) as folder:
+    with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
         path = Path(folder) / "readings.csv"
         path.write_bytes(body)
         session = read_readings_csv(path, rig_from_text(version.text, "rig"))
@@ -197,7 +197,7 @@ def import_zip(
     if version is None:
         raise not_found("rig", rig_id)
     limits = int(core.settings.most_unpacked_MB * 1e6), core.settings.most_readings
-    with unpacked_session(body, _made(core.uploads) / new_id(), *limits) as session:
+    with unpacked_session(body, core.scratch() / new_id(), *limits) as session:
         session.check_rig(rig_from_text(version.text, "rig"))
         return _kept(core, request, caller, session, version.id)
 
@@ -306,7 +306,7 @@ def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id)
     row = closed_row_of(core, session_id)
 
     def csv() -> Response:
-        with tempfile.TemporaryDirectory(dir=_made(core.uploads)) as folder:
+        with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
             path = Path(folder) / "readings.csv"
             write_readings_csv(load_session(core.sessions.path(session_id)), path)
             name = {"Content-Disposition": 'attachment; filename="readings.csv"'}
@@ -340,8 +340,3 @@ def _kept(core: Core, request: Request, caller: Caller, session: Session, rig_id
     except BaseException:
         core.sessions.remove(session_id)
         raise
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

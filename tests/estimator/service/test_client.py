@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
 import json
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 import torch
 from starlette.testclient import TestClient
@@ -35,6 +38,7 @@ from estimator.client import (
 from estimator.client.client import ATTEMPTS
 from estimator.client.connection import AsyncConnection, Connection
 from estimator.errors import InvalidInput
+from estimator.export.request import Grid
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.rig import Rig
 from estimator.service.core import Core
@@ -78,7 +82,9 @@ def interrupted(api: TestClient) -> Iterator[str]:
     service.join(60)
 
 
-def test_a_calibration_there_is_read_as_one_here(interrupted: str, small_session: Session) -> None:
+def test_a_calibration_there_is_read_as_one_here(
+    interrupted: str, small_session: Session, tmp_path: Path
+) -> None:
     """The script does not notice that the service was gone."""
     told: list[Any] = []
     with Client(interrupted) as client:
@@ -103,6 +109,13 @@ def test_a_calibration_there_is_read_as_one_here(interrupted: str, small_session
         assert table.column("Bz_upper_T").to_pylist() == upper_T[:, 2].tolist()
         gradient = here.gradient(on_grid, {"coil1": 2.0})
         assert table.column("dBy_dz_T_per_m").to_pylist() == gradient[:, 1, 2].tolist()
+        grid = Grid(np.array([0.0, 0.02]), np.zeros(1), np.zeros(1))
+        asked: dict[str, dict[str, Any]] = {"json": {}, "csv": {"grid": grid, "currents_A": {"coil1": 2.0}}}
+        for to, beside in asked.items():
+            files = [c.export(to, tmp_path / f"{i}" / "file", **beside) for i, c in enumerate((here, there))]
+            assert files[0].read_bytes() == files[1].read_bytes()
+        with contextlib.chdir(tmp_path):
+            assert there.export("cpp") == here.export("cpp") == Path("coilcal_small.hpp")
         assert client.calibration(there.id).summary() == there.summary()
         with pytest.raises(InvalidInput, match="coil9"):
             there.field(points_m, {"coil9": 1.0})
@@ -174,7 +187,9 @@ def test_a_service_that_is_not_there_is_said_in_words(
         asyncio.run(there())
 
 
-@pytest.mark.parametrize("name", ["field", "gradient", "field_interval", "gradient_interval", "summary"])
+@pytest.mark.parametrize(
+    "name", ["field", "gradient", "field_interval", "gradient_interval", "summary", "export"]
+)
 def test_reading_methods_have_the_parameters_of_the_python_api(name: str) -> None:
     here, there = (inspect.signature(getattr(kind, name)) for kind in (Calibration, RemoteCalibration))
     assert list(here.parameters) == list(there.parameters)
@@ -204,7 +219,7 @@ def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: t
 
 @pytest.mark.slow
 def test_calls_that_are_awaited_go_on_together(
-    served: Callable[..., Served], small_session: Session, small_rig: Rig
+    served: Callable[..., Served], small_session: Session, small_rig: Rig, tmp_path: Path
 ) -> None:
     """Two calibrations are waited for at once while readings are appended; a service that is killed meanwhile is waited for."""
     service = served()
@@ -242,6 +257,8 @@ def test_calls_that_are_awaited_go_on_together(
                 {"coil1": 2.0}, x=(0.004, 0.004, 1), y=(0.003, 0.003, 1), z=(0.01, 0.01, 1)
             )
             assert table.column("Bz_T").to_pylist() == field_T[:, 2].tolist()
+            exported = await first.export("json", tmp_path / "model.json")
+            assert exported.read_bytes().startswith(b"{")
             again = await client.calibration(first.id)
             assert again.summary() == first.summary()
             registry = await client.registry(small_rig)

@@ -21,6 +21,8 @@ from starlette.testclient import TestClient
 from estimator.calibration.predictions import Question, Wanted
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
+from estimator.export.formats import default_path
+from estimator.export.request import Grid
 from estimator.service import predictions as module
 from estimator.service.core import Core
 from estimator.service.predictions import Predictor
@@ -31,6 +33,7 @@ from tests.estimator.service.conftest import import_csv, refusal, upload_rig
 
 POINTS_M = [[0.0, 0.0, 0.01], [0.01, -0.02, 0.0], [0.0, 0.049, -0.052]]  # the last one lies in the winding
 CURRENTS_A = {"coil1": 2.0}
+MOTION = [0.0, 0.0, 0.004, 0.0, 0.0, 0.1]
 
 
 @pytest.fixture
@@ -222,3 +225,36 @@ def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: Test
     for path in ("predict", "predict.arrow"):  # every place is given back
         for _ in range(4):
             assert client.post(f"{PATH}/{path}", **call).status_code == 200
+
+
+def test_an_export_is_the_file_of_the_python_api(
+    client: TestClient, small_calibration: Calibration, tmp_path: Path
+) -> None:
+    axes_m = {"x_m": [-0.01, 0.01], "y_m": [0.0], "z_m": [0.0, 0.02, 0.03]}
+    grid = Grid(*(np.array(coordinates_m) for coordinates_m in axes_m.values()))
+    asked: dict[str, dict[str, Any]] = {"json": {}, "cpp": {}, "urdf": {}}
+    asked["csv"] = asked["vtk"] = {"grid": axes_m, "currents_A": CURRENTS_A, "motion": {"arm1": MOTION}}
+    motion = {"arm1": torch.tensor(MOTION, dtype=torch.float64)}
+    for to, body in asked.items():
+        received = client.post(f"{PATH}/export", json={"to": to, **body})
+        here: dict[str, Any] = {"grid": grid, "currents_A": CURRENTS_A, "motion": motion} if body else {}
+        written = small_calibration.export(
+            to, tmp_path / default_path(small_calibration.magnet(), to), **here
+        )
+        assert received.content == written.read_bytes()
+        assert f'filename="{written.name}"' in received.headers["content-disposition"]
+    assert [path.name for path in client.app.state.core.uploads.iterdir()] == []
+
+
+def test_an_export_that_cannot_be_is_refused(client: TestClient) -> None:
+    def refused(code: int, **body: Any) -> dict[str, Any]:
+        return refusal(client.post(f"{PATH}/export", json=body), code)
+
+    axes_m = {"x_m": [0.0], "y_m": [0.0], "z_m": [0.0]}
+    assert "must be one of json" in refused(422, to="../../x")["detail"]
+    assert "must have no grid" in refused(422, to="json", grid=axes_m)["detail"]
+    assert "must have a grid" in refused(422, to="csv", currents_A=CURRENTS_A)["detail"]
+    assert "must ascend" in refused(422, to="csv", grid={**axes_m, "y_m": [1.0, 0.0]})["detail"]
+    assert "must name movers" in refused(422, to="vtk", grid=axes_m, motion={"nobody": MOTION})["detail"]
+    many = [0.001 * i for i in range(11)]
+    assert refused(413, to="csv", grid={"x_m": many, "y_m": many, "z_m": many})["value"] == "1331"
