@@ -119,7 +119,9 @@ def named_causes(search: Search) -> list[NamedCause]:
         if step.taken is None or step.taken not in final_causes:
             continue
         unknown = unknown_beside(search.final, step.taken, search.curves)
-        shares = {cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()}
+        shares = {
+            cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()
+        }
         leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
         others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]
         alternatives = tuple(

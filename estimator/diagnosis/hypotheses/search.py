@@ -264,7 +264,8 @@ class _SearchState:
         fitted, and paid so much less that a second can pay beside it, is then asked with one.
         """
         step = self.steps[0]
-        fitted = [h for h in step.hypotheses if h.fit is not None and not is_noise(h)]
+        alone = [h for h in step.hypotheses if h.fit is not None and len(self.added(h.fit)) == 1]
+        fitted = [h for h in alone if not is_noise(h)]
         one = next((h for h in fitted if h.cause == step.taken), None)
         if one is None:
             return fit

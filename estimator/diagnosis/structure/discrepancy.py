@@ -95,7 +95,9 @@ def expected_of_noise(
     return result
 
 
-def _batches(families: Sequence[Family]) -> Iterator[tuple[list[int], Float[Tensor, "family component column"]]]:
+def _batches(
+    families: Sequence[Family],
+) -> Iterator[tuple[list[int], Float[Tensor, "family component column"]]]:
     """Families with equally many columns together, some at a time: their numbers and columns."""
     by_width: dict[int, list[int]] = {}
     for i, family in enumerate(families):
