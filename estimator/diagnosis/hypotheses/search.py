@@ -258,7 +258,7 @@ class _SearchState:
         return fit
 
     def with_two(self, fit: Fit) -> Fit:
-        """Where the only cause has many numbers: two with fewer in its place, where these do clearly better together.
+        """Where the only cause has many numbers: two with fewer in its place, where these are more probable together.
 
         A cause with many numbers explains what two causes did and is taken first, for it is the best single one. The best other that was
         fitted, and paid so much less that a second can pay beside it, is then asked with one.
@@ -280,9 +280,10 @@ class _SearchState:
         if second.taken is None or len(self.added(second.taken_fit)) > self.limits.most_causes:
             return fit
         beside = next(h for h in second.hypotheses if h.cause == second.taken)
-        if other.log_bayes_factor + beside.log_bayes_factor < one.log_bayes_factor + least:
+        gain = other.log_bayes_factor + beside.log_bayes_factor - one.log_bayes_factor
+        if gain < least - policy.LEAST_LOG_ODDS:  # the prior of one more cause
             return fit
-        self.tell(f"{other.name} and {beside.name} together do better and replace it")
+        self.tell(f"{other.name} and {beside.name} together are more probable and replace it")
         self._drop(self.added(fit))
         first = replace(step, taken=other.cause, credible=credible_set(fitted, other.cause))
         self.steps = [first, second]
