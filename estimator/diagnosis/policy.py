@@ -255,7 +255,7 @@ LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
 
 MORE_THAN_OF_NOISE = math.log(3.0)
 """Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone
-between these two. By measurement: four fifths of noise stay below, and 15 of 16 right names at 30 standard deviations
+between these two. By measurement: four fifths of noise stay below, and 16 of 18 right names at 30 standard deviations
 (docs/decisions/0059). Study: not in it."""
 
 RELATIVE_SHARES = (0.3, 1.0)
