@@ -150,6 +150,25 @@ def log_bayes_factor_by_width(
     return _of_directions(size[..., None, :] * variance, square[..., None, :] * variance, noise)
 
 
+def log_bayes_factor_of_noise(
+    gram: Float[Tensor, "*batch column column"], width: Float[Tensor, "*#batch width"]
+) -> Float[Tensor, "*batch width"]:
+    """Expected log Bayes factor by width of columns that have no part in the residual: it is noise, less what the fit follows.
+
+    A direction of size a then has the score a in the mean square, a / (1 + a) of it is explained.
+
+    Args:
+        gram, width: As above.
+    Examples:
+        >>> gram = torch.tensor([[81.0]], dtype=torch.float64)
+        >>> log_bayes_factor_of_noise(gram, torch.ones(1, dtype=torch.float64)).round(decimals=2).item()
+        -1.71
+    """
+    size = torch.linalg.eigvalsh(gram).clamp(min=0.0)[..., None, :] * width.square()[..., None]
+    expected: Tensor = 0.5 * (size / (1.0 + size) - torch.log1p(size)).sum(-1)
+    return expected
+
+
 def _directions(
     scaled: Float[Tensor, "*batch column column"], score: Float[Tensor, "*batch column"]
 ) -> tuple[Float[Tensor, "*batch column"], Float[Tensor, "*batch column"]]:

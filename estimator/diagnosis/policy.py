@@ -186,6 +186,10 @@ N_INSTANTS = 11
 """Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it. Study of 5 cases:
 numbers change in 4."""
 
+N_RANGES = 7
+"""Sizes of its readings, evenly by their number, at which a sensor may change its range. By judgement: one lies within a sixteenth of the
+readings of it. Study: not in it."""
+
 MOST_PERIODS = 320
 """Periods that are looked for in time, from twice the session down in steps of half a cycle per session, and in the reading, from its range
 down. Effort: sessions with fewer readings have fewer. Study of 5 cases: numbers change in 1."""
@@ -243,8 +247,16 @@ MOST_NOT_IN_LIBRARY = 0.5
 probable. Study of 3 cases: verdict or names change in 1."""
 
 MOST_BESIDE_A_NAME = 0.2
-"""Probability that a cause is something else, which no list holds, up to which its name is stated alone; beyond, that belongs to its
+"""Probability that a cause is something else, which no list holds, up to which its name may be stated alone; beyond, that belongs to its
 credible set. By measurement (docs/decisions/0040). Study: not in it."""
+
+LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
+"""The same, up to which a name is stated alone whatever its size. By definition of a credible set. Study: not in it."""
+
+MORE_THAN_OF_NOISE = math.log(3.0)
+"""Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone
+between these two. By measurement: four fifths of noise stay below, and 16 of 18 right names at 30 standard deviations
+(docs/decisions/0059). Study: not in it."""
 
 RELATIVE_SHARES = (0.3, 1.0)
 """Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. By judgement: what differs by less

@@ -21,7 +21,7 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
-from estimator.diagnosis.structure.relatives import p_not_in_library
+from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -62,6 +62,7 @@ class NamedCause:
         alternatives: The other causes of its 95 % credible set.
         log_bayes_factor: Against nothing, when it was taken.
         p_not_in_library: Probability that it is something else which no list holds.
+        most_beside: Up to which its name is stated alone.
     """
 
     cause: Cause
@@ -69,11 +70,12 @@ class NamedCause:
     alternatives: tuple[Alternative, ...]
     log_bayes_factor: float
     p_not_in_library: float = 0.0
+    most_beside: float = policy.MOST_BESIDE_A_NAME
 
     @property
     def may_be_unknown(self) -> bool:
         """Whether something that no list holds belongs to its credible set, so that the name is not alone."""
-        return self.p_not_in_library > policy.MOST_BESIDE_A_NAME
+        return self.p_not_in_library > self.most_beside
 
     @property
     def is_alone(self) -> bool:
@@ -116,8 +118,10 @@ def named_causes(search: Search) -> list[NamedCause]:
     for step in search.steps:
         if step.taken is None or step.taken not in final_causes:
             continue
-        outside = p_not_in_library(search.final, step.taken, search.curves)
-        shares = {cause: (1.0 - outside) * share for cause, share in _shares(step.credible).items()}
+        unknown = unknown_beside(search.final, step.taken, search.curves)
+        shares = {
+            cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()
+        }
         leader = next(hypothesis for hypothesis in step.credible if hypothesis.cause == step.taken)
         others = [hypothesis for hypothesis in step.credible if hypothesis.cause != step.taken]
         alternatives = tuple(
@@ -126,7 +130,14 @@ def named_causes(search: Search) -> list[NamedCause]:
             if hypothesis.cause is not None
         )
         named.append(
-            NamedCause(step.taken, shares[step.taken], alternatives, leader.log_bayes_factor, outside)
+            NamedCause(
+                step.taken,
+                shares[step.taken],
+                alternatives,
+                leader.log_bayes_factor,
+                unknown.probability,
+                unknown.most_beside,
+            )
         )
     return named
 

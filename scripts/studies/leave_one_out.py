@@ -22,7 +22,7 @@ from scripts.studies.hidden_cases import (
     share_and_interval,
 )
 from scripts.studies.open_world import ABSENT, LEAST_OF_A_SET, lone_name, stated
-from tests.hidden.library import CAUSES
+from tests.hidden.library import ALL
 from tests.hidden.open_session import adjustable_of, draw_open_session
 from tests.hidden.rivals import left_beside
 
@@ -46,7 +46,7 @@ EXACT_SIGMA, NEAR_SIGMA = (
 
 
 def main() -> None:
-    hideable = [name for name in EFFECTS if name in CAUSES and CAUSES[name].has_size]
+    hideable = [name for name in EFFECTS if name in ALL and ALL[name].has_size]
     parser = options_of(__doc__, hideable, 8, 60_000, "out/leave_one_out.jsonl")
     parser.add_argument(
         "--sigma", type=float, default=30.0, help="visible size; rows of each size need a file of their own"

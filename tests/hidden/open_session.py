@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.hidden.coil import Winding
 from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
-from tests.hidden.library import CAUSES, patterns
+from tests.hidden.library import ALL, LATER, patterns
 from tests.hidden.protocols import PROTOCOLS, draw_schedule
 from tests.hidden.scene import Arm, Scene, ideal_scene
 from tests.hidden.session import CLEARANCE_M, LEAST_BORE_M, clearance_m
@@ -52,8 +52,8 @@ def draw_open_session(stream: Sequence[int], choice: Choice | None, sigma: float
 
 
 def within(library: Collection[str], *, is_known: bool) -> Choice:
-    """Causes that a library names, or those that it does not."""
-    return lambda possible: [name for name in possible if (name in library) == is_known]
+    """Causes that a library names, or those that it does not, without those that are only hidden by name."""
+    return lambda possible: [n for n in possible if n not in LATER and (n in library) == is_known]
 
 
 def adjustable_of(rig: StatedRig, scene: Scene) -> Adjustable:
@@ -101,7 +101,7 @@ def _hidden(
 ) -> tuple[Flaw, float] | None:
     """A flaw of the wanted visible size, and what that came to; None where no cause of the pool reaches it."""
     for name in rng.permutation(pool)[:CAUSES_TRIED]:
-        cause: Cause = CAUSES[str(name)]
+        cause: Cause = ALL[str(name)]
         for _ in range(SHAPES_TRIED):
             shape = int(rng.integers(2**31))
             size = size_for(adjustable, cause, shape, sigma)

@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.hidden.broad import BROAD
 from tests.hidden.flaw import Cause, Flaw, record
-from tests.hidden.library import CAUSES, names
+from tests.hidden.library import ALL, CAUSES, names
 from tests.hidden.protocols import Array
 from tests.hidden.visible_size import Adjustable, effect_T, unexpected_T, whiten
 
@@ -80,8 +80,8 @@ def left_beside(adjustable: Adjustable, flaw: Flaw, library: Collection[str]) ->
     Each cause acts at one place, as broadly as a library may fit it.
     """
     schedule, left_over = adjustable.scene.schedule, adjustable.left_over([flaw])
-    possible = [n for n in (*CAUSES, *BROAD) if n in library and n != flaw.cause.name]
-    causes = [BROAD.get(name) or CAUSES[name] for name in dict.fromkeys(possible)]
+    possible = [n for n in (*ALL, *BROAD) if n in library and n != flaw.cause.name]
+    causes = [BROAD.get(name) or ALL[name] for name in dict.fromkeys(possible)]
     rests = {
         cause.name: unlike_sigma(left_over, rivals_by_place(adjustable, cause))
         for cause in causes

@@ -10,7 +10,7 @@ import numpy as np
 from tests.hidden.coil import Winding
 from tests.hidden.flaw import Cause, Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
-from tests.hidden.library import CAUSES, OUTSIDE
+from tests.hidden.library import ALL, OUTSIDE
 from tests.hidden.protocols import draw_schedule
 from tests.hidden.rivals import known_rivals, rival_of, unlike_any_two_sigma, unlike_sigma
 from tests.hidden.scene import Scene, ideal_scene
@@ -40,7 +40,7 @@ def draw_session(
         ValueError: The cause cannot happen in the protocol, or cannot become that visible at a plausible size.
     """
     names = (cause,) if isinstance(cause, str) else tuple(cause or ())
-    causes = tuple(CAUSES[name] for name in names)
+    causes = tuple(ALL[name] for name in names)
     for one in causes:
         if protocol not in one.protocols:
             raise ValueError(f"{one.name} cannot happen in protocol {protocol!r}")

@@ -140,7 +140,7 @@ RELATIVES: dict[str, tuple[str, ...]] = {
     "table_sag": ("robot_shear", "robot_scale"),
     "creeping_clamp": ("sensor_bumped", "sensor_misplaced"),
     "soft_limit": ("core_saturation", "coil_heating"),
-    "polarity_gain": ("current_offset",),
+    "polarity_gain": ("current_asymmetry", "current_offset"),
     "loose_connector": ("current_step",),
     "barkhausen_jumps": ("current_step", "current_remanence"),
     "current_crosstalk": ("sensor_offset",),

@@ -15,13 +15,14 @@ from tests.hidden.causes import (
     electronics,
     misstated,
     over_time,
+    slips,
     unforeseen,
     visitors,
     wiring,
 )
 from tests.hidden.causes.over_time import last_extreme
 from tests.hidden.flaw import Cause, Flaw
-from tests.hidden.library import CAUSES, FIRST, OUTSIDE, UNFORESEEN, names
+from tests.hidden.library import ALL, CAUSES, FIRST, LATER, OUTSIDE, UNFORESEEN, names, patterns
 from tests.hidden.open_session import adjustable_of, draw_open_scene, draw_open_session, within
 from tests.hidden.protocols import DWELL_S, MOTIONS, PROTOCOLS, draw_schedule
 from tests.hidden.rivals import left_beside, rival_of
@@ -34,7 +35,7 @@ from tests.hidden.visible_size import Adjustable, effect_T
 
 NEW = [
     cause
-    for module in (over_time, misstated, build, bending, wiring, visitors, electronics, unforeseen)
+    for module in (over_time, misstated, build, bending, wiring, visitors, electronics, unforeseen, slips)
     for cause in module.CAUSES
 ]
 UNKNOWN = [c for module in (bending, wiring, visitors, electronics, unforeseen) for c in module.CAUSES]
@@ -59,7 +60,7 @@ def scene_for(cause: Cause, sessions: Sessions) -> Scene:
 
 
 def applied(name: str, scene: Scene, size: float, seed: int = 3) -> tuple[Scene, dict[str, float]]:
-    made, truth = CAUSES[name].apply(scene, size, np.random.default_rng(seed))
+    made, truth = ALL[name].apply(scene, size, np.random.default_rng(seed))
     return made, {p.name: p.value for p in truth.parameters}
 
 
@@ -92,6 +93,27 @@ def test_a_step_of_the_current_comes_once_and_a_share_of_it_is_gone(sessions: Se
     is_later = scene.schedule.time_s > known["instant_s"]
     np.testing.assert_allclose(made.current_A / scene.current_A, np.where(is_later, 0.9, 1.0))
     assert 0 < is_later.sum() < len(is_later)
+
+
+def test_a_mover_that_slipped_stands_elsewhere_from_an_instant_on(sessions: Sessions) -> None:
+    scene = sessions["displacement", "recommended"][1]
+    made, known = applied("mover_slipped", scene, 5e-4)
+    shift_m = np.array([known[f"shift_{axis}_m"] for axis in "xyz"])
+    assert np.linalg.norm(shift_m) == pytest.approx(5e-4)
+    is_later = scene.schedule.time_s > known["instant_s"]
+    np.testing.assert_allclose(
+        made.displacement_m - scene.displacement_m, is_later[:, None] * shift_m, atol=1e-15
+    )
+    assert 0 < is_later.sum() < len(is_later)
+
+
+def test_causes_that_came_later_are_hidden_by_name_only() -> None:
+    assert not set(LATER) & set(CAUSES)
+    possible = patterns("recommended", "displacement")
+    assert set(LATER) <= set(possible)
+    assert not set(LATER) & set(within(ALL, is_known=True)(possible) + within((), is_known=False)(possible))
+    hidden = draw_open_session([1], lambda names_of: [n for n in names_of if n in LATER], 12.0, 0)
+    assert hidden.flaws[0].cause.name in LATER
 
 
 def test_the_last_turning_point_is_remembered() -> None:

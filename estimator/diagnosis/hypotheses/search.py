@@ -25,6 +25,8 @@ from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     Step,
+    credible_set,
+    is_noise,
     least_log_evidence,
     leaves_structure,
     take_step,
@@ -120,6 +122,8 @@ def search(
     pool = candidates(base, causes_of(base.rig, base, limits))
     state = _SearchState(base, pool, families(base), tell, limits, on_progress)
     fit = state.forward(base)
+    if len(state.added(fit)) == 1 and not limits.is_over:
+        fit = state.with_two(fit)
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
         fit = state.forward(state.revisited(fit))
     else:
@@ -252,6 +256,45 @@ class _SearchState:
                 self.additions.append(Addition((step.taken,), step.taken_fit))
                 fit = step.taken_fit
         return fit
+
+    def with_two(self, fit: Fit) -> Fit:
+        """Where the only cause has many numbers: two with fewer in its place, where these are more probable together.
+
+        A cause with many numbers explains what two causes did and is taken first, for it is the best single one. The best other that was
+        fitted, and paid so much less that a second can pay beside it, is then asked with one.
+        """
+        step = self.steps[0]
+        alone = [h for h in step.hypotheses if h.fit is not None and len(self.added(h.fit)) == 1]
+        fitted = [h for h in alone if not is_noise(h)]
+        one = next((h for h in fitted if h.cause == step.taken), None)
+        if one is None:
+            return fit
+        least = least_log_evidence(len({candidate.cause for candidate in self.pool}))
+        other = next((h for h in fitted if self._paid(one) - self._paid(h) > least), None)
+        if other is None:
+            return fit
+        assert other.cause is not None
+        assert other.fit is not None
+        self.tell(f"testing {other.name} with another cause in place of {one.name}")
+        second = self.step(other.fit)
+        if second.taken is None or len(self.added(second.taken_fit)) > self.limits.most_causes:
+            return fit
+        beside = next(h for h in second.hypotheses if h.cause == second.taken)
+        gain = other.log_bayes_factor + beside.log_bayes_factor - one.log_bayes_factor
+        if gain < least - policy.LEAST_LOG_ODDS:  # the prior of one more cause
+            return fit
+        self.tell(f"{other.name} and {beside.name} together are more probable and replace it")
+        self._drop(self.added(fit))
+        first = replace(step, taken=other.cause, credible=credible_set(fitted, other.cause))
+        self.steps = [first, second]
+        self.additions = [Addition((other.cause,), other.fit), Addition((second.taken,), second.taken_fit)]
+        return self.forward(second.taken_fit)
+
+    def _paid(self, hypothesis: Hypothesis) -> float:
+        """What a cause paid for its numbers: by how much its evidence against nothing is less than what it gained at its best values."""
+        assert hypothesis.fit is not None
+        after, before = (f.posterior.log_likelihood(f.vector) for f in (hypothesis.fit, self.base))
+        return float(after - before) - hypothesis.log_bayes_factor
 
     def with_alternative(self, fit: Fit) -> Fit:
         """Where the only cause leaves structure: a search from another of its credible set that leaves none, if there is one."""

@@ -141,7 +141,7 @@ def take_step(
     earning = [hypothesis for hypothesis in causes if _earns(hypothesis, least)]
     choice = _choice(earning, remainder, lambda one, beside: _earns_beside(one, beside, screened, least))
     if choice and choice.name != next(hypothesis.name for hypothesis in causes):
-        causes = [hypothesis for hypothesis in causes if not _is_noise(hypothesis) or hypothesis == choice]
+        causes = [hypothesis for hypothesis in causes if not is_noise(hypothesis) or hypothesis == choice]
     taken = None if choice is None else choice.cause
     return Step(tuple(hypotheses), taken, credible_set(causes, taken), remainder)
 
@@ -202,7 +202,7 @@ def _choice(
         remainder: Structure in the residual.
         stands: Whether the first cause has sufficient evidence beside the second.
     """
-    structured = next((hypothesis for hypothesis in earning if not _is_noise(hypothesis)), None)
+    structured = next((hypothesis for hypothesis in earning if not is_noise(hypothesis)), None)
     leader = next(iter(earning), None)
     effect = None if leader is None or leader.cause is None else EFFECTS[leader.cause.name]
     is_last = isinstance(effect, NoiseEffect) and effect.imitates_structure
@@ -232,7 +232,8 @@ def _earns(hypothesis: Hypothesis, least: float) -> bool:
     return hypothesis.fit is not None and hypothesis.log_bayes_factor > least and not is_loss
 
 
-def _is_noise(hypothesis: Hypothesis) -> bool:
+def is_noise(hypothesis: Hypothesis) -> bool:
+    """Whether its cause changes no prediction, only how readings scatter."""
     return hypothesis.cause is not None and isinstance(EFFECTS[hypothesis.cause.name], NoiseEffect)
 
 

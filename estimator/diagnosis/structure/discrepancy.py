@@ -5,7 +5,7 @@ It is the evidence of a bank of curves (`structure.families`), averaged over all
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_bayes_factor_by_width, log_mean_exp
+from estimator.diagnosis.linear import log_bayes_factor_by_width, log_bayes_factor_of_noise, log_mean_exp
 from estimator.diagnosis.structure.families.collection import Family
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
@@ -71,8 +71,6 @@ def evidence_by_amplitude(
 ) -> Float[Tensor, "family amplitude"]:
     """Log Bayes factor of each family against no structure, for each amplitude in units of the noise.
 
-    Families with equally many columns are taken together, some at a time.
-
     Args:
         fit: Whose residual is asked.
         families: The curves.
@@ -80,6 +78,27 @@ def evidence_by_amplitude(
     """
     rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
     result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+    for some, columns in _batches(families):
+        gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
+        result[some] = log_bayes_factor_by_width(gram, score, rms.expand(len(some), -1), fit.free_noise)
+    return result
+
+
+def expected_of_noise(
+    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float]
+) -> Float[Tensor, "family amplitude"]:
+    """The same as it is expected where the residual is noise, less what the fit follows."""
+    rms = torch.tensor(amplitudes, dtype=torch.float64)
+    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+    for some, columns in _batches(families):
+        result[some] = log_bayes_factor_of_noise(fit.projector.grams(columns), rms.expand(len(some), -1))
+    return result
+
+
+def _batches(
+    families: Sequence[Family],
+) -> Iterator[tuple[list[int], Float[Tensor, "family component column"]]]:
+    """Families with equally many columns together, some at a time: their numbers and columns."""
     by_width: dict[int, list[int]] = {}
     for i, family in enumerate(families):
         by_width.setdefault(family.columns.shape[1], []).append(i)
@@ -87,10 +106,7 @@ def evidence_by_amplitude(
         n_together = max(1, MOST_COLUMNS // width)
         for first in range(0, len(members), n_together):
             some = members[first : first + n_together]
-            columns = torch.stack([families[i].columns for i in some])
-            gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-            result[some] = log_bayes_factor_by_width(gram, score, rms.expand(len(some), -1), fit.free_noise)
-    return result
+            yield some, torch.stack([families[i].columns for i in some])
 
 
 def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:

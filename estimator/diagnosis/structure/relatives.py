@@ -12,13 +12,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector, log_mean_exp
-from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
+from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude, expected_of_noise
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.diagnosis.structure.scatter import scatter_of
 from estimator.effects import EFFECTS
@@ -26,8 +29,24 @@ from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
 
 
-def p_not_in_library(fit: Fit, cause: Cause, families: Sequence[Family]) -> float:
-    """Probability that something outside the library is there instead of a cause that resembles it.
+@dataclass(frozen=True)
+class Unknown:
+    """What no list holds, beside a cause.
+
+    Attributes:
+        probability: That it is there instead of the cause.
+        most_beside: Probability up to which the name of the cause is stated alone.
+    """
+
+    probability: float
+    most_beside: float = policy.MOST_BESIDE_A_NAME
+
+
+def unknown_beside(fit: Fit, cause: Cause, families: Sequence[Family]) -> Unknown:
+    """Probability that something outside the library is there instead of a cause that resembles it, and how much of it a name bears.
+
+    A credible set of 95 % holds what has more than 5 %. Even a true cause leaves more where it is not large: as much as noise is
+    expected to leave to relatives of that size, and a little more by chance.
 
     Args:
         fit: With the cause.
@@ -35,13 +54,25 @@ def p_not_in_library(fit: Fit, cause: Cause, families: Sequence[Family]) -> floa
         families: Curves, weighed as at that fit.
     """
     if isinstance(EFFECTS[cause.name], NoiseEffect):
-        log_odds = max(scatter_of(fit).log_bayes_factor, 0.0)
-    else:
-        rms_sigma = visible_rms_sigma(fit, cause)
-        amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
-        evidence = by_name(families, evidence_by_amplitude(fit, families, amplitudes))
-        log_odds = log_mean_exp(torch.tensor(list(evidence.values()), dtype=torch.float64))
-    log_odds += math.log(policy.PRIOR_OUTSIDE / (1.0 - policy.PRIOR_OUTSIDE))
+        return Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
+    rms_sigma = visible_rms_sigma(fit, cause)
+    amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
+    probability = _probability(_mean(families, evidence_by_amplitude(fit, families, amplitudes)))
+    if not policy.LEAST_BESIDE_A_NAME < probability <= policy.MOST_BESIDE_A_NAME:
+        return Unknown(probability)  # on the same side of any limit
+    of_noise = _mean(families, expected_of_noise(fit, families, amplitudes))
+    limit = _probability(of_noise + policy.MORE_THAN_OF_NOISE)
+    return Unknown(probability, min(max(limit, policy.LEAST_BESIDE_A_NAME), policy.MOST_BESIDE_A_NAME))
+
+
+def _mean(families: Sequence[Family], evidence: Float[Tensor, "family amplitude"]) -> float:
+    """Log evidence for any of them."""
+    return log_mean_exp(torch.tensor(list(by_name(families, evidence).values()), dtype=torch.float64))
+
+
+def _probability(log_bayes_factor: float) -> float:
+    """Probability of what is in no list, given its evidence against what is."""
+    log_odds = log_bayes_factor + math.log(policy.PRIOR_OUTSIDE / (1.0 - policy.PRIOR_OUTSIDE))
     return 1.0 / (1.0 + math.exp(-min(max(log_odds, -700.0), 700.0)))
 
 

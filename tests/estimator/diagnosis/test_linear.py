@@ -15,6 +15,7 @@ from estimator.diagnosis.linear import (
     highest_log_bayes_factor,
     log_bayes_factor,
     log_bayes_factor_by_width,
+    log_bayes_factor_of_noise,
     log_mean_exp,
 )
 
@@ -181,3 +182,15 @@ def test_bound_on_the_evidence_holds_and_is_close_where_columns_explain_little(n
     )
     assert bool((evidence <= highest + 1e-9).all())
     assert float((highest - evidence)[evidence < 1.0].median()) < 1.0
+
+
+def test_expected_evidence_of_noise_is_its_mean_over_draws():
+    jacobian, _, columns, _ = problem(5)
+    projector = Projector.of(jacobian, torch.zeros(3, 3, dtype=torch.float64))
+    random = torch.Generator().manual_seed(6)
+    noise = projector.rest(torch.randn(len(columns), 4000, generator=random, dtype=torch.float64))
+    gram, widths = projector.gram(columns, columns), torch.tensor([0.1, 1.0, 5.0], dtype=torch.float64)
+    drawn = log_bayes_factor_by_width(gram.expand(4000, 2, 2), (columns.T @ noise).T, widths)
+    expected = log_bayes_factor_of_noise(gram, widths)
+    error = drawn.std(0) / math.sqrt(len(drawn))
+    assert bool(((drawn.mean(0) - expected).abs() < 4.0 * error).all())

@@ -9,11 +9,13 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.structure.covariates import covariates
-from estimator.diagnosis.structure.families.collection import Collection, subsets
+from estimator.diagnosis.structure.families.collection import Collection, by_sensor, subsets
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import gradient_T_per_m
+
+RANGES = "the range of a sensor"
 
 
 def add_settings(collection: Collection) -> None:
@@ -24,6 +26,7 @@ def add_settings(collection: Collection) -> None:
         collection.axes,
     )
     _add_ripples(collection)
+    _add_ranges(collection)
     _add_currents(collection)
     _add_mover_positions(collection)
     _add_circumstances(collection)
@@ -39,6 +42,25 @@ def _add_ripples(collection: Collection) -> None:
             fields = torch.diag_embed(waves).movedim(0, 1).flatten(1, 2)
             detail = ", ".join(filter(None, (f"about every {4e3 * largest_T / half_cycles:.2g} mT", sensor)))
             collection.add_fields("a ripple in the reading", fields, detail)
+
+
+def _add_ranges(collection: Collection) -> None:
+    """An instrument that chooses its range: beyond some size of its reading a sensor has other gains, one or three, or other zeros.
+
+    The largest component chooses for all three, or each for itself.
+    """
+    shares = torch.arange(1, policy.N_RANGES + 1, dtype=torch.float64) / (policy.N_RANGES + 1)
+    sizes = collection.field.abs()
+    for sensor, seen in by_sensor(collection.fit.posterior.model.circumstances):
+        its = sizes[seen > 0.0]
+        ends = torch.quantile(its.amax(1), shares)
+        beyond = ((sizes.amax(1) > ends[:, None]) * seen)[:, :, None]
+        details = [sensor] * len(shares)
+        for vectors in (collection.field[:, :, None], collection.along_field, collection.axes):
+            collection.add_alike(RANGES, beyond, vectors, details)
+        for its_end in torch.quantile(its, shares, dim=0):
+            larger = torch.diag_embed(collection.field * (sizes > its_end))
+            collection.add(RANGES, seen[:, None], larger, sensor)
 
 
 def _add_currents(collection: Collection) -> None:

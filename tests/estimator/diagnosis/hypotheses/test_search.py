@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,8 +16,11 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
+from estimator.rig_files.read import load_rig
+from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+from tests.hidden.session import draw_session
 
 pytestmark = pytest.mark.whole
 
@@ -126,3 +130,25 @@ def test_a_search_ends_with_the_same_sets_whether_or_not_quiet_causes_are_fitted
     everything, n_everything = outcome()
     assert spared == everything
     assert n_spared < n_everything
+
+
+def searched(causes: tuple[str, ...], sigma: float, folder: Path) -> search.Search:
+    """Search of a session of one sensor with hidden causes, by independent code."""
+    draw_session(150_010, causes, sigma, "paper").write(folder)
+    session = read_readings_csv(folder / "readings.csv", load_rig(folder / "rig.yaml"))
+    return search.search(fit_of(session.rig, session.observations.calibration), lambda words: None, Limits())
+
+
+def test_two_causes_take_the_place_of_one_with_many_numbers(tmp_path: Path) -> None:
+    """An exchanged sensor has gains and zeros of its own from an instant on: for a drift and a wrong gain it is the best single cause."""
+    found = searched(("background_drift", "element_displacement"), 8.0, tmp_path)
+    assert "sensor_exchanged" in {cause.name for cause in found.dropped}
+    sets = [{one.name.partition("[")[0] for one in step.credible} for step in found.steps if step.taken]
+    assert len(sets) == 2
+    assert any("background_drift" in names for names in sets)
+    assert any("element_displacement" in names for names in sets)
+
+
+def test_one_cause_with_many_numbers_keeps_its_place_where_it_is_the_truth(tmp_path: Path) -> None:
+    found = searched(("sensor_exchanged",), 20.0, tmp_path)
+    assert [cause.name for cause in found.final.rig.effects] == ["sensor_exchanged"]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.structure.relatives import p_not_in_library, visible_rms_sigma
+from estimator.diagnosis.structure.relatives import Unknown, unknown_beside, visible_rms_sigma
+from estimator.diagnosis.verdict import NamedCause
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.sessions import TRUTH, plain_fit
@@ -30,19 +34,33 @@ def fit_with_gain(excess: float, relative: float = 0.0) -> Fit:
     return fit_rig(rig, readings, base.start_with(rig), base.posterior.model.rules)
 
 
+def unknown(fit: Fit) -> Unknown:
+    return unknown_beside(fit, GAIN, families(fit))
+
+
 def p_outside(fit: Fit) -> float:
-    return p_not_in_library(fit, GAIN, families(fit))
+    return unknown(fit).probability
 
 
 def test_the_larger_a_clean_effect_the_less_is_left_to_its_relatives():
     small, middle, large = (p_outside(fit_with_gain(excess)) for excess in (0.003, 0.01, 0.05))
     assert 0.1 < small < 0.5
     assert small > middle > large
-    assert large < 0.02
+    assert large < policy.LEAST_BESIDE_A_NAME
 
 
 def test_a_relative_that_leaves_a_trace_is_noticed():
     assert p_outside(fit_with_gain(0.05, relative=0.5)) > 0.9
+
+
+def test_a_large_name_does_not_bear_what_a_small_one_may() -> None:
+    """A bend of an eighth of an effect of 52 standard deviations leaves 9 %, where noise would leave far less."""
+    large = unknown(fit_with_gain(0.03, relative=0.12))
+    assert policy.LEAST_BESIDE_A_NAME <= large.most_beside < 0.07
+    assert large.most_beside < large.probability < policy.MOST_BESIDE_A_NAME
+    named = NamedCause(GAIN, 0.9, (), 50.0, large.probability, large.most_beside)
+    assert named.may_be_unknown
+    assert not replace(named, most_beside=policy.MOST_BESIDE_A_NAME).may_be_unknown
 
 
 def test_visible_size_is_the_root_of_the_likelihood_ratio():

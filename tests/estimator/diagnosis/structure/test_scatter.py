@@ -10,7 +10,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.search import search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.structure.relatives import p_not_in_library
+from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.diagnosis.structure.scatter import scatter_of
 from estimator.diagnosis.verdict import Verdict, named_causes, verdict_of
 from estimator.effects.attach import with_effect
@@ -63,8 +63,8 @@ def test_a_burst_and_growing_noise_are_noticed():
 def test_outliers_stand_only_where_wild_readings_lie_anywhere():
     n = len(plain_fit().observations)
     anywhere, burst = (with_more(widths, OUTLIERS) for widths in (here_and_there(n), in_a_burst(n)))
-    assert p_not_in_library(anywhere, OUTLIERS, []) == pytest.approx(0.3, abs=0.1)
-    assert p_not_in_library(burst, OUTLIERS, []) > 0.8
+    assert unknown_beside(anywhere, OUTLIERS, []).probability == pytest.approx(0.3, abs=0.1)
+    assert unknown_beside(burst, OUTLIERS, []).probability > 0.8
 
 
 def test_a_session_with_a_burst_is_unexplained():

@@ -60,6 +60,17 @@ def ripple(fit: Fit) -> Tensor:
     return torch.sin(phase)
 
 
+def coarse_range(fit: Fit) -> Tensor:
+    field_T = fit.observations.field_sensor_T
+    largest_T = field_T.abs().amax(1)
+    return (largest_T > torch.quantile(largest_T, 0.4))[:, None] * field_T
+
+
+def range_of_each(fit: Fit) -> Tensor:
+    field_T = fit.observations.field_sensor_T
+    return (field_T.abs() > torch.quantile(field_T.abs(), 0.6, dim=0)) * field_T
+
+
 def sag(fit: Fit) -> Tensor:
     x_m = fit.observations.motion["arm1"][:, 0]
     return x_m[:, None] ** 2 * fit.observations.field_sensor_T.flip(1)
@@ -85,6 +96,8 @@ DISTURBANCES = {
     "current in the reading": (current_in_the_reading, "current"),
     "current in one direction": (rectified, "current"),
     "ripple of the converter": (ripple, "ripple"),
+    "coarse range": (coarse_range, "range of a sensor"),
+    "range of each component": (range_of_each, "range of a sensor"),
     "sag": (sag, ""),
     "lost steps": (lost_steps, "change of coil, mover or room in mid session, arm1"),
     "shorted turn": (shorted_turn, "change of coil, mover or room in mid session, coil1"),
