@@ -147,8 +147,8 @@ def fitted_shape(white: np.ndarray, weight: np.ndarray, random: np.random.Random
         total = belongs.sum(0)
         is_used = total > 1e-9
         mean[is_used] = (pull.T @ white)[is_used] / pull.sum(0)[is_used, None]
-        centred = white[:, None] - mean
-        scatter = np.einsum("wk,wki,wkj->kij", pull, centred, centred)
+        centred = white - mean[:, None]
+        scatter = (pull.T[:, :, None] * centred).swapaxes(1, 2) @ centred
         scale = (n_effective * scatter + n_pseudo * 0.5 * overall) / (n_effective * total + n_pseudo)[
             :, None, None
         ]
