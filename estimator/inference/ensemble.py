@@ -17,12 +17,13 @@ from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.moves import MovesInBlocks
+from estimator.inference.moves import GOOD_SHARES, POOR_SHARES, MovesInBlocks
 from estimator.inference.proposal import MixtureProposal
 from estimator.rig.coordinates import Coordinates
 
 BURN_IN_SHARE = 0.1
 FEWEST_WALKERS = 32
+GOOD_EFFICIENCY = 0.5  # of a proposal whose fresh draws hardly need the other moves
 # Looks at the diagnostics: from this share of the wanted effective samples on, and when the chain has grown so much.
 LOOK_FROM, OLD_LOOK = 0.85, 2.0
 
@@ -131,9 +132,14 @@ def sample(
         with torch.no_grad():
             return numpy_of(posterior(torch.from_numpy(vectors).to(posterior.coordinates.device)))
 
-    proposal = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
+    proposal, efficiency = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
     backend = backend if backend is not None else Backend()
-    moves = MovesInBlocks(proposal, settings.seed, backend.iteration if backend.initialized else 0)
+    moves = MovesInBlocks(
+        proposal,
+        settings.seed,
+        backend.iteration if backend.initialized else 0,
+        GOOD_SHARES if efficiency >= GOOD_EFFICIENCY else POOR_SHARES,
+    )
     n = posterior.coordinates.n
     settings = settings.for_rig(n)
     sampler = emcee.EnsembleSampler(

@@ -18,8 +18,8 @@ from emcee.state import State
 
 from estimator.inference.proposal import MixtureProposal
 
-# Of steps: fresh draws, autoregressive, differential evolution. Draws evaluated together cost half of those of the other moves.
-SHARES = (0.8, 0.1, 0.1)
+# Shares of the steps: fresh draws, autoregressive, differential evolution. Draws evaluated together cost half of those of the other moves.
+GOOD_SHARES, POOR_SHARES = (0.9, 0.05, 0.05), (0.7, 0.15, 0.15)
 BLOCK = 16  # steps; draws of 32 walkers are 400 then, and more at once would cost no less each
 
 
@@ -42,7 +42,7 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         proposal: MixtureProposal,
         seed: int,
         step: int = 0,
-        shares: tuple[float, float, float] = SHARES,
+        shares: tuple[float, float, float] = POOR_SHARES,
     ) -> None:
         self.proposal, self.seed, self.step, self.shares = proposal, seed, step, shares
         self._dependent = (autoregressive_move(proposal), LatticeDifferenceMove(proposal))

@@ -14,7 +14,13 @@ from scipy import stats
 from estimator.inference.bend import Bend
 from estimator.inference.convergence import convergence
 from estimator.inference.lattice import CountMixture
-from estimator.inference.moves import BLOCK, SHARES, LatticeDifferenceMove, MovesInBlocks, autoregressive_move
+from estimator.inference.moves import (
+    BLOCK,
+    POOR_SHARES,
+    LatticeDifferenceMove,
+    MovesInBlocks,
+    autoregressive_move,
+)
 from estimator.inference.proposal import DEGREES_OF_FREEDOM, FLOOR, MixtureProposal, WhiteShape
 
 pytestmark = pytest.mark.whole
@@ -161,7 +167,7 @@ def test_chain_continued_within_a_block_is_that_of_an_uninterrupted_run(proposal
 def test_fresh_draws_of_a_block_are_evaluated_in_one_call(proposal):
     calls: list[int] = []
     chain_in_blocks(proposal, BLOCK, Backend(), calls)
-    n_fresh = int((np.random.RandomState([3, 0]).choice(3, size=BLOCK, p=SHARES) == 0).sum())
+    n_fresh = int((np.random.RandomState([3, 0]).choice(3, size=BLOCK, p=POOR_SHARES) == 0).sum())
     assert max(calls) == 20 * n_fresh
 
 
