@@ -34,6 +34,7 @@ class Job:
         coil: The coil to calibrate, from readings in which it alone carries current; None for the whole rig.
         hypothesis: `plain`, or free causes joined by +.
         seed: Seed of starts and sampling.
+        device, precision: Where and how precisely readings are predicted.
         session_hash: Hash of the readings, wherever they are stored.
         key: Hash of what decides the result: session, rig, hypothesis, seed, versions and the settings that decide a chain.
         settings: Hash of rig and settings; jobs that share it can be stacked.
@@ -45,6 +46,8 @@ class Job:
     coil: str | None
     hypothesis: str
     seed: int
+    device: str = "cpu"
+    precision: str = "double"
     session_hash: str = ""
     key: str = ""
     settings: str = ""
@@ -69,6 +72,7 @@ def jobs_of(
     is_each_coil: bool,
     seed: int,
     settings: SamplerSettings | None = None,
+    place: tuple[str, str] = ("cpu", "double"),
 ) -> tuple[list[Job], dict[str, str]]:
     """The jobs of one session, and the reasons against others: no reading for a coil, or no such hypothesis in its rig.
 
@@ -82,7 +86,7 @@ def jobs_of(
     jobs, refused = [], {}
     for coil in coils:
         for hypothesis in hypotheses:
-            job = Job(path, rig, coil, hypothesis, seed, session.hash)
+            job = Job(path, rig, coil, hypothesis, seed, *place, session.hash)
             try:
                 jobs.append(_keyed(job, session, settings or SamplerSettings()))
             except CoilcalError as error:
@@ -121,6 +125,8 @@ def _keyed(job: Job, session: Session, settings: SamplerSettings) -> Job:
     observations = job_session.observations.calibration
     chain = [settings.n_walkers, settings.check_every]  # its targets do not decide its steps
     decisive = [job.session_hash, rig.hash, job.coil, job.hypothesis, job.seed, versions(), chain]
+    if (job.device, job.precision) != ("cpu", "double"):
+        decisive += [job.device, job.precision]
     return replace(
         job,
         key=hashlib.sha256(json.dumps(decisive).encode()).hexdigest(),

@@ -24,6 +24,7 @@ from estimator.batching.work import (
     is_enough,
     sampled,
 )
+from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.errors import InvalidInput, reason
 from estimator.inference.ensemble import SamplerSettings
@@ -47,6 +48,8 @@ def batch(
     settings: SamplerSettings | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    device: str = "cpu",
+    precision: str = "double",
     tell: Callable[[int, int, str], None] | None = None,
 ) -> BatchResult:
     """Calibrate many sessions.
@@ -64,6 +67,8 @@ def batch(
         seed: Seed of starts and sampling.
         settings: When to stop sampling. A posterior that ended before these targets is continued.
         workers, scheduler: Number of processes on this computer, 0 for none but this one; or the address of a Dask scheduler.
+        device: Where readings are predicted, such as `cuda`; the workers of a computer share it.
+        precision: `double`, or `single` for predictions of readings; last steps of fits and all reports are in double precision.
         tell: Called with the number of finished jobs, the number of all jobs, and what was done in words.
     Returns: The results, and the reasons of sessions that failed, which do not stop the others.
     Raises:
@@ -71,6 +76,9 @@ def batch(
     """
     if not sessions:
         raise InvalidInput("sessions must be at least one; received none")
+    if scheduler is None:  # workers of a cluster may have what this computer has not
+        device_named(device)
+    precision_named(precision)
     folder = Path(out).absolute() / JOBS
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,7 +91,9 @@ def batch(
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
     with nullcontext(ThisProcess()) if workers == 0 else cluster(workers, scheduler) as connected:
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
-        described = run.describe(paths, (described_rig, hypotheses, is_each_coil, seed, chosen))
+        described = run.describe(
+            paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision))
+        )
         described.sort(
             key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))
         )

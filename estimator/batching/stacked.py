@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from estimator.devices import device_named, precision_named
 from estimator.effects.circumstances import Circumstances
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
@@ -39,7 +40,12 @@ def settings_hash(rig: Rig, observations: Observations) -> str:
 
 
 def stacked_fits(
-    rig: Rig, sessions: Sequence[Observations], seeds: Sequence[int], more_starts: int
+    rig: Rig,
+    sessions: Sequence[Observations],
+    seeds: Sequence[int],
+    more_starts: int,
+    device: str | None = None,
+    precision: str | None = None,
 ) -> list[tuple[LogPosterior, Optimum]]:
     """The maximum of the posterior of each session, by Levenberg-Marquardt from the nominal values and from draws of the prior.
 
@@ -50,27 +56,39 @@ def stacked_fits(
         sessions: Readings to fit, all with the same `settings_hash`.
         seeds: Seed of the draws of each session, so that a result does not depend on its stack.
         more_starts: Number of draws of the prior beside the nominal values.
+        device, precision: Where and how precisely the fits climb; by default as the readings. Their last step is always made where the
+            readings are, in their precision.
     Returns: The log posterior of each session and its highest maximum.
     """
+    home, posteriors = _stacked(rig, sessions)
+    place = sessions[0].device if device is None else device_named(device)
+    dtype = sessions[0].dtype if precision is None else precision_named(precision)
+    is_home = (place, dtype) == (sessions[0].device, sessions[0].dtype)
+    stacked = home if is_home else _stacked(rig, [session.to(place, dtype) for session in sessions])[0]
+    n_starts = 1 + more_starts
+    each = torch.arange(len(sessions), device=place).repeat_interleave(n_starts)
+    starts = torch.cat([_starts(stacked.coordinates, seed, more_starts) for seed in seeds])
+    is_possible = torch.isfinite(stacked.at(each)(starts))
+    starts = torch.where(is_possible[:, None], starts, stacked.coordinates.start())
+    first = levenberg_marquardt(stacked.at(each), starts, FIRST_ITERATIONS, TOLERANCE)
+    highest = first.log_posterior.reshape(len(sessions), n_starts).argmax(1)
+    highest = highest + n_starts * torch.arange(len(sessions), device=place)
+    reached = first.vector[highest]
+    if not is_home:
+        reached = levenberg_marquardt(stacked, reached, tolerance=TOLERANCE).vector.to(sessions[0].device)
+    fits = levenberg_marquardt(home, reached, tolerance=TOLERANCE)
+    return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(posteriors)]
+
+
+def _stacked(rig: Rig, sessions: Sequence[Observations]) -> tuple[LogPosterior, list[LogPosterior]]:
+    """The density whose rows have the readings of one session each, and those of the sessions."""
     model = MeasurementModel.build(rig, sessions[0])
     coordinates = Coordinates(rig).on(sessions[0].device)
     posteriors = [
         LogPosterior(coordinates, model.with_circumstances(Circumstances(rig, observations)), observations)
         for observations in sessions
     ]
-    n_starts = 1 + more_starts
-    measured_T = torch.stack([posterior.measured_T for posterior in posteriors]).repeat_interleave(
-        n_starts, dim=0
-    )
-    stacked = posteriors[0].with_rows(measured_T)
-    starts = torch.cat([_starts(coordinates, seed, more_starts) for seed in seeds])
-    is_possible = torch.isfinite(stacked(starts))
-    starts = torch.where(is_possible[:, None], starts, coordinates.start())
-    first = levenberg_marquardt(stacked, starts, FIRST_ITERATIONS, TOLERANCE)
-    highest = first.log_posterior.reshape(len(posteriors), n_starts).argmax(1)
-    highest = highest + n_starts * torch.arange(len(posteriors), device=highest.device)
-    fits = levenberg_marquardt(stacked.at(highest), first.vector[highest], tolerance=TOLERANCE)
-    return [(posterior, fits.rows(slice(i, i + 1))) for i, posterior in enumerate(posteriors)]
+    return posteriors[0].with_rows(torch.stack([p.measured_T for p in posteriors])), posteriors
 
 
 def _starts(coordinates: Coordinates, seed: int, more: int) -> torch.Tensor:

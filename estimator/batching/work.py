@@ -23,7 +23,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.preflight import check_readings
+from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -40,10 +40,11 @@ def describe(
     is_each_coil: bool,
     seed: int,
     settings: SamplerSettings,
+    place: tuple[str, str],
 ) -> tuple[list[Job], dict[str, str]] | str:
     """The jobs of one session with the reasons against others, or the reason why there are none, in a sentence."""
     try:
-        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings)
+        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings, place)
     except CoilcalError as error:
         return str(error)
 
@@ -60,6 +61,8 @@ def fit(stack: list[Job], folder: str) -> dict[str, str]:
         try:
             session, rig = readings_and_rig(job, load_session(job.session))
             check_readings(rig, session.observations, session.source)
+            if job.precision != "double":
+                check_precision(rig, session.observations.calibration)
             ready.append((job, session.observations, rig))
         except Exception as error:
             failed[job.name] = _words(error)
@@ -77,13 +80,15 @@ def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
     """Fit all jobs together, or one by one if that fails: a single session of absurd numbers spoils a stack."""
     if not ready:
         return []
-    rig = ready[0][2]
+    job, _, rig = ready[0]
     try:
         fits = stacked_fits(
             rig,
             [observations.calibration for _, observations, _ in ready],
             [job.seed for job, _, _ in ready],
             policy.MORE_STARTS,
+            job.device,
+            job.precision,
         )
     except Exception as error:
         return [error] if len(ready) == 1 else [_fits([ready_job])[0] for ready_job in ready]
@@ -110,7 +115,15 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
                 copy.rename(unfinished)
             if not is_enough(unfinished, settings):
                 (unfinished / SUMMARY_FILE).unlink(missing_ok=True)
-                calibrate(session, rig, out=unfinished, seed=job.seed, settings=settings)
+                calibrate(
+                    session,
+                    rig,
+                    out=unfinished,
+                    seed=job.seed,
+                    settings=settings,
+                    device=job.device,
+                    precision=job.precision,
+                )
             replace_folder(unfinished, finished)
     except CoilcalError as error:
         return str(error)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import ess_option, json_option, seed_option
+from estimator.cli.options import ess_option, json_option, prediction_options, seed_option
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput
 
@@ -56,6 +56,7 @@ from estimator.errors import InvalidInput
     metavar="ADDRESS",
     help="Use this Dask scheduler instead of local processes, such as tcp://host:8786.",
 )
+@prediction_options("readings", "; refused where it changes a reading by more than a twentieth of the noise")
 @seed_option
 @json_option
 def batch_command(
@@ -68,6 +69,8 @@ def batch_command(
     ess: float,
     workers: int | None,
     scheduler: str | None,
+    device: str,
+    precision: str,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -101,12 +104,15 @@ def batch_command(
         settings=SamplerSettings(target_ess=ess),
         workers=workers,
         scheduler=scheduler,
+        device=device,
+        precision=precision,
         tell=lambda done, total, words: tell_progress(
             f"{done} of {total}: {words}{time_left.words(done, total)}"
         ),
     )
     result.save_table(out)
     options = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}
+    options |= {"--device": device, "--precision": precision}
     command = ["coilcal", "batch", *map(str, sessions)]
     command += [
         str(word) for option, value in options.items() if value is not None for word in (option, value)

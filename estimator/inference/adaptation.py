@@ -27,8 +27,8 @@ def adapted(
     proposal: MixtureProposal,
     log_prob: Callable[[np.ndarray], np.ndarray],
     random: np.random.RandomState,
-) -> MixtureProposal:
-    """The proposal, fitted to a density in at most `ROUNDS` rounds of `DRAWS` draws; the best of all rounds.
+) -> tuple[MixtureProposal, float]:
+    """The proposal, fitted to a density in at most `ROUNDS` rounds of `DRAWS` draws; the best of all rounds, and its efficiency.
 
     Each proposal is judged by fresh draws that took no part in its fit.
 
@@ -39,7 +39,7 @@ def adapted(
     References: Cappé et al., Stat. Comput. 18, 447 (2008), adaptive importance sampling in mixture classes; Ionides, J. Comput. Graph.
         Stat. 17, 295 (2008), truncated weights.
     """
-    best, best_efficiency = proposal, -np.inf
+    best, best_efficiency = proposal, 0.0
     vectors, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), np.empty(0)
     for _ in range(ROUNDS):
         fresh, log_drawn = _draws(proposal, random)
@@ -60,7 +60,7 @@ def adapted(
         vectors = np.concatenate((vectors, fresh))
         log_weight = np.concatenate((log_weight, log_target - log_drawn))
         proposal = _fitted(proposal, vectors, _truncated(log_weight), random)
-    return best
+    return best, best_efficiency
 
 
 def efficiency_of(log_proposal: np.ndarray, log_target: np.ndarray, log_drawn: np.ndarray) -> float:
@@ -147,8 +147,8 @@ def fitted_shape(white: np.ndarray, weight: np.ndarray, random: np.random.Random
         total = belongs.sum(0)
         is_used = total > 1e-9
         mean[is_used] = (pull.T @ white)[is_used] / pull.sum(0)[is_used, None]
-        centred = white[:, None] - mean
-        scatter = np.einsum("wk,wki,wkj->kij", pull, centred, centred)
+        centred = white - mean[:, None]
+        scatter = (pull.T[:, :, None] * centred).swapaxes(1, 2) @ centred
         scale = (n_effective * scatter + n_pseudo * 0.5 * overall) / (n_effective * total + n_pseudo)[
             :, None, None
         ]

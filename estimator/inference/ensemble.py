@@ -17,13 +17,15 @@ from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.moves import LatticeDifferenceMove, autoregressive_move, independence_move
+from estimator.inference.moves import GOOD_SHARES, POOR_SHARES, MovesInBlocks
 from estimator.inference.proposal import MixtureProposal
 from estimator.rig.coordinates import Coordinates
 
-INDEPENDENCE_SHARE, AUTOREGRESSIVE_SHARE = 0.7, 0.15  # the rest is differential evolution
 BURN_IN_SHARE = 0.1
 FEWEST_WALKERS = 32
+GOOD_EFFICIENCY = 0.5  # of a proposal whose fresh draws hardly need the other moves
+# Looks at the diagnostics: from this share of the wanted effective samples on, and when the chain has grown so much.
+LOOK_FROM, OLD_LOOK = 0.85, 2.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class SamplerSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """Diagnostics of a running chain against their targets."""
+    """Diagnostics of a running chain against their targets; effective samples are extrapolated from the last look at them."""
 
     step: int
     max_steps: int
@@ -119,7 +121,7 @@ def sample(
         mixture: Laplace mixture, where the proposal of the independence move begins.
         settings: Targets and limits.
         backend: emcee backend; in memory by default.
-        on_progress: Called after every look at the diagnostics.
+        on_progress: Called at every checkpoint.
     Returns: The chain; `is_converged` is False if `max_steps` came first.
     Raises:
         InvalidInput: Too few walkers for the number of coordinates.
@@ -130,13 +132,14 @@ def sample(
         with torch.no_grad():
             return numpy_of(posterior(torch.from_numpy(vectors).to(posterior.coordinates.device)))
 
-    proposal = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
-    moves = [
-        (independence_move(proposal), INDEPENDENCE_SHARE),
-        (autoregressive_move(proposal), AUTOREGRESSIVE_SHARE),
-        (LatticeDifferenceMove(proposal), 1.0 - INDEPENDENCE_SHARE - AUTOREGRESSIVE_SHARE),
-    ]
+    proposal, efficiency = adapted(MixtureProposal(mixture), log_prob, np.random.RandomState(settings.seed))
     backend = backend if backend is not None else Backend()
+    moves = MovesInBlocks(
+        proposal,
+        settings.seed,
+        backend.iteration if backend.initialized else 0,
+        GOOD_SHARES if efficiency >= GOOD_EFFICIENCY else POOR_SHARES,
+    )
     n = posterior.coordinates.n
     settings = settings.for_rig(n)
     sampler = emcee.EnsembleSampler(
@@ -145,17 +148,26 @@ def sample(
     state = _initial_state(log_prob, proposal, settings, backend)
     if backend.iteration > settings.max_steps:  # an earlier call had a larger limit
         return _samples(posterior.coordinates, backend, settings)
+    looked: Samples | None = None
     for step in _checkpoints(settings):
-        if step < backend.iteration:
-            continue
         if step > backend.iteration:
             state = sampler.run_mcmc(state, step - backend.iteration, skip_initial_state_check=True)
-        result = _samples(posterior.coordinates, backend, settings)
+        if looked is None or step == settings.max_steps or _may_be_enough(looked, step, settings):
+            looked = _samples(posterior.coordinates, backend, settings, step)
         if on_progress is not None:
-            on_progress(_progress(result, settings))
-        if result.is_converged:
+            on_progress(_progress(looked, step, settings))
+        if looked.is_converged:
             break
-    return result
+    assert looked is not None
+    if looked.n_steps < backend.iteration:  # an earlier call had higher targets
+        return _samples(posterior.coordinates, backend, settings)
+    return looked
+
+
+def _may_be_enough(looked: Samples, step: int, settings: SamplerSettings) -> bool:
+    """Whether diagnostics can say stop, or are old: their cost would be a quarter of that of a chain if all checkpoints had them."""
+    grown = step / looked.n_steps
+    return grown >= OLD_LOOK or grown * looked.convergence.smallest_ess >= LOOK_FROM * settings.target_ess
 
 
 def _checkpoints(settings: SamplerSettings) -> Iterator[int]:
@@ -167,9 +179,10 @@ def _checkpoints(settings: SamplerSettings) -> Iterator[int]:
         yield step
 
 
-def _progress(result: Samples, settings: SamplerSettings) -> Progress:
-    ess, rhat = result.convergence.smallest_ess, result.convergence.largest_rhat
-    return Progress(result.n_steps, settings.max_steps, ess, settings.target_ess, rhat)
+def _progress(looked: Samples, step: int, settings: SamplerSettings) -> Progress:
+    """Effective samples grow with the steps since the last look at them."""
+    ess = looked.convergence.smallest_ess * step / looked.n_steps
+    return Progress(step, settings.max_steps, ess, settings.target_ess, looked.convergence.largest_rhat)
 
 
 def _initial_state(
@@ -194,20 +207,24 @@ def _initial_state(
     return emcee.State(walkers, random_state=random.get_state())
 
 
-def _samples(coordinates: Coordinates, backend: Backend, settings: SamplerSettings) -> Samples:
-    burn_in = int(BURN_IN_SHARE * backend.iteration)
-    chain = backend.get_chain(discard=burn_in)
+def _samples(
+    coordinates: Coordinates, backend: Backend, settings: SamplerSettings, n_steps: int | None = None
+) -> Samples:
+    """The chain and its diagnostics, of the first steps only where their number is given."""
+    n_steps = backend.iteration if n_steps is None else n_steps
+    burn_in = int(BURN_IN_SHARE * n_steps)
+    chain = backend.get_chain()[burn_in:n_steps]
     diagnostics = convergence(reported_parameters(coordinates, chain))
     is_converged = (
         diagnostics.smallest_ess >= settings.target_ess and diagnostics.largest_rhat <= settings.largest_rhat
     )
     return Samples(
         chain,
-        backend.get_log_prob(discard=burn_in),
+        backend.get_log_prob()[burn_in:n_steps],
         diagnostics,
         is_converged,
         float(np.mean(backend.accepted / backend.iteration)),
-        backend.iteration,
+        n_steps,
     )
 
 

@@ -1,32 +1,97 @@
 """Moves for emcee that use a proposal over loop counts and coordinates.
 
-`independence_move` draws a tuple of counts and, around its maximum, coordinates. The draw does not depend on the
-walker, so a good approximation gives nearly independent samples. `autoregressive_move` goes part of the way and stays useful in many
-dimensions. `LatticeDifferenceMove` is emcee's differential evolution in coordinates whitened by the mean and covariance of each tuple. It
-does not rely on the approximation and reaches what the mixture misses.
+A fresh draw is a tuple of counts and, around its maximum, coordinates. It does not depend on the walker, so a good approximation gives
+nearly independent samples, and draws for many steps are evaluated in one call (`MovesInBlocks`). `autoregressive_move` goes part of the
+way and stays useful in many dimensions. `LatticeDifferenceMove` is emcee's differential evolution in coordinates whitened by the mean and
+covariance of each tuple. It does not rely on the approximation and reaches what the mixture misses.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from emcee.moves import MHMove, RedBlueMove
+from emcee.model import Model
+from emcee.moves import MHMove, Move, RedBlueMove
+from emcee.state import State
 
 from estimator.inference.proposal import MixtureProposal
 
+# Shares of the steps: fresh draws, autoregressive, differential evolution. Draws evaluated together cost half of those of the other moves.
+GOOD_SHARES, POOR_SHARES = (0.9, 0.05, 0.05), (0.7, 0.15, 0.15)
+BLOCK = 16  # steps; draws of 32 walkers are 400 then, and more at once would cost no less each
 
-def independence_move(proposal: MixtureProposal) -> MHMove:
-    """Metropolis-Hastings move of all walkers to fresh draws from the mixture.
 
-    References: Tierney, Ann. Statist. 22, 1701 (1994), independence chains.
+class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
+    """One of three moves at each step, chosen at random for a block of steps at once.
+
+    The fresh draws of a block are evaluated in one call. They come from random numbers that the seed and the number of the block decide,
+    so that a chain which is continued in the middle of a block is that of an uninterrupted run.
+
+    Args:
+        proposal: What the moves propose from.
+        seed: Seed of plans and fresh draws.
+        step: Steps that the chain has already.
+        shares: Probability of a fresh draw, of an autoregressive move and of differential evolution at each step.
+    References: Tierney, Ann. Statist. 22, 1701 (1994), independence chains and mixtures of moves.
     """
 
-    def propose(vectors: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        fresh = proposal.draw(len(vectors), random)
-        return fresh, proposal.log_density(vectors) - proposal.log_density(fresh)
+    def __init__(
+        self,
+        proposal: MixtureProposal,
+        seed: int,
+        step: int = 0,
+        shares: tuple[float, float, float] = POOR_SHARES,
+    ) -> None:
+        self.proposal, self.seed, self.step, self.shares = proposal, seed, step, shares
+        self._dependent = (autoregressive_move(proposal), LatticeDifferenceMove(proposal))
+        self._block: _Block | None = None
 
-    return MHMove(propose)
+    def propose(self, model: Model, state: State) -> tuple[State, np.ndarray]:
+        """Move every walker once."""
+        number, i = divmod(self.step, BLOCK)
+        if self._block is None or self._block.number != number:
+            self._block = self._planned(number, len(state.coords), model)
+        self.step += 1
+        move = self._block.moves[i]
+        if move > 0:
+            moved: tuple[State, np.ndarray] = self._dependent[move - 1].propose(model, state)
+            return moved
+        fresh, log_prob, log_density = self._block.draws((self._block.moves[:i] == 0).sum())
+        log_ratio = log_prob - log_density - (state.log_prob - self.proposal.log_density(state.coords))
+        accepted = np.log(model.random.rand(len(log_ratio))) < log_ratio
+        return self.update(state, State(fresh, log_prob=log_prob), accepted), accepted
+
+    def _planned(self, number: int, n_walkers: int, model: Model) -> _Block:
+        random = np.random.RandomState([self.seed, number])
+        moves = random.choice(3, size=BLOCK, p=self.shares)
+        fresh = self.proposal.draw(int((moves == 0).sum()) * n_walkers, random)
+        log_prob = model.compute_log_prob_fn(fresh)[0] if len(fresh) else np.empty(0)
+        return _Block(number, n_walkers, moves, fresh, log_prob, self.proposal.log_density(fresh))
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What is known of some steps ahead.
+
+    Attributes:
+        moves: Which move each step makes; 0 stands for a fresh draw.
+        fresh: Draws for all steps that make it, `n_walkers` each.
+        log_prob, log_density: Log densities of the posterior and of the proposal at them.
+    """
+
+    number: int
+    n_walkers: int
+    moves: np.ndarray
+    fresh: np.ndarray
+    log_prob: np.ndarray
+    log_density: np.ndarray
+
+    def draws(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Those of the i-th step that makes fresh draws."""
+        mine = slice(i * self.n_walkers, (i + 1) * self.n_walkers)
+        return self.fresh[mine], self.log_prob[mine], self.log_density[mine]
 
 
 def autoregressive_move(proposal: MixtureProposal) -> MHMove:

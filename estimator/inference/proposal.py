@@ -63,8 +63,8 @@ class WhiteShape:
     def squared_distances(self, white: np.ndarray) -> np.ndarray:
         """Squared Mahalanobis distance from each component, shape (point, component)."""
         inverse_factor = np.linalg.inv(self.factor)
-        centred = white[:, None] - self.mean
-        return np.asarray((np.einsum("kij,wkj->wki", inverse_factor, centred) ** 2).sum(-1))
+        standardised = (white - self.mean[:, None]) @ inverse_factor.swapaxes(1, 2)
+        return np.asarray((standardised**2).sum(-1).T)
 
 
 class MixtureProposal:

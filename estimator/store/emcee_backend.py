@@ -12,7 +12,8 @@ damage that zarr overlooks, such as a missing chunk file, which it reads as fill
 
 A continued run gives, bit by bit, the chain of an uninterrupted one, because each checkpoint holds all that the
 sampler carries from step to step: positions, log-probabilities and the random state. Moves must therefore not
-adapt (`tune=True` changes a move in memory only). Only one process at a time may write to a store.
+adapt (`tune=True` changes a move in memory only); what they prepare must follow
+from seed and number of the step. Only one process at a time may write to a store.
 """
 
 from __future__ import annotations

@@ -45,10 +45,12 @@ def main() -> None:
     print(f"seed {options.seed}, {options.repeats} repeats: median (smallest to largest)")
     result: dict[str, Any] = {"machine": machine, "seed": options.seed, "repeats": options.repeats}
     if options.only in (None, "sampling"):
-        result["sampling"] = sampling(options)
-        show_sampling(result["sampling"], options.ess)
+        result["sampling"] = []
+        for table in sampling(options):
+            result["sampling"].append(table)
+            show_sampling(table, options.ess)
         if options.ess >= GOAL_ESS:
-            result["goal"] = goal(result["sampling"], options.ess, cores)
+            result["goal"] = goal(result["sampling"][0], options.ess, cores)
     if options.only in (None, "latency"):
         result["latency"] = latency(options)
         show_latency(result["latency"])
@@ -96,11 +98,11 @@ def show_fields(title: str, rows: dict[str, dict[str, Any]]) -> None:
 
 
 def show_sampling(result: dict[str, Any], target_ess: float) -> None:
-    print(f"\n{result['title']}")
+    print(f"\n{result['title']} (processor time throughout)")
     for name, seconds in result["set_up_s"].items():
         print(f"  {name}: {spread(seconds, '.1f')} s")
     print(
-        f"{'':46} {'evaluations':>11} {'smallest ESS':>12} {'R-hat':>6} {'ESS a second':>25} {'ratio':>6} "
+        f"{'':50} {'evaluations':>11} {'smallest ESS':>12} {'R-hat':>6} {'ESS/evaluation':>14} {'ESS a second':>25} {'ratio':>6} "
         f"{f's to {target_ess:.0f}':>12}"
     )
     plain = next(row for name, row in result["rows"].items() if name.startswith("emcee"))
@@ -108,7 +110,8 @@ def show_sampling(result: dict[str, Any], target_ess: float) -> None:
         rate = row["ess_per_s"]
         reached = spread(row["seconds"], ".1f") if row["is_reached"] else f"about {target_ess / rate[0]:.0f}"
         print(
-            f"{name:46} {row['evaluations']:11d} {row['smallest_ess']:12.0f} {row['largest_rhat']:6.3f} "
+            f"{name:50} {row['evaluations']:11d} {row['smallest_ess']:12.0f} {row['largest_rhat']:6.3f} "
+            f"{row['smallest_ess'] / row['evaluations']:14.4f} "
             f"{spread(rate, '.3g'):>25} {rate[0] / plain['ess_per_s'][0]:6.1f} {reached:>12}"
         )
     print(

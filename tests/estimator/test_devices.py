@@ -57,6 +57,21 @@ def test_fits_of_stacked_sessions_on_another_device(small_session: Session) -> N
             assert_close(covariance(fit.precision).cpu(), covariance(here.precision), rtol=1e-7, atol=0.0)
 
 
+@pytest.mark.whole
+def test_stacked_fits_climb_elsewhere_and_take_their_last_step_at_home(small_session: Session) -> None:
+    rig, readings = small_session.rig, small_session.observations.calibration
+    sessions = [readings, readings.with_field(1.001 * readings.field_sensor_T)]
+    near = stacked_fits(rig, sessions, [0, 1], 2)
+    with far_device() as far:
+        for precision in ("double", "single"):
+            there = stacked_fits(rig, sessions, [0, 1], 2, str(far), precision)
+            for (_, here), (_, fit) in zip(near, there, strict=True):
+                assert fit.vector.device.type == "cpu"
+                sd = covariance(here.precision)[0].diagonal().sqrt()
+                assert float(((fit.vector - here.vector)[0] / sd).abs().max()) < 0.01
+                assert float((fit.log_posterior - here.log_posterior).abs()) < 1e-3
+
+
 @pytest.mark.slow
 @pytest.mark.whole
 def test_point_estimate_counts_and_chain_on_another_device(small_session: Session) -> None:

@@ -132,6 +132,25 @@ def test_other_walkers_are_another_job(sessions):
     assert len(names) == 2
 
 
+def test_another_precision_is_another_job_with_nearly_the_same_result(fitted, sessions, tmp_path):
+    (plain,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0)
+    result = batch(sessions[:1], out=tmp_path, precision="single", has_posterior=False, workers=0)
+    assert result.names[0] != plain.name
+    old, new = (
+        json.loads((folder / name / "result.json").read_text())
+        for folder, name in ((fitted.folder, plain.name), (result.folder, result.names[0]))
+    )
+    assert (new["precision"], old["precision"]) == ("single", "double")
+    assert new["log_evidence"] == pytest.approx(old["log_evidence"], abs=1e-3)
+
+
+def test_device_and_precision_that_do_not_exist_are_refused_at_once(sessions, tmp_path):
+    with pytest.raises(InvalidInput, match="device must be one that torch can compute on"):
+        batch(sessions[:1], out=tmp_path, device="gpu", workers=0)
+    with pytest.raises(InvalidInput, match="precision must be one of double, single"):
+        batch(sessions[:1], out=tmp_path, precision="half", workers=0)
+
+
 def test_what_is_enough_depends_on_what_is_asked_for(tmp_path):
     sampling = {"smallest_ess": 150.0, "largest_rhat": 1.005, "steps": 1000}
     (tmp_path / "summary.json").write_text(json.dumps({"sampling": sampling}))

@@ -141,6 +141,34 @@ def test_killed_run_continues_to_the_chain_of_the_uninterrupted_one(
     assert continued.n_steps == expected.n_steps == 50
 
 
+def test_killed_run_stops_where_the_uninterrupted_one_does(counts_problem, mixture):
+    """Which checkpoints have a look depends on earlier looks, so a continued run makes those again."""
+    settings = SamplerSettings(n_walkers=12, target_ess=700.0, largest_rhat=1.1, check_every=10, seed=5)
+    expected = sample(counts_problem.whole, mixture, settings)
+    assert expected.is_converged
+
+    def kill(progress: Progress) -> None:
+        if progress.step >= expected.n_steps - 20:
+            raise Killed
+
+    backend = Backend()
+    with pytest.raises(Killed):
+        sample(counts_problem.whole, mixture, settings, backend, kill)
+    continued = sample(counts_problem.whole, mixture, settings, backend)
+    np.testing.assert_array_equal(continued.chain, expected.chain)
+
+
+def test_chain_longer_than_its_targets_ask_for_is_returned_whole(counts_problem, mixture):
+    backend = Backend()
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=300)
+    sample(counts_problem.whole, mixture, settings, backend)
+    again = sample(
+        counts_problem.whole, mixture, replace(settings, target_ess=50.0, largest_rhat=1.5), backend
+    )
+    assert again.is_converged
+    assert again.n_steps == 300
+
+
 def test_finished_chain_is_looked_at_again_and_not_prolonged(counts_problem, mixture):
     backend = Backend()
     settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=30)

@@ -8,12 +8,19 @@ import emcee
 import numpy as np
 import pytest
 import torch
+from emcee.backends import Backend
 from scipy import stats
 
 from estimator.inference.bend import Bend
 from estimator.inference.convergence import convergence
 from estimator.inference.lattice import CountMixture
-from estimator.inference.moves import LatticeDifferenceMove, autoregressive_move, independence_move
+from estimator.inference.moves import (
+    BLOCK,
+    POOR_SHARES,
+    LatticeDifferenceMove,
+    MovesInBlocks,
+    autoregressive_move,
+)
 from estimator.inference.proposal import DEGREES_OF_FREEDOM, FLOOR, MixtureProposal, WhiteShape
 
 pytestmark = pytest.mark.whole
@@ -130,12 +137,38 @@ def test_straightened_coordinates_lead_back_to_the_vectors(proposal):
     np.testing.assert_allclose(proposal.from_straight(rows, straight), draws[:, :2], rtol=1e-10, atol=1e-12)
 
 
-def test_factor_of_the_independence_move_is_the_ratio_of_densities(proposal):
-    old = target_draws(50, np.random.RandomState(4))
-    new, factor = independence_move(proposal).get_proposal(old, np.random.RandomState(5))
-    np.testing.assert_array_equal(new, proposal.draw(50, np.random.RandomState(5)))
-    np.testing.assert_allclose(factor, proposal.log_density(old) - proposal.log_density(new), rtol=1e-12)
-    assert np.ptp(factor) > 0.5
+def chain_in_blocks(proposal: MixtureProposal, steps: int, backend: Backend, calls: list[int]) -> np.ndarray:
+    """A chain that may continue an earlier one, noting how many points each call of the density takes."""
+
+    def counted(vectors: np.ndarray) -> np.ndarray:
+        calls.append(len(vectors))
+        return target_log_prob(vectors)
+
+    done = backend.iteration if backend.initialized else 0
+    sampler = emcee.EnsembleSampler(
+        20, 4, counted, moves=MovesInBlocks(proposal, 3, done), vectorize=True, backend=backend
+    )
+    random = np.random.RandomState(4)
+    start = emcee.State(target_draws(20, random), random_state=random.get_state())
+    sampler.run_mcmc(backend.get_last_sample() if done else start, steps, skip_initial_state_check=True)
+    return sampler.get_chain()
+
+
+@pytest.mark.parametrize("interrupted_at", [5, BLOCK, 2 * BLOCK + 3])
+def test_chain_continued_within_a_block_is_that_of_an_uninterrupted_run(proposal, interrupted_at):
+    expected = chain_in_blocks(proposal, 3 * BLOCK, Backend(), [])
+    backend = Backend()
+    chain_in_blocks(proposal, interrupted_at, backend, [])
+    np.testing.assert_array_equal(
+        chain_in_blocks(proposal, 3 * BLOCK - interrupted_at, backend, []), expected
+    )
+
+
+def test_fresh_draws_of_a_block_are_evaluated_in_one_call(proposal):
+    calls: list[int] = []
+    chain_in_blocks(proposal, BLOCK, Backend(), calls)
+    n_fresh = int((np.random.RandomState([3, 0]).choice(3, size=BLOCK, p=POOR_SHARES) == 0).sum())
+    assert max(calls) == 20 * n_fresh
 
 
 def test_factor_of_the_autoregressive_move_is_the_ratio_of_normals_in_straightened_coordinates_and_counts_stay(
@@ -173,15 +206,15 @@ def test_difference_move_needs_no_walker_of_the_same_counts():
 
 
 MovesOf = Callable[[MixtureProposal], list[tuple[emcee.moves.Move, float]]]
-SHARES: dict[str, MovesOf] = {
-    "independence": lambda proposal: [(independence_move(proposal), 1.0)],
+MOVES: dict[str, MovesOf] = {
+    "independence": lambda proposal: [(MovesInBlocks(proposal, 3, shares=(1.0, 0.0, 0.0)), 1.0)],
     # Around a centre that is off and too narrow, the autoregressive move alone is slow to come back from the tails.
     "autoregressive": lambda proposal: [
         (autoregressive_move(proposal), 0.6),
         (LatticeDifferenceMove(proposal), 0.4),
     ],
     "difference": lambda proposal: [(LatticeDifferenceMove(proposal), 1.0)],
-    "both": lambda proposal: [(independence_move(proposal), 0.6), (LatticeDifferenceMove(proposal), 0.4)],
+    "blocks": lambda proposal: [(MovesInBlocks(proposal, 3), 1.0)],
 }
 
 
@@ -215,10 +248,10 @@ def exact_moments(row: int) -> np.ndarray:
     return np.array([0.0, 0.0, *COVARIANCE[row][[0, 0, 1], [0, 1, 1]]])
 
 
-@pytest.mark.parametrize("moves", ["independence", "both"])
+@pytest.mark.parametrize("moves", ["independence", "blocks"])
 def test_chain_has_the_law_of_the_target_whatever_the_proposal(proposal, moves):
     """Probabilities of the counts, and moments of the coordinates at each of them."""
-    chain = chain_of(SHARES[moves], proposal, steps=1500, seed=8)
+    chain = chain_of(MOVES[moves], proposal, steps=1500, seed=8)
     for row, counts in enumerate(COUNTS):
         here = (chain[:, :, 2:] == counts).all(axis=-1)[..., None].astype(float)
         assert_mean(here, WEIGHT[row])
@@ -227,7 +260,7 @@ def test_chain_has_the_law_of_the_target_whatever_the_proposal(proposal, moves):
 
 @pytest.mark.parametrize("moves", ["autoregressive", "difference"])
 def test_moves_within_the_counts_have_the_law_of_the_target_whatever_the_proposal(proposal, moves):
-    chain = chain_of(SHARES[moves], proposal, steps=1500, seed=8)
+    chain = chain_of(MOVES[moves], proposal, steps=1500, seed=8)
     for row, counts in enumerate(COUNTS):
         here = (chain[:, :, 2:] == counts).all(axis=-1)
         assert (here == here[0]).all()
@@ -237,7 +270,7 @@ def test_moves_within_the_counts_have_the_law_of_the_target_whatever_the_proposa
 def test_good_proposal_is_accepted_more_often_than_a_bad_one():
     moved = {}
     for name, of in (("right", RIGHT), ("wrong", WRONG)):
-        chain = chain_of(SHARES["independence"], MixtureProposal(of), steps=300, seed=9)
+        chain = chain_of(MOVES["independence"], MixtureProposal(of), steps=300, seed=9)
         moved[name] = (np.diff(chain[..., 0], axis=0) != 0.0).mean()
     assert moved["right"] > 0.85
     assert moved["wrong"] < 0.6
