@@ -312,12 +312,11 @@ class _SearchState:
 
     def _with_other_structure(self, pile: Fit) -> Fit:
         """The fit with another structure of the source alone, where it does better than a pile of causes; else the pile."""
-        n_causes = len({candidate.cause for candidate in self.pool})
         self.tell(
             f"{len(self.added(pile))} causes pile up: asking whether another structure of the source does for them"
         )
         pace = Pace("other structures of the source", self.on_progress)
-        self.other_structures = other_structures(self.base, pile, n_causes, self.limits, pace)
+        self.other_structures = other_structures(self.base, pile, self.pool, self.limits, pace)
         better = self.other_structures.better
         if better is None:
             self.tell("no other structure of the source does as well")

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.screening import screening
-from estimator.diagnosis.hypotheses.several_places import fit_with_needed
+from estimator.diagnosis.hypotheses.several_places import fit_with_needed, joint_evidence
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     Step,
@@ -97,37 +97,66 @@ def is_pile(causes: Sequence[Cause], most: int) -> bool:
     return len({cause.name for cause in causes}) > most
 
 
-def other_structures(base: Fit, pile: Fit, n_causes: int, limits: Limits, pace: Pace) -> OtherStructures:
-    """Fit every hypothesis of structure in full, alone from all its starts, then with what it leaves needed of a pile of causes.
+def other_structures(
+    base: Fit, pile: Fit, pool: Sequence[Candidate], limits: Limits, pace: Pace
+) -> OtherStructures:
+    """Every hypothesis of structure, fitted alone from all its starts, then with what it leaves needed of a pile of causes.
+
+    The latter is asked of the linear model first, and fitted in full for the best `policy.MOST_LEADERS`, and for all that could be better
+    than those.
 
     Args:
         base: Without any cause.
         pile: With causes of many kinds.
-        n_causes: Number of causes that were compared.
+        pool: Columns of every cause at the base.
         limits: Say which hypotheses are asked; once they are reached, no further one is.
         pace: Told of each hypothesis.
     """
+    n_causes = len({candidate.cause for candidate in pool})
     prior_cost = math.log(max(n_causes, 1)) + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE
+    least = least_log_evidence(n_causes)
     piled = tuple(cause for cause in pile.rig.effects if cause not in base.rig.effects)
 
-    def log_bayes_factor(fit: Fit, n_added: int) -> float:
-        return fit.log_evidence - base.log_evidence - (n_added - 1) * prior_cost
+    def log_bayes_factor(log_evidence: float, n_added: int) -> float:
+        return log_evidence - base.log_evidence - (n_added - 1) * prior_cost
 
-    asked = []
+    trials = []
     causes = structural_causes(base, limits)
     for i, cause in enumerate(causes):
         if limits.is_over:
             break
-        pace.tell(i, len(causes))
+        pace.tell(i, len(causes) + policy.MOST_LEADERS)
         alone = _best_alone(base, cause)
         if alone is None:
             continue
-        others = [c for c in piled if c != cause]
-        beside = _with_needed(alone, pile, others, least_log_evidence(n_causes))
-        needed = tuple(c for c in others if c in beside.rig.effects)
-        asked.append(Asked(cause, log_bayes_factor(beside, 1 + len(needed)), needed, alone))
+        starts = _starts(base, alone, pool, [c for c in piled if c != cause])
+        gain, needed = joint_evidence(alone, starts, least) if starts else (0.0, [])
+        value = log_bayes_factor(alone.log_evidence + gain, 1 + len(needed))
+        trials.append(Asked(cause, value, tuple(start.cause for start in needed), alone))
+    trials.sort(key=lambda one: -one.log_bayes_factor)
+    asked: list[Asked] = []
+    for i, trial in enumerate(trials):
+        best = max((one.log_bayes_factor for one in asked), default=-math.inf)
+        if i >= policy.MOST_LEADERS and trial.log_bayes_factor <= best:
+            asked.append(trial)
+            continue
+        if limits.is_over:
+            break
+        pace.tell(len(causes) + min(i, policy.MOST_LEADERS - 1), len(causes) + policy.MOST_LEADERS)
+        others = [c for c in piled if c != trial.cause]
+        beside = _with_needed(trial.alone, pile, others, least)
+        needed_causes = tuple(c for c in others if c in beside.rig.effects)
+        value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
+        asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
     asked.sort(key=lambda one: -one.log_bayes_factor)
-    return OtherStructures(piled, log_bayes_factor(pile, len(piled)), tuple(asked))
+    return OtherStructures(piled, log_bayes_factor(pile.log_evidence, len(piled)), tuple(asked))
+
+
+def _starts(base: Fit, alone: Fit, pool: Sequence[Candidate], causes: Sequence[Cause]) -> list[Candidate]:
+    """The best start of each of some causes in the linear model at a fit; those that start away from their null are left out."""
+    weight = alone.weight_over(base)
+    near = [c.weighed(weight) for c in pool if c.cause in causes and not bool(c.shift.any())]
+    return [start for _, _, start in screening(alone, near).values()]
 
 
 def structural_causes(base: Fit, limits: Limits) -> list[Cause]:

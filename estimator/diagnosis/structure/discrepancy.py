@@ -5,7 +5,7 @@ It is the evidence of a bank of curves (`structure.families`), averaged over all
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,7 +14,12 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_bayes_factor_by_width, log_bayes_factor_of_noise, log_mean_exp
+from estimator.diagnosis.linear import (
+    Products,
+    log_bayes_factor_by_width,
+    log_bayes_factor_of_noise,
+    log_mean_exp,
+)
 from estimator.diagnosis.structure.families.collection import Family
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
@@ -46,9 +51,18 @@ class Discrepancy:
         )
 
 
-def discrepancy(fit: Fit, families: Sequence[Family]) -> Discrepancy:
-    """Evidence for structure in the residual of a fit, from some families of curves."""
-    evidence = evidence_by_amplitude(fit, families)
+Batches = Sequence[tuple[list[int], Products]]  # numbers of families, and their products
+
+
+def discrepancy(fit: Fit, families: Sequence[Family], batches: Batches | None = None) -> Discrepancy:
+    """Evidence for structure in the residual of a fit, from some families of curves.
+
+    Args:
+        fit: Whose residual is asked.
+        families: The curves.
+        batches: Their products at the fit, where they are known.
+    """
+    evidence = evidence_by_amplitude(fit, families, batches=batches)
     by_family = by_name(families, evidence)
     total = log_mean_exp(torch.tensor(list(by_family.values()), dtype=torch.float64))
     top = int(evidence.max(1).values.argmax())
@@ -66,8 +80,26 @@ def by_name(families: Sequence[Family], evidence: Float[Tensor, "family amplitud
     return {name: log_mean_exp(torch.cat(values)) for name, values in parts.items()}
 
 
+def products_of(fit: Fit, families: Sequence[Family]) -> Batches:
+    """Products of families at a fit. Families with equally many columns are taken together, some at a time."""
+    by_width: dict[int, list[int]] = {}
+    for i, family in enumerate(families):
+        by_width.setdefault(family.columns.shape[1], []).append(i)
+    batches = []
+    for width, members in by_width.items():
+        n_together = max(1, MOST_COLUMNS // width)
+        for first in range(0, len(members), n_together):
+            some = members[first : first + n_together]
+            columns = torch.stack([families[i].columns for i in some])
+            batches.append((some, Products.of(columns, fit.projector, fit.residual)))
+    return batches
+
+
 def evidence_by_amplitude(
-    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float] | None = None
+    fit: Fit,
+    families: Sequence[Family],
+    amplitudes: Sequence[float] | None = None,
+    batches: Batches | None = None,
 ) -> Float[Tensor, "family amplitude"]:
     """Log Bayes factor of each family against no structure, for each amplitude in units of the noise.
 
@@ -75,12 +107,13 @@ def evidence_by_amplitude(
         fit: Whose residual is asked.
         families: The curves.
         amplitudes: Rms of the curves; `policy.AMPLITUDES` by default.
+        batches: Products of the families at the fit, where they are known.
     """
     rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
     result = torch.zeros(len(families), len(rms), dtype=torch.float64)
-    for some, columns in _batches(families):
-        gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-        result[some] = log_bayes_factor_by_width(gram, score, rms.expand(len(some), -1), fit.free_noise)
+    for some, products in products_of(fit, families) if batches is None else batches:
+        gram, widths = products.gram(fit.projector), rms.expand(len(some), -1)
+        result[some] = log_bayes_factor_by_width(gram, products.score, widths, fit.free_noise)
     return result
 
 
@@ -90,23 +123,9 @@ def expected_of_noise(
     """The same as it is expected where the residual is noise, less what the fit follows."""
     rms = torch.tensor(amplitudes, dtype=torch.float64)
     result = torch.zeros(len(families), len(rms), dtype=torch.float64)
-    for some, columns in _batches(families):
-        result[some] = log_bayes_factor_of_noise(fit.projector.grams(columns), rms.expand(len(some), -1))
+    for some, products in products_of(fit, families):
+        result[some] = log_bayes_factor_of_noise(products.gram(fit.projector), rms.expand(len(some), -1))
     return result
-
-
-def _batches(
-    families: Sequence[Family],
-) -> Iterator[tuple[list[int], Float[Tensor, "family component column"]]]:
-    """Families with equally many columns together, some at a time: their numbers and columns."""
-    by_width: dict[int, list[int]] = {}
-    for i, family in enumerate(families):
-        by_width.setdefault(family.columns.shape[1], []).append(i)
-    for width, members in by_width.items():
-        n_together = max(1, MOST_COLUMNS // width)
-        for first in range(0, len(members), n_together):
-            some = members[first : first + n_together]
-            yield some, torch.stack([families[i].columns for i in some])
 
 
 def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:

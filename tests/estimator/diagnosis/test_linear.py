@@ -11,6 +11,7 @@ from scipy import integrate, stats
 
 from estimator.diagnosis.linear import (
     FreeNoise,
+    Products,
     Projector,
     highest_log_bayes_factor,
     log_bayes_factor,
@@ -194,3 +195,18 @@ def test_expected_evidence_of_noise_is_its_mean_over_draws():
     expected = log_bayes_factor_of_noise(gram, widths)
     error = drawn.std(0) / math.sqrt(len(drawn))
     assert bool(((drawn.mean(0) - expected).abs() < 4.0 * error).all())
+
+
+def test_products_of_a_smaller_model_are_those_of_its_own_jacobian_residual_and_noise():
+    jacobian, prior, columns, residual = problem(5)
+    shift, growth, others = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64), 1.7, [0, 2]
+    smaller = Projector.of(jacobian[:, others] / growth, prior[others][:, others])
+    left = (residual - jacobian @ shift) / growth
+    for are_whitened in (True, False):
+        own = columns / growth if are_whitened else columns
+        expected = Products.of(own[None], smaller, left)
+        products = Products.of(columns[None], Projector.of(jacobian, prior), residual)
+        found = products.without(others, shift, growth, are_whitened)
+        torch.testing.assert_close(found.gram(smaller), smaller.gram(own, own)[None])
+        torch.testing.assert_close(found.score, expected.score)
+        torch.testing.assert_close(found.followed, expected.followed)

@@ -1,0 +1,60 @@
+"""Derivatives along few directions are those in every coordinate; sensors share directions, and what ties or exchanges them does not."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.derivatives import jacobian_of
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.inference.directions import EVERY, Directions
+from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import MeasurementModel
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Cause
+from tests.estimator.inference.conftest import Problem, make_problem
+
+COIL = "{c: {radius_mm: {prior: {normal: {mean: 45, sd: 2}}}, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4}}"
+SENSOR = "noise_uT: {prior: {log_normal: {median: 20, relative_sd: 0.5}}}, carried_by: stage"
+SENSORS = f"{{one: {{{SENSOR}}}, two: {{{SENSOR}}}}}"
+CAUSES = [Cause(name, place) for name in ("axis_gain", "sensor_misplaced") for place in ("one", "two")]
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return make_problem(COIL, SENSORS)
+
+
+def posterior_with(problem: Problem, *causes: Cause) -> LogPosterior:
+    rig = problem.rig
+    for cause in causes:
+        rig = with_effect(rig, cause, problem.observations, {})
+    model = MeasurementModel.build(rig, problem.observations)
+    return LogPosterior(Coordinates(rig), model, problem.observations)
+
+
+def test_shared_directions_give_the_derivatives_in_every_coordinate(problem: Problem) -> None:
+    posterior = posterior_with(problem, *CAUSES)
+    directions = Directions.of(posterior.model.rig, posterior.coordinates)
+    n = posterior.coordinates.n_continuous
+    n_own = sum(
+        ".one" in name or "[one]" in name or name.startswith("one.") for name in posterior.coordinates.names
+    )
+    assert n_own > 9
+    assert len(directions.each) == n - n_own  # those of the other sensor take the same ones
+    assert directions.each.sum(0).tolist() == [1.0] * n
+    vector = posterior.coordinates.start() + 1e-3
+    found = posterior.to_first_order(vector)
+    log_sigma = jacobian_of(lambda at: posterior.component_sigma_T(at).log(), vector)
+    assert torch.allclose(found.log_sigma_jacobian, log_sigma, atol=1e-12)
+    assert torch.allclose(found.jacobian_T, jacobian_of(posterior.predicted, vector), rtol=1e-9, atol=1e-12)
+
+
+def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(problem: Problem) -> None:
+    exchanged = posterior_with(
+        problem, *CAUSES, Cause("sensors_exchanged", *EFFECTS["sensors_exchanged"].places(problem.rig))
+    )
+    directions = Directions.of(exchanged.model.rig, exchanged.coordinates)
+    assert bool((directions.sensor == EVERY).all())
+    assert not directions.is_compressed
