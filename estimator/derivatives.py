@@ -28,9 +28,11 @@ def jacobian_of(
 
 
 def value_and_jacobian(
-    function: Callable[[Tensor], Tensor], point: Float[Tensor, " coordinate"]
-) -> tuple[Float[Tensor, "*value"], Float[Tensor, "*value coordinate"]]:
-    """Values of a function, and their derivatives in every coordinate.
+    function: Callable[[Tensor], Tensor],
+    point: Float[Tensor, " coordinate"],
+    directions: Float[Tensor, "direction coordinate"] | None = None,
+) -> tuple[Float[Tensor, "*value"], Float[Tensor, "*value direction"]]:
+    """Values of a function, and their derivatives in every coordinate, or along given directions.
 
     The first pass takes the gradient of the values weighted by numbers that are free; it is linear in them. The second one differentiates
     it in these numbers, for all coordinates at once, so its cost grows with their number and not with that of the values.
@@ -38,16 +40,21 @@ def value_and_jacobian(
     Args:
         function: Differentiable, by operations that have second derivatives.
         point: Where the derivatives are taken.
+        directions: Each coordinate by default.
     Returns: Both without a graph.
     References: J. Townsend, A new trick for calculating Jacobian vector products (2017).
     """
     with torch.enable_grad():
         free = point.detach().requires_grad_()
+        each = (
+            torch.eye(len(point), dtype=point.dtype, device=point.device)
+            if directions is None
+            else directions
+        )
         values = function(free)
         if not (values.requires_grad and len(point)):  # nothing depends on it
-            return values.detach(), values.new_zeros(*values.shape, len(point))
+            return values.detach(), values.new_zeros(*values.shape, len(each))
         weights = torch.zeros_like(values).requires_grad_()
         gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)[0]
-        each = torch.eye(len(point), dtype=point.dtype, device=point.device)
         rows = torch.autograd.grad(gradient, weights, each, is_grads_batched=True, materialize_grads=True)[0]
     return values.detach(), rows.movedim(0, -1)

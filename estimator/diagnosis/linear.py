@@ -7,6 +7,7 @@ the log Bayes factor has a closed form. Where the noise is fitted too, its profi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -78,16 +79,61 @@ class Projector:
         square: Tensor = columns.square().sum(0) - followed.square().sum(0)
         return square.clamp(min=0.0).sqrt()
 
-    def grams(self, columns: Float[Tensor, "batch component column"]) -> Float[Tensor, "batch column column"]:
-        """Inner products of the columns of each of several sets after projection."""
-        followed = self.factor.T @ (self.jacobian.T @ columns)
-        product: Tensor = columns.mT @ columns - followed.mT @ followed
-        return product
-
     def rest(self, change: Float[Tensor, "component ..."]) -> Float[Tensor, "component ..."]:
         """The part of one or several changes of the readings that the fit cannot follow."""
         followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
         return change - followed
+
+
+@dataclass(frozen=True)
+class Products:
+    """Inner products of the columns of several sets, all that their evidence depends on: readings are touched once for many similar fits.
+
+    Attributes:
+        own: With those of the same set.
+        followed: With the whitened derivatives of the predictions.
+        score: With the whitened residual.
+    """
+
+    own: Float[Tensor, "batch column column"]
+    followed: Float[Tensor, "batch parameter column"]
+    score: Float[Tensor, "batch column"]
+
+    @classmethod
+    def of(
+        cls,
+        columns: Float[Tensor, "batch component column"],
+        projector: Projector,
+        residual: Float[Tensor, " component"],
+    ) -> Products:
+        """Those at a fit, given its projector and residual."""
+        return cls(columns.mT @ columns, projector.jacobian.T @ columns, columns.mT @ residual)
+
+    def without(
+        self,
+        others: Sequence[int],
+        shift: Float[Tensor, " parameter"],
+        growth: float,
+        are_whitened: bool,
+    ) -> Products:
+        """The same at the fit without some of its parameters, to first order.
+
+        Args:
+            others: Parameters that it still has.
+            shift: How it moves all of them.
+            growth: Factor by which its noise grows.
+            are_whitened: Whether columns are in units of the noise of the fit, or keep their size.
+        """
+        lighter = 1.0 / growth if are_whitened else 1.0
+        score = self.score - (self.followed.mT @ shift[:, None])[..., 0]
+        followed = self.followed[:, others]
+        return Products(self.own * lighter**2, followed * (lighter / growth), score * (lighter / growth))
+
+    def gram(self, projector: Projector) -> Float[Tensor, "batch column column"]:
+        """Inner products after projection."""
+        followed = projector.factor.T @ self.followed
+        product: Tensor = self.own - followed.mT @ followed
+        return product
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
 from estimator.field.loop import loop_terms
+from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
 from estimator.units import MU0_T_M_PER_A
 
@@ -103,6 +104,34 @@ def field_of_rings(
         for of_ring, of_wider, of_higher in zip(ring, wider, higher, strict=True)
     )
     return torch.stack((x * h, y * h, axial), dim=-1).to(points_coil_m.dtype)
+
+
+def field_of_rings_to_first_order(
+    points_coil_m: Float[Tensor, "*batch point 3"],
+    rings: Rings,
+    magnetisation_T: Float[Tensor, "pattern ring 2"],
+) -> Float[Tensor, "*batch point pattern 3"]:
+    """The same field with exact value and first derivatives in the points, but without second ones.
+
+    Args:
+        points_coil_m, rings, magnetisation_T: As in `field_of_rings`.
+    """
+    points_m = (
+        points_coil_m.double().flatten(0, -3) if points_coil_m.ndim > 2 else points_coil_m.double()[None]
+    )
+    step_m = DIFFERENCE_STEP * rings.radius_m
+    radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
+    weight_A = torch.cat((radial_A - axial_A, axial_A, -radial_A), dim=-1)
+    height_m = torch.cat((rings.height_m, rings.height_m, rings.height_m + step_m))
+    radius_m = torch.cat((rings.radius_m, rings.radius_m + step_m, rings.radius_m))
+    fixed_m = points_m.detach()
+    rows = (len(points_m), len(height_m))
+    of_each = loop_slopes(fixed_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
+    h, axial = (
+        (weight_A @ of_each).transpose(-3, -2).unbind(0)
+    )  # row, pattern, value and slope along z, point
+    field = carrying_first_order(points_m[:, None], h, axial)
+    return field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
 
 
 def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ring 2"]:

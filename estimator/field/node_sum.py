@@ -75,20 +75,44 @@ def sum_to_first_order(
         points_m, nodes, steps: As in `sum_over_nodes`.
     """
     fixed_points_m = points_m.detach()
-    of_h, of_axial = _slopes(fixed_points_m, Nodes(*(value.detach() for value in nodes)), steps)
     height, radius, weight = nodes.flat()
+    of_h, of_axial = loop_slopes(fixed_points_m, height.detach(), radius.detach(), steps)
     fixed_weight = weight.detach()
     # Both are zero and carry derivatives.
     drop, growth = fixed_weight * (height.detach() - height), fixed_weight * (radius - radius.detach())
     by_node = torch.cat((weight, drop, growth), dim=-1)[:, None]
     h_sum, axial_sum = ((by_node @ each.flatten(1, 2))[:, 0] for each in (of_h, of_axial))
-    (h_value, h_slope), (_, axial_slope) = (
+    (h_value, h_slope), (axial_value, axial_slope) = (
         (fixed_weight[:, None, None] @ each[:, :2])[..., 0, :].unbind(1) for each in (of_h, of_axial)
+    )
+    of_h, of_axial = torch.stack((h_value, h_slope), 1), torch.stack((axial_value, axial_slope), 1)
+    return carrying_first_order(points_m, of_h, of_axial, h_sum, axial_sum)
+
+
+def carrying_first_order(
+    points_m: Float[Tensor, "*batch point 3"],
+    of_h: Float[Tensor, "*batch 2 point"],
+    of_axial: Float[Tensor, "*batch 2 point"],
+    h_sum: Float[Tensor, "*batch point"] | None = None,
+    axial_sum: Float[Tensor, "*batch point"] | None = None,
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of loops about z from its two factors, with their first derivatives in the points.
+
+    Args:
+        points_m: Points in the coil frame.
+        of_h, of_axial: The two factors, each with its derivative along z, without derivatives of their own.
+        h_sum, axial_sum: The factors with derivatives in something else; none by default.
+    """
+    fixed_points_m = points_m.detach()
+    (h_value, h_slope), (axial_value, axial_slope) = of_h.unbind(-2), of_axial.unbind(-2)
+    h_sum, axial_sum = (
+        (h_value if h_sum is None else h_sum),
+        (axial_value if axial_sum is None else axial_sum),
     )
     rho2 = fixed_points_m[..., :2].square().sum(-1)
     # div B = 0 gives the derivative of h in rho^2, curl B = 0 that of axial.
     h_rho2 = -(h_value + 0.5 * axial_slope) / rho2.clamp(min=SMALLEST_RHO2_M2)
-    # Steps in z and rho^2; again zero, with derivatives.
+    # Steps in z and rho^2; zero, and they carry derivatives.
     step_m = points_m - fixed_points_m
     step_z, step_rho2 = step_m[..., 2], 2.0 * (fixed_points_m[..., :2] * step_m[..., :2]).sum(-1)
     h_sum = h_sum + h_slope * step_z + h_rho2 * step_rho2
@@ -96,14 +120,16 @@ def sum_to_first_order(
     return torch.stack((points_m[..., 0] * h_sum, points_m[..., 1] * h_sum, axial_sum), dim=-1)
 
 
-def _slopes(
-    points_m: Float[Tensor, "rows point 3"], nodes: Nodes, steps: int
+def loop_slopes(
+    points_m: Float[Tensor, "rows point 3"],
+    height_m: Float[Tensor, "rows node"],
+    radius_m: Float[Tensor, "rows node"],
+    steps: int,
 ) -> Float[Tensor, "2 rows 3 node point"]:
     """The two factors of each loop's field: each with its derivatives along z and in the radius."""
-    if is_plain(points_m, *nodes):
-        flat = nodes.flat()
-        return slopes_of_loops(points_m, flat.height_m, flat.radius_m, steps)
-    height, radius, _ = (value[..., None] for value in nodes.flat())
+    if is_plain(points_m, height_m, radius_m):
+        return slopes_of_loops(points_m, height_m, radius_m, steps)
+    height, radius = height_m[..., None], radius_m[..., None]
     x, y, z = (coordinate[:, None] for coordinate in points_m.unbind(-1))
     above = z - height
     h, axial, h_z, axial_z = torch.broadcast_tensors(*loop_derivatives(x, y, above, radius, steps))

@@ -16,6 +16,7 @@ from estimator.derivatives import value_and_jacobian
 from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import Use, as_meant, uses_of
 from estimator.field.node_sum import SumMode
+from estimator.inference.directions import Directions
 from estimator.model.measurement_model import MeasurementModel, NominalPrediction
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
@@ -115,8 +116,9 @@ class LogPosterior:
         All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
+        directions = self._directions
         n_readings = len(self.model.circumstances)
-        at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * n * batch.numel()))
+        at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
             parts = [
                 self.part(part).to_first_order(vector)
@@ -137,7 +139,8 @@ class LogPosterior:
             predicted_T = self._for_jacobian._predicted_at(values, batch)
             return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
-        (predicted_T, log_sigma), jacobian = value_and_jacobian(moved, vector.new_zeros(n))
+        (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
+        jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
@@ -149,6 +152,11 @@ class LogPosterior:
         if self.model.circumstances.observations.dtype is torch.float64:
             return self.model.predict(values)
         return self.model.predict(self.model.alike(values)).double()
+
+    @cached_property
+    def _directions(self) -> Directions:
+        """Directions that predictions are differentiated in."""
+        return Directions.of(self.model.rig, self.coordinates)
 
     @cached_property
     def _for_jacobian(self) -> LogPosterior:

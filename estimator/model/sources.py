@@ -31,7 +31,7 @@ from estimator.effects.use import Use, uses_of
 from estimator.field.coil import coil_field_per_ampere
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
-from estimator.field.magnetised import field_of_rings
+from estimator.field.magnetised import field_of_rings, field_of_rings_to_first_order
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.field.zones import Zone
@@ -205,12 +205,8 @@ class Sources:
         drives = use.effect.drives(delivered_A, use.theta(values))
         idle = [i for i, source in enumerate(self.rig.coils) if not len(self.powered[source.name])]
         there = [i for i in range(len(patterns)) if i not in idle]
-
-        def field(points_m: Tensor, _: Sequence[Tensor] = ()) -> Tensor:
-            return field_of_rings(points_m, rings, patterns[there]).flatten(-2)
-
-        points_m = coil_from_point.translation_m
-        flat = first_order_field(field, points_m, ()) if self._is_first_order else field(points_m)
+        field = field_of_rings_to_first_order if self._is_first_order else field_of_rings
+        flat = field(coil_from_point.translation_m, rings, patterns[there]).flatten(-2)
         flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
         flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)

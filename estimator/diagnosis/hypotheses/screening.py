@@ -13,7 +13,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
-from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import Products, log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
@@ -21,10 +21,17 @@ from estimator.rig.rig import Cause
 MOST_TOGETHER = 64  # candidates of one batch, which bounds the memory
 
 
-def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, float, Candidate]]:
+Batches = Sequence[
+    tuple[list[int], Products]
+]  # numbers of candidates, and products of their columns and, last, shifts
+
+
+def screening(
+    fit: Fit, pool: Sequence[Candidate], batches: Batches | None = None
+) -> dict[Cause, tuple[float, float, Candidate]]:
     """For every cause in the linear model: log Bayes factor averaged over its starts, that of its best start, and that start."""
     by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
-    for candidate, value in zip(pool, linear_evidence(fit, pool), strict=True):
+    for candidate, value in zip(pool, linear_evidence(fit, pool, batches), strict=True):
         by_cause.setdefault(candidate.cause, []).append((value, candidate))
     result = {}
     for cause, starts in by_cause.items():
@@ -33,41 +40,52 @@ def screening(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, tuple[float, f
     return result
 
 
-def linear_evidence(fit: Fit, pool: Sequence[Candidate]) -> list[float]:
-    """Log Bayes factor of each candidate against nothing.
-
-    Half of its prior is for all its quantities together, half for some of them. Candidates with the same quantities are taken together,
-    some at a time.
-    """
+def products_of(fit: Fit, pool: Sequence[Candidate]) -> Batches:
+    """Products of candidates at a fit. Those with the same quantities are taken together, some at a time."""
     alike: dict[tuple[str, ...], list[int]] = {}
     for i, candidate in enumerate(pool):
         alike.setdefault(candidate.keys, []).append(i)
-    result = [0.0] * len(pool)
+    batches = []
     for members in alike.values():
         for first in range(0, len(members), MOST_TOGETHER):
             some = members[first : first + MOST_TOGETHER]
-            values = _by_subset(fit, [pool[i] for i in some], pool[some[0]].subsets)
-            if values.shape[1] > 1:
-                n_parts = values.shape[1] - 1
-                of_some = torch.logsumexp(values[:, :-1], 1) - math.log(n_parts)
-                values = (torch.logaddexp(of_some, values[:, -1]) - math.log(2.0))[:, None]
-            for i, value in zip(some, values[:, 0].tolist(), strict=True):
-                result[i] = value
+            columns = torch.stack([torch.cat((pool[i].columns, pool[i].shift[:, None]), dim=1) for i in some])
+            batches.append((some, Products.of(columns, fit.projector, fit.residual)))
+    return batches
+
+
+def linear_evidence(fit: Fit, pool: Sequence[Candidate], batches: Batches | None = None) -> list[float]:
+    """Log Bayes factor of each candidate against nothing.
+
+    Half of its prior is for all its quantities together, half for some of them.
+
+    Args:
+        fit: Whose residual is asked.
+        pool: The candidates.
+        batches: Their products at the fit, where they are known.
+    """
+    result = [0.0] * len(pool)
+    for some, products in products_of(fit, pool) if batches is None else batches:
+        values = _by_subset(fit, [pool[i] for i in some], pool[some[0]].subsets, products)
+        if values.shape[1] > 1:
+            n_parts = values.shape[1] - 1
+            of_some = torch.logsumexp(values[:, :-1], 1) - math.log(n_parts)
+            values = (torch.logaddexp(of_some, values[:, -1]) - math.log(2.0))[:, None]
+        for i, value in zip(some, values[:, 0].tolist(), strict=True):
+            result[i] = value
     return result
 
 
 def _by_subset(
-    fit: Fit, candidates: Sequence[Candidate], subsets: Sequence[tuple[int, ...]]
+    fit: Fit, candidates: Sequence[Candidate], subsets: Sequence[tuple[int, ...]], products: Products
 ) -> Float[Tensor, "candidate subset"]:
     """Log Bayes factor against nothing of each subset of the columns of several candidates, by size, smallest first."""
-    columns = torch.stack([candidate.columns for candidate in candidates])
     prior_sd = torch.stack([candidate.prior_sd for candidate in candidates])
-    gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-    shift = torch.stack([candidate.shift for candidate in candidates], dim=1)
-    unfollowed = fit.projector.rest(shift)
-    score = score - (columns.mT @ unfollowed.T[..., None])[..., 0]
-    started = fit.residual @ shift - 0.5 * (shift * unfollowed).sum(0)
-    noise = fit.free_noise
+    gram = products.gram(fit.projector)
+    # At a start away from the null its shift has changed the residual.
+    score = products.score[:, :-1] - gram[:, :-1, -1]
+    started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
+    gram, noise = gram[:, :-1, :-1], fit.free_noise
     values = []
     for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
         chosen = torch.tensor(list(of_one_size))
@@ -103,5 +121,6 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     if any(q.is_shape and not q.is_fixed for q in quantities):
         # The Laplace evidence misses the width of shapes, and the linear model their bounds.
         return min(max(value, screened), value + policy.SHAPES_WIDTH), full
-    linear_value = float(_by_subset(fit, [start], start.subsets[-1:]))
+    ((_, products),) = products_of(fit, [start])
+    linear_value = float(_by_subset(fit, [start], start.subsets[-1:], products))
     return screened + value - linear_value, full

@@ -11,10 +11,12 @@ from collections.abc import Sequence
 from operator import itemgetter
 
 import torch
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.screening import products_of as screening_products
 from estimator.diagnosis.hypotheses.screening import screening
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
@@ -25,6 +27,7 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector, log_bayes_factor
 from estimator.diagnosis.structure.discrepancy import discrepancy
+from estimator.diagnosis.structure.discrepancy import products_of as curve_products
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -139,16 +142,22 @@ def comparison_steps(
         causes: Those that were taken together.
         pool, smooth: Columns of every cause and families of flexible curves at the fit.
     """
-    absent = [candidate for candidate in pool if candidate.cause not in fit.rig.effects]
-    beside = {cause: max(value, 0.0) for cause, (value, _, _) in screening(fit, absent).items()}
-    curve_beside = max(discrepancy(fit, list(smooth)).log_bayes_factor, 0.0)
+    asked = [c for c in pool if c.cause in causes or c.cause not in fit.rig.effects]
+    of_causes, of_curves = screening_products(fit, asked), curve_products(fit, smooth)
+    beside = {
+        cause: max(value, 0.0)
+        for cause, (value, _, _) in screening(fit, asked, of_causes).items()
+        if cause not in causes
+    }
+    curve_beside = max(discrepancy(fit, smooth, of_curves).log_bayes_factor, 0.0)
     steps = []
     for cause in causes:
-        without, growth = _without(fit, cause)
-        lighter = torch.full_like(fit.residual, 1.0 / growth)
-        candidates = [c.weighed(lighter) for c in pool if c.cause == cause or c.cause in beside]
-        screened = screening(without, candidates)
-        curve = discrepancy(without, [family.weighed(lighter) for family in smooth])
+        without, others, shift, growth = _without(fit, cause)
+        smaller = [(some, p.without(others, shift, growth, are_whitened=True)) for some, p in of_causes]
+        screened = screening(without, asked, smaller)
+        screened = {rival: row for rival, row in screened.items() if rival == cause or rival in beside}
+        smaller = [(some, p.without(others, shift, growth, are_whitened=False)) for some, p in of_curves]
+        curve = discrepancy(without, smooth, smaller)
         hypotheses = [
             Hypothesis(None, "nothing", 0.0),
             Hypothesis(None, "unexplained", curve.log_bayes_factor - curve_beside),
@@ -160,13 +169,13 @@ def comparison_steps(
             ),
         ]
         ranked = with_probabilities(hypotheses, len(screened))
-        of_causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
-        steps.append(Step(tuple(ranked), cause, credible_set(of_causes, cause), curve))
+        ranked_causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
+        steps.append(Step(tuple(ranked), cause, credible_set(ranked_causes, cause), curve))
     return steps
 
 
-def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
-    """The fit without one of its causes, to first order, and the factor by which its noise would grow."""
+def _without(fit: Fit, cause: Cause) -> tuple[Fit, list[int], Tensor, float]:
+    """The fit without one of its causes, to first order: the coordinates that it has, how all move, and by what its noise would grow."""
     coordinates = fit.posterior.coordinates
     of_cause, null = fit.at_null(cause)
     others = [i for i, name in enumerate(coordinates.names) if not name.startswith(f"{cause.label}.")]
@@ -176,4 +185,4 @@ def _without(fit: Fit, cause: Cause) -> tuple[Fit, float]:
     growth = 1.0 if fit.free_noise is None else max(float(residual.norm() / fit.residual.norm()), 1.0)
     jacobian = fit.jacobian[:, others] / growth
     prior = (fit.optimum.precision - fit.optimum.information)[0][others][:, others]
-    return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), growth
+    return fit.to_first_order(Projector.of(jacobian, prior), residual / growth), others, shift, growth

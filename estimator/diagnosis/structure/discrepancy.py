@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_bayes_factor_by_width, log_mean_exp
+from estimator.diagnosis.linear import Products, log_bayes_factor_by_width, log_mean_exp
 from estimator.diagnosis.structure.families.collection import Family
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
@@ -46,9 +46,18 @@ class Discrepancy:
         )
 
 
-def discrepancy(fit: Fit, families: Sequence[Family]) -> Discrepancy:
-    """Evidence for structure in the residual of a fit, from some families of curves."""
-    evidence = evidence_by_amplitude(fit, families)
+Batches = Sequence[tuple[list[int], Products]]  # numbers of families, and their products
+
+
+def discrepancy(fit: Fit, families: Sequence[Family], batches: Batches | None = None) -> Discrepancy:
+    """Evidence for structure in the residual of a fit, from some families of curves.
+
+    Args:
+        fit: Whose residual is asked.
+        families: The curves.
+        batches: Their products at the fit, where they are known.
+    """
+    evidence = evidence_by_amplitude(fit, families, batches=batches)
     by_family = by_name(families, evidence)
     total = log_mean_exp(torch.tensor(list(by_family.values()), dtype=torch.float64))
     top = int(evidence.max(1).values.argmax())
@@ -66,30 +75,41 @@ def by_name(families: Sequence[Family], evidence: Float[Tensor, "family amplitud
     return {name: log_mean_exp(torch.cat(values)) for name, values in parts.items()}
 
 
-def evidence_by_amplitude(
-    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float] | None = None
-) -> Float[Tensor, "family amplitude"]:
-    """Log Bayes factor of each family against no structure, for each amplitude in units of the noise.
-
-    Families with equally many columns are taken together, some at a time.
-
-    Args:
-        fit: Whose residual is asked.
-        families: The curves.
-        amplitudes: Rms of the curves; `policy.AMPLITUDES` by default.
-    """
-    rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
-    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+def products_of(fit: Fit, families: Sequence[Family]) -> Batches:
+    """Products of families at a fit. Families with equally many columns are taken together, some at a time."""
     by_width: dict[int, list[int]] = {}
     for i, family in enumerate(families):
         by_width.setdefault(family.columns.shape[1], []).append(i)
+    batches = []
     for width, members in by_width.items():
         n_together = max(1, MOST_COLUMNS // width)
         for first in range(0, len(members), n_together):
             some = members[first : first + n_together]
             columns = torch.stack([families[i].columns for i in some])
-            gram, score = fit.projector.grams(columns), columns.mT @ fit.residual
-            result[some] = log_bayes_factor_by_width(gram, score, rms.expand(len(some), -1), fit.free_noise)
+            batches.append((some, Products.of(columns, fit.projector, fit.residual)))
+    return batches
+
+
+def evidence_by_amplitude(
+    fit: Fit,
+    families: Sequence[Family],
+    amplitudes: Sequence[float] | None = None,
+    batches: Batches | None = None,
+) -> Float[Tensor, "family amplitude"]:
+    """Log Bayes factor of each family against no structure, for each amplitude in units of the noise.
+
+    Args:
+        fit: Whose residual is asked.
+        families: The curves.
+        amplitudes: Rms of the curves; `policy.AMPLITUDES` by default.
+        batches: Products of the families at the fit, where they are known.
+    """
+    rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
+    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+    for some, products in products_of(fit, families) if batches is None else batches:
+        gram = products.gram(fit.projector)
+        widths = rms.expand(len(some), -1)
+        result[some] = log_bayes_factor_by_width(gram, products.score, widths, fit.free_noise)
     return result
 
 
