@@ -11,7 +11,7 @@ from torch.func import jacfwd
 from estimator.field import kernel
 from estimator.field.kernel import is_plain, slopes_of_loops
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import Nodes, _slopes, sum_over_nodes, sum_to_first_order
+from estimator.field.node_sum import Nodes, loop_slopes, sum_over_nodes, sum_to_first_order
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -62,7 +62,9 @@ def test_machine_code_and_torch_give_the_same_sum_and_the_same_slopes():
         )
         with torch.no_grad():
             quick = slopes_of_loops(points_m, nodes.height_m, nodes.radius_m, 5)
-        plain = torch.func.vmap(lambda at, w: _slopes(at, w, 5))(points_m[:, None], watched_rows(nodes))
+        plain = torch.func.vmap(lambda at, w: loop_slopes(at, w.flat().height_m, w.flat().radius_m, 5))(
+            points_m[:, None], watched_rows(nodes)
+        )
         torch.testing.assert_close(quick, plain[:, :, 0].movedim(0, 1), rtol=1e-12, atol=1e-18)
 
 

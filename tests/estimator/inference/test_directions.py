@@ -37,7 +37,7 @@ def test_one_direction_for_both_sensors_gives_all_derivatives(posterior):
     assert len(directions.each) == coordinates.n - n_own
     draw = torch.randn(coordinates.n, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     vector = coordinates.start() + 0.1 * coordinates.scale * draw
-    expected = jacobian_of(lambda v: posterior._for_jacobian.predicted(v), vector)
+    expected = jacobian_of(posterior._for_jacobian.predicted, vector)
     torch.testing.assert_close(posterior.jacobian(vector), expected, rtol=1e-10, atol=1e-20)
     log_sigma = jacobian_of(lambda v: torch.log(posterior.component_sigma_T(v)), vector)
     torch.testing.assert_close(posterior.to_first_order(vector).log_sigma_jacobian, log_sigma)
