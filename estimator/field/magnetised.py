@@ -127,11 +127,13 @@ def field_of_rings_to_first_order(
     fixed_m = points_m.detach()
     rows = (len(points_m), len(height_m))
     of_each = loop_slopes(fixed_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
-    h, axial = (
-        (weight_A @ of_each).transpose(-3, -2).unbind(0)
-    )  # row, pattern, value and slope along z, point
+    # By row, pattern, value and slope along z, point.
+    h, axial = (weight_A @ of_each).transpose(-3, -2).unbind(0)
     field = carrying_first_order(points_m[:, None], h, axial)
-    return field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
+    field = field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
+    # Differences of loops magnify rounding, by other code too: the value is that of the plain field.
+    value = field_of_rings(points_coil_m.detach(), rings, magnetisation_T)
+    return value + (field - field.detach())
 
 
 def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ring 2"]:

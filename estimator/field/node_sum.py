@@ -91,10 +91,10 @@ def sum_to_first_order(
 
 def carrying_first_order(
     points_m: Float[Tensor, "*#batch point 3"],
-    of_h: Float[Tensor, "*batch 2 point"],
-    of_axial: Float[Tensor, "*batch 2 point"],
-    h_sum: Float[Tensor, "*batch point"] | None = None,
-    axial_sum: Float[Tensor, "*batch point"] | None = None,
+    of_h: Float[Tensor, "*#batch 2 point"],
+    of_axial: Float[Tensor, "*#batch 2 point"],
+    h_sum: Float[Tensor, "*#batch point"] | None = None,
+    axial_sum: Float[Tensor, "*#batch point"] | None = None,
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of loops about z from its two factors, with their first derivatives in the points.
 

@@ -102,7 +102,7 @@ def other_structures(
 ) -> OtherStructures:
     """Every hypothesis of structure, fitted alone from all its starts, then with what it leaves needed of a pile of causes.
 
-    The latter is asked of the linear model first, and fitted in full for the best `policy.MOST_LEADERS`, and for all that could be better
+    The latter is asked of the linear model first, and fitted in full for the best `policy.MOST_FITTED`, and for all that could be better
     than those.
 
     Args:
@@ -125,7 +125,7 @@ def other_structures(
     for i, cause in enumerate(causes):
         if limits.is_over:
             break
-        pace.tell(i, len(causes) + policy.MOST_LEADERS)
+        pace.tell(i, len(causes) + policy.MOST_FITTED)
         alone = _best_alone(base, cause)
         if alone is None:
             continue
@@ -137,12 +137,12 @@ def other_structures(
     asked: list[Asked] = []
     for i, trial in enumerate(trials):
         best = max((one.log_bayes_factor for one in asked), default=-math.inf)
-        if i >= policy.MOST_LEADERS and trial.log_bayes_factor <= best:
+        if i >= policy.MOST_FITTED and trial.log_bayes_factor <= best:
             asked.append(trial)
             continue
         if limits.is_over:
             break
-        pace.tell(len(causes) + min(i, policy.MOST_LEADERS - 1), len(causes) + policy.MOST_LEADERS)
+        pace.tell(len(causes) + min(i, policy.MOST_FITTED - 1), len(causes) + policy.MOST_FITTED)
         others = [c for c in piled if c != trial.cause]
         beside = _with_needed(trial.alone, pile, others, least)
         needed_causes = tuple(c for c in others if c in beside.rig.effects)

@@ -62,7 +62,9 @@ def test_machine_code_and_torch_give_the_same_sum_and_the_same_slopes():
         )
         with torch.no_grad():
             quick = slopes_of_loops(points_m, nodes.height_m, nodes.radius_m, 5)
-        plain = torch.func.vmap(lambda at, w: loop_slopes(at, w, 5))(points_m[:, None], watched_rows(nodes))
+        plain = torch.func.vmap(lambda at, w: loop_slopes(at, w.flat().height_m, w.flat().radius_m, 5))(
+            points_m[:, None], watched_rows(nodes)
+        )
         torch.testing.assert_close(quick, plain[:, :, 0].movedim(0, 1), rtol=1e-12, atol=1e-18)
 
 
