@@ -61,7 +61,7 @@ def sampling_rows(n: int, target_ess: float, stretch_steps: int, repeats: int, s
 
         return run
 
-    runs = {
+    runs: dict[str, Callable[[int], Convergence]] = {
         "coilcal, whole loop counts": coilcal(lattice),
         "coilcal, real loop counts": coilcal(continuous),
         PLAIN: lambda run_seed: stretch(continuous, fit, stretch_steps, N_WALKERS, run_seed)[1],

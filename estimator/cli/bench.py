@@ -123,10 +123,7 @@ def _measures(tiny: bool, repeats: int, seed: int) -> dict[str, Callable[[], lis
 
 
 def _number(value: Any) -> str:
-    return (
-        f"{value:,.3g}"
-        if isinstance(value, float) and value < 100
-        else f"{value:,.0f}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    """Three digits, without powers of ten."""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:,.3g}" if value < 100 else f"{value:,.0f}"
