@@ -15,6 +15,7 @@ from estimator.units import MU0_T_M_PER_A
 
 RADIUS_M, N_AXIAL, N_RADIAL, PITCH_M = 0.051, 48, 25, 0.98e-3  # the paper's simulated coil
 LOOPS_PER_CALL = 16_384  # of NumPy codes: arrays this long stay in the cache
+LEAST_S = 0.2  # of calls in a repeat: one takes a millisecond, which any other process lengthens
 STEP_M = 1e-5  # of differences, where a library has no derivatives
 MAGPYLIB = "magpylib, every loop"
 DIFFERENCES = "magpylib, central differences"
@@ -52,7 +53,7 @@ def derivative_rows(n_points: int, repeats: int, seed: int) -> list[Row]:
 
 def _rows(methods: dict[str, Field], points_m: np.ndarray, unit: str, repeats: int, peer: str) -> list[Row]:
     calls = {name: lambda method=method: method(points_m) for name, method in methods.items()}
-    seconds = by_turns(calls, repeats)
+    seconds = by_turns(calls, repeats, LEAST_S)
     rows = [
         Row(name, unit, tuple(len(points_m) / taken_s for taken_s in values))
         for name, values in seconds.items()

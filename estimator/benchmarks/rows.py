@@ -47,14 +47,19 @@ class Row:
         }
 
 
-def timed(call: Callable[[], Any]) -> float:
-    """Seconds of the clock that a call takes."""
+def timed(call: Callable[[], Any], least_s: float = 0.0) -> float:
+    """Seconds of the clock that a call takes: of one, or the mean of as many as `least_s` needs."""
     begin_s = time.perf_counter()
-    call()
-    return time.perf_counter() - begin_s
+    n_calls = 0
+    while n_calls == 0 or time.perf_counter() - begin_s < least_s:
+        call()
+        n_calls += 1
+    return (time.perf_counter() - begin_s) / n_calls
 
 
-def by_turns(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, tuple[float, ...]]:
+def by_turns(
+    calls: Mapping[str, Callable[[], Any]], repeats: int, least_s: float = 0.0
+) -> dict[str, tuple[float, ...]]:
     """Seconds of each repeat of each call.
 
     Calls take turns, so that a busy moment of the machine affects all. The first turn loads and compiles, and does not count.
@@ -62,7 +67,7 @@ def by_turns(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, 
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(repeats + 1):
         for name, call in calls.items():
-            taken_s = timed(call)
+            taken_s = timed(call, least_s)
             if turn:
                 seconds[name].append(taken_s)
     return {name: tuple(values) for name, values in seconds.items()}

@@ -43,7 +43,7 @@ PARTS = {
 def bench_command(only: str | None, repeats: int, tiny: bool, seed: int, as_json: bool) -> None:
     """Print how fast coilcal is here, beside magpylib and plain emcee in the same run.
 
-    Seconds are those of the clock. It takes about three minutes where nothing else runs; compare ratios where something does.
+    Seconds are those of the clock. It takes about two minutes where nothing else runs; compare ratios where something does.
     """
     import torch
 
@@ -110,7 +110,7 @@ def _measures(tiny: bool, repeats: int, seed: int) -> dict[str, Callable[[], lis
     from estimator.benchmarks.sessions import diagnosis_rows, live_rows
 
     points = 20 if tiny else 1000
-    side, target_ess, stretch_steps = (3, 200.0, 60) if tiny else (5, 4000.0, 1000)
+    side, target_ess, stretch_steps = (3, 200.0, 60) if tiny else (5, 4000.0, 3000)
     diagnosed, timed = (3, 3) if tiny else (8, 30)
     return {
         "fields": lambda: field_rows(points, repeats, seed),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +15,7 @@ import torch
 from click.testing import Result
 
 from estimator.benchmarks import fields, machine
-from estimator.benchmarks.rows import Row, by_turns, with_ratios
+from estimator.benchmarks.rows import Row, by_turns, timed, with_ratios
 from estimator.benchmarks.sessions import RIG
 from estimator.cli.bench import PARTS, line_of
 
@@ -24,8 +25,8 @@ needs_magpylib = pytest.mark.skipif(find_spec("magpylib") is None, reason="magpy
 
 
 @pytest.mark.whole
-def test_every_part_has_rows_with_median_and_range(run: Run) -> None:
-    printed = run("bench", "--tiny", "--repeats", 2, "--seed", 150000, "--json")
+def test_every_part_has_rows_beside_their_peers(run: Run) -> None:
+    printed = run("bench", "--tiny", "--repeats", 1, "--seed", 150000, "--json")
     assert printed.exit_code == 0
     result = json.loads(printed.stdout)
     assert set(result) == {"machine", "repeats", "seed", "is_tiny", "warnings", "parts"}
@@ -33,8 +34,7 @@ def test_every_part_has_rows_with_median_and_range(run: Run) -> None:
     assert list(result["parts"]) == list(PARTS)
     for rows in result["parts"].values():
         for row in rows:
-            assert len(row["values"]) == 2
-            assert 0.0 < row["smallest"] <= row["median"] <= row["largest"]
+            assert 0.0 < row["smallest"] == row["median"] == row["largest"]
     sampling = {row["name"]: row for row in result["parts"]["sampling"]}
     assert len(sampling) == 3
     plain = sampling["emcee's stretch move, real loop counts"]
@@ -45,14 +45,21 @@ def test_every_part_has_rows_with_median_and_range(run: Run) -> None:
 
 
 def test_only_takes_some_parts_in_words(run: Run) -> None:
-    printed = run("bench", "--tiny", "--repeats", 1, "--only", "live,fields")
+    printed = run("bench", "--tiny", "--repeats", 3, "--only", "live,fields")
     assert printed.exit_code == 0
     lines = printed.stdout.splitlines()
     assert lines[0].startswith("processor ")
     assert "threads 1" in lines[0]
-    assert lines[1] == "seed 0, 1 repeats: median (smallest to largest)"
+    assert lines[1] == "seed 0, 3 repeats: median (smallest to largest)"
     assert [line for line in lines if line in PARTS.values()] == [PARTS["fields"], PARTS["live"]]
     assert "measuring live" in printed.stderr
+
+
+def test_repeats_are_printed_with_median_and_range(run: Run) -> None:
+    printed = run("bench", "--tiny", "--repeats", 3, "--only", "fields", "--json")
+    for row in json.loads(printed.stdout)["parts"]["fields"]:
+        assert len(row["values"]) == 3
+        assert [row["smallest"], row["median"], row["largest"]] == sorted(row["values"])
 
 
 def test_an_unknown_part_is_refused_in_one_sentence(run: Run) -> None:
@@ -106,6 +113,13 @@ def test_calls_take_turns_and_the_first_turn_does_not_count() -> None:
     seconds = by_turns({name: lambda name=name: order.append(name) for name in "ab"}, repeats=2)
     assert order == ["a", "b", "a", "b", "a", "b"]
     assert [len(values) for values in seconds.values()] == [2, 2]
+
+
+def test_short_calls_are_repeated_and_their_mean_counts() -> None:
+    calls: list[None] = []
+    taken_s = timed(lambda: calls.append(time.sleep(0.001)), least_s=0.02)
+    assert 1 < len(calls) <= 20
+    assert taken_s * len(calls) >= 0.02
 
 
 def test_a_line_has_median_range_and_ratio() -> None:
