@@ -10,6 +10,7 @@ import click
 
 from estimator.cli.acquire import acquire_command
 from estimator.cli.batch import batch_command
+from estimator.cli.bench import bench_command
 from estimator.cli.calibrate import calibrate_command
 from estimator.cli.check import check_command
 from estimator.cli.compare import compare_command
@@ -73,5 +74,6 @@ for command in (
     acquire_command,
     live_command,
     serve_group,
+    bench_command,
 ):
     main.add_command(command)

@@ -18,9 +18,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from estimator import draw_truth, load_plan, load_rig, simulate
 from estimator.batching.stacked import stacked_fits
+from estimator.benchmarks.machine import processor
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.inference.laplace import covariance
-from scripts.benchmarks.machine import processor
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PRECISIONS = {"double": torch.float64, "single": torch.float32}

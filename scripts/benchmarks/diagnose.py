@@ -11,18 +11,10 @@ from pathlib import Path
 import torch
 
 from estimator import Session, diagnose, draw_truth, load_plan, load_rig, simulate
+from estimator.benchmarks.sessions import grid_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-PLAN = """\
-schema_version: 1
-name: 512 readings
-poses:
-  calibration:
-    arm1: {x_mm: {from: -50, to: 50, count: 8}, y_mm: {from: -50, to: 50, count: 8}, z_mm: {from: -25, to: 25, count: 8}}
-currents_A: [{coil1: 3}]
-order: random
-settle_s: 0.5
-"""
+PLAN = grid_plan(8)
 HIDDEN = ({}, {"axis_gain.x": 0.01}, {"cross_axis.xy": 0.01}, {"coil_heating": 0.02}, {"iron_plate": 0.5})
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,10 +12,21 @@ import numpy as np
 import torch
 from scipy.special import ellipe, ellipk
 
+from estimator.benchmarks.fields import (
+    N_AXIAL,
+    N_RADIAL,
+    PITCH_M,
+    RADIUS_M,
+    Field,
+    by_rule,
+    loops_of_paper,
+    magpylib_loops,
+    over_loops,
+    winding_of,
+)
 from estimator.field.loop import loop_field
 from estimator.field.winding import (
     DEFAULT_TOLERANCE,
-    Rule,
     Winding,
     choose_rule,
     exact_rule,
@@ -24,10 +34,7 @@ from estimator.field.winding import (
 )
 from estimator.units import MU0_T_M_PER_A
 
-RADIUS_M, N_AXIAL, N_RADIAL, PITCH_M = 0.051, 48, 25, 0.98e-3  # the paper's simulated coil
 ALL_DIGITS = 1e-13  # tolerance of a rule that is as exact as the full sum
-LOOPS_PER_CALL = 16_384  # of NumPy codes: arrays this long stay in the cache
-Field = Callable[[np.ndarray], np.ndarray]
 
 
 def fields(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -95,10 +102,8 @@ def loop_methods() -> dict[str, Field]:
 
 def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray) -> dict[str, Field]:
     """Every method for the same winding; the rules are chosen for the region of the points `near_m`."""
-    one = torch.ones((), dtype=torch.float64)
-    winding = Winding(RADIUS_M * one, n_axial * one, n_radial * one, PITCH_M * one, PITCH_M * one)
-    heights_m = np.repeat(-PITCH_M * (np.arange(n_axial) + 0.5), n_radial)
-    radii_m = np.tile(RADIUS_M - PITCH_M * (np.arange(n_radial) + 0.5), n_axial)
+    winding = winding_of(n_axial, n_radial)
+    heights_m, radii_m = loops_of_paper(n_axial, n_radial)
     circles = [
         magpylib.current.Circle(diameter=2.0 * radius_m, current=1.0, position=(0.0, 0.0, height_m))
         for height_m, radius_m in zip(heights_m, radii_m, strict=True)
@@ -111,28 +116,13 @@ def winding_methods(n_axial: int, n_radial: int, near_m: np.ndarray) -> dict[str
         f"rule to {DEFAULT_TOLERANCE:.0e}": choose_rule(winding, near),
     }
 
-    def coilcal(rule: Rule) -> Field:
-        return lambda points_m: winding_field_per_ampere(torch.from_numpy(points_m), winding, rule).numpy()
-
-    def in_pieces(loops: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Field:
-        def field(points_m: np.ndarray) -> np.ndarray:
-            pieces = np.array_split(points_m, max(1, len(points_m) * len(radii_m) // LOOPS_PER_CALL))
-            return np.concatenate([summed(loops, piece) for piece in pieces])
-
-        return field
-
-    def summed(loops: Callable[[np.ndarray, np.ndarray], np.ndarray], piece: np.ndarray) -> np.ndarray:
-        relative = piece[:, None, :] - np.stack((0.0 * heights_m, 0.0 * heights_m, heights_m), axis=-1)
-        by_loop = loops(relative.reshape(-1, 3), np.tile(radii_m, len(piece)))
-        return by_loop.reshape(len(piece), -1, 3).sum(axis=1)
-
     methods = {
-        f"coilcal, {name}, {rule.axial_nodes} x {rule.radial_nodes}": coilcal(rule)
+        f"coilcal, {name}, {rule.axial_nodes} x {rule.radial_nodes}": by_rule(winding, rule)
         for name, rule in rules.items()
     }
     return methods | {
-        "SciPy ellipk, ellipe, eq 4": in_pieces(scipy_loops),
-        "magpylib core": in_pieces(magpylib_loops),
+        "SciPy ellipk, ellipe, eq 4": over_loops(scipy_loops, heights_m, radii_m),
+        "magpylib core": over_loops(magpylib_loops, heights_m, radii_m),
         "magpylib Collection.getH": lambda points_m: MU0_T_M_PER_A * collection.getH(points_m),
     }
 
@@ -148,11 +138,3 @@ def scipy_loops(points_m: np.ndarray, a_m: np.ndarray | float) -> np.ndarray:
     radial = common * z / rho**2 * (-k + (a_m**2 + rho**2 + z**2) / alpha2 * e)
     axial = common * (k + (a_m**2 - rho**2 - z**2) / alpha2 * e)
     return np.stack((radial * x, radial * y, axial), axis=1)
-
-
-def magpylib_loops(points_m: np.ndarray, a_m: np.ndarray | float) -> np.ndarray:
-    x, y, z = points_m.T
-    rho = np.hypot(x, y)
-    radii_m = np.broadcast_to(np.asarray(a_m), rho.shape)
-    h_rho, _, h_z = magpylib.core.current_circle_Hfield(r0=radii_m, r=rho, z=z, i0=np.ones(len(rho)))
-    return MU0_T_M_PER_A * np.stack((h_rho * x / rho, h_rho * y / rho, h_z), axis=1)

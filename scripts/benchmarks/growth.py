@@ -24,6 +24,7 @@ import numpy as np
 import torch
 
 from estimator import SamplerSettings, Session, calibrate, draw_truth
+from estimator.benchmarks.machine import processor
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
@@ -31,7 +32,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from scripts.benchmarks.machine import peak_memory_GB, processor, use_cores
+from scripts.benchmarks.machine import peak_memory_GB, use_cores
 
 SEED = 4
 NOISE_T = 20e-6

@@ -21,10 +21,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from estimator.benchmarks.machine import processor
 from estimator.field import kernel
 from estimator.field.node_sum import Nodes, sum_over_nodes
 from estimator.units import MU0_T_M_PER_A
-from scripts.benchmarks.machine import processor, use_cores
+from scripts.benchmarks.machine import use_cores
 
 C_SOURCE = Path(__file__).with_name("loops.c")
 N_POINTS, N_LOOPS = 2048, 64  # of the paper's coil, by its usual rule

@@ -19,11 +19,12 @@ from pathlib import Path
 import torch
 
 from estimator import Observations, draw_truth, load_plan, load_rig, simulate
+from estimator.benchmarks.sessions import entry_of
 from estimator.cli.live_session import POLL_S
 from estimator.live.stream import Stream
 from estimator.store.follow import Follower
-from estimator.store.growing import StopReadings, new_header, observations_of
-from estimator.store.journal import Entry, Journal
+from estimator.store.growing import new_header, observations_of
+from estimator.store.journal import Journal
 
 RIG, PLAN = "configs/paper_simulation.yaml", "configs/plans/recommended.yaml"
 N_TIMED = 60
@@ -92,13 +93,6 @@ def write(session: Path, readings: Observations, pause_s: float, is_ready: Event
         for row in range(n_before, len(readings)):
             time.sleep(pause_s)
             journal.append(entry_of(readings, row))
-
-
-def entry_of(readings: Observations, row: int) -> Entry:
-    motion = {name: motion[row].tolist() for name, motion in readings.motion.items()}
-    field_T = {"hall": readings.field_sensor_T[row].tolist()}
-    current_A = readings.current_A[row].tolist()
-    return StopReadings(time.monotonic(), current_A, motion, field_T, False, 0).entry()
 
 
 def follow(

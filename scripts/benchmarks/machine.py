@@ -1,12 +1,10 @@
-"""The machine of a benchmark: processor, usable cores and peak memory."""
+"""What a benchmark takes of the machine: cores and peak memory."""
 
 from __future__ import annotations
 
 import os
-import platform
 import resource
 import sys
-from pathlib import Path
 
 
 def use_cores(number: int) -> int:
@@ -15,13 +13,6 @@ def use_cores(number: int) -> int:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:number])
         return len(os.sched_getaffinity(0))
     return number
-
-
-def processor() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    names = (line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
 
 
 def peak_memory_GB() -> float:

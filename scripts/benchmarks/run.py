@@ -17,7 +17,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from scripts.benchmarks.machine import peak_memory_GB, processor, use_cores
+from estimator.benchmarks.machine import processor
+from scripts.benchmarks.machine import peak_memory_GB, use_cores
 
 GOAL_S, GOAL_ESS, GOAL_GB = 10.0, 10_000.0, 1.5  # on two cores
 PACKAGES = ("torch", "numpy", "scipy", "emcee", "arviz", "magpylib")

@@ -15,16 +15,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import emcee
 import numpy as np
 import torch
 
 from estimator import SamplerSettings, load_plan, load_rig, simulate
+from estimator.benchmarks.sampling import N_WALKERS, mixture_of, stretch
 from estimator.effects.attach import with_effect
-from estimator.inference.convergence import Convergence, convergence
-from estimator.inference.ensemble import BURN_IN_SHARE, reported_parameters, sample
-from estimator.inference.laplace import covariance
-from estimator.inference.lattice import CountMixture, count_mixture
+from estimator.inference.convergence import Convergence
+from estimator.inference.ensemble import sample
+from estimator.inference.lattice import CountMixture
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
@@ -35,7 +34,6 @@ from estimator.rig.coordinates import Coordinates
 from scripts.benchmarks.machine import peak_memory_GB
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-N_WALKERS = 32
 MANY_WALKERS, MANY_SHARE = 512, 0.4  # of plain emcee, and its share of the steps
 
 
@@ -111,31 +109,6 @@ def fitted(
     if options.tiny:
         return levenberg_marquardt(posterior, posterior.coordinates.vector(truth)[None])
     return point_estimate(posterior, readings, options.seed).fit
-
-
-def mixture_of(continuous: LogPosterior, target: LogPosterior, fit: Optimum, seed: int) -> CountMixture:
-    mixture = count_mixture(continuous, target, fit, np.random.default_rng(seed))
-    if mixture is None:
-        raise RuntimeError("the loop counts of this session are too uncertain for a table")
-    return mixture
-
-
-def stretch(
-    posterior: LogPosterior, fit: Optimum, steps: int, n_walkers: int, seed: int
-) -> tuple[int, Convergence]:
-    """Plain emcee with its default move on the same kernel, started in the posterior."""
-
-    def log_prob(vectors: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            return posterior(torch.from_numpy(vectors)).numpy()
-
-    random = np.random.RandomState(seed)
-    start = random.multivariate_normal(fit.vector[0].numpy(), covariance(fit.precision)[0].numpy(), n_walkers)
-    sampler = emcee.EnsembleSampler(n_walkers, start.shape[1], log_prob, vectorize=True)
-    state = emcee.State(start, random_state=random.get_state())
-    sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-    chain = sampler.get_chain(discard=int(BURN_IN_SHARE * steps))
-    return steps * n_walkers, convergence(reported_parameters(posterior.coordinates, chain))
 
 
 def repeated(run: Callable[[int], tuple[int, Convergence]], options: argparse.Namespace) -> dict[str, Any]:

@@ -18,8 +18,9 @@ from pathlib import Path
 import torch
 
 from estimator import Session, calibrate, diagnose, draw_truth, load_plan, load_rig, simulate
+from estimator.benchmarks.machine import processor
 from scripts.benchmarks.diagnose import HIDDEN, PLAN
-from scripts.benchmarks.machine import processor, use_cores
+from scripts.benchmarks.machine import use_cores
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 # Words, end of the file, name of the function.

@@ -1,0 +1,1 @@
+"""What `coilcal bench` measures; `scripts/benchmarks` uses the same parts."""
