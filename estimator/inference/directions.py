@@ -44,16 +44,15 @@ class Directions:
         """Those of the continuous coordinates of a rig."""
         names = coordinates.names[: coordinates.n_continuous]
         owners = [_owner(rig, name) for name in names]
-        n_every, n_own = owners.count(EVERY), Counter[int]()
-        number, n_before = [], 0
-        for owner in owners:
-            if owner == EVERY:
-                number.append(n_before)
-                n_before += 1
-            else:
-                number.append(n_every + n_own[owner])
-                n_own[owner] += 1
-        n_directions = n_every + max(n_own.values(), default=0)
+        n_own, shared, number = Counter[int](), dict[int, int](), []
+        n_directions = 0
+        for (
+            owner
+        ) in owners:  # numbered as they come, so that directions that nothing shares are the coordinates
+            direction = n_directions if owner == EVERY else shared.setdefault(n_own[owner], n_directions)
+            n_own[owner] += 1
+            n_directions = max(n_directions, direction + 1)
+            number.append(direction)
         device = coordinates.device
         of_coordinate = torch.tensor(number, dtype=torch.int64, device=device)
         each = torch.zeros(n_directions, len(names), dtype=torch.float64, device=device)

@@ -58,3 +58,13 @@ def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(p
     directions = Directions.of(exchanged.model.rig, exchanged.coordinates)
     assert bool((directions.sensor == EVERY).all())
     assert not directions.is_compressed
+
+
+def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates() -> None:
+    """Its noise stands before the causes of the room."""
+    posterior = posterior_with(
+        make_problem(COIL, f"{{one: {{{SENSOR}}}}}"), Cause("background_field", "room")
+    )
+    vector = posterior.coordinates.start() + 1e-3
+    expected = jacobian_of(posterior.predicted, vector)
+    assert torch.allclose(posterior.to_first_order(vector).jacobian_T, expected, rtol=1e-9, atol=1e-12)
