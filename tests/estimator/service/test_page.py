@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -169,7 +170,7 @@ def test_serve_shows_the_page_where_that_is_asked_for(
     opened: list[str] = []
     told: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.setattr(serve, "create_app", lambda _: None)
+    monkeypatch.setattr(serve, "create_app", lambda _: SimpleNamespace(state=SimpleNamespace(core=None)))
     monkeypatch.setattr("uvicorn.Server.run", until_the_browser_is_open)
     monkeypatch.setattr(serve, "install_logs", lambda: None)
     for opens in (False, True):
