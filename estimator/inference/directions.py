@@ -46,9 +46,8 @@ class Directions:
         owners = [_owner(rig, name) for name in names]
         n_own, shared, number = Counter[int](), dict[int, int](), []
         n_directions = 0
-        for (
-            owner
-        ) in owners:  # numbered as they come, so that directions that nothing shares are the coordinates
+        # Numbered as they come, so that directions that nothing shares are the coordinates.
+        for owner in owners:
             direction = n_directions if owner == EVERY else shared.setdefault(n_own[owner], n_directions)
             n_own[owner] += 1
             n_directions = max(n_directions, direction + 1)

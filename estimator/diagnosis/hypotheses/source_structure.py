@@ -138,7 +138,7 @@ def other_structures(
     for i, trial in enumerate(trials):
         if limits.is_over:
             break
-        pace.tell(len(causes) + i, len(causes) + len(trials))
+        pace.tell(len(causes) + i, 2 * len(causes))
         others = [c for c in piled if c != trial.cause]
         beside = _with_needed(trial.alone, pile, others, least)
         needed_causes = tuple(c for c in others if c in beside.rig.effects)
