@@ -15,7 +15,7 @@ from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import Extent
 from estimator.readings.observations import SECONDS_PER_HOUR
-from estimator.reporting.numbers import interval_with_unit, odds, size_with_unit
+from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
 from estimator.units import split_quotient
@@ -79,7 +79,9 @@ def _what(diagnosis: Diagnosis) -> str:
         return f"{_capital('; '.join(found))}."
     search = diagnosis.findings.search
     remainder = search.steps[-1].discrepancy
-    if leaves_structure(search.scatter) and not leaves_structure(remainder):
+    if _is_pulled(diagnosis):
+        dependence = f"{_pulled(diagnosis)} lies {abs(search.pull.widths):.2g} widths of its prior from what the rig file states"
+    elif leaves_structure(search.scatter) and not leaves_structure(remainder):
         dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
     else:
         if remainder.log_bayes_factor <= 0.0:
@@ -89,6 +91,19 @@ def _what(diagnosis: Diagnosis) -> str:
         )
     unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+
+
+def _is_pulled(diagnosis: Diagnosis) -> bool:
+    """Whether all that is left unexplained is that a number lies far outside its prior."""
+    search = diagnosis.findings.search
+    return leaves_structure(search.pull) and not leaves_structure(search.steps[-1].discrepancy)
+
+
+def _pulled(diagnosis: Diagnosis) -> str:
+    """The number that is pulled farthest from its prior."""
+    return displays([parameter.name for parameter in diagnosis.rig.free])[
+        diagnosis.findings.search.pull.name
+    ].words
 
 
 def _plain(dependence: str) -> str:
@@ -218,6 +233,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return (
             f"To tell them apart, measure {best.action.words} (expected {odds(best.expected_log_evidence)})."
         )
+    if diagnosis.verdict is Verdict.UNEXPLAINED and _is_pulled(diagnosis):
+        return f"Check {_pulled(diagnosis)} in the rig file; state a wider prior if such a value is possible, and diagnose again."
     if (correction := diagnosis.fits.correction) is not None and correction.is_taken:
         return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:

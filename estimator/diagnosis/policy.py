@@ -236,6 +236,10 @@ SCATTER_AMPLITUDES = (0.3, 1.0)
 """How far the size of misses depends on something, in standard deviations of their normal scores. By judgement: less
 is hardly visible in a hundred readings, and more is not possible for long. Study: not in it."""
 
+WIDER_PRIORS = (4.0, 16.0)
+"""How many times wider than stated the prior of a number of the rig may truly be. By judgement: a factor of four apart, so that a number
+4 to 60 widths off is expected by one of them. Study: not in it."""
+
 # What is in no list
 
 PRIOR_OUTSIDE = 0.3
@@ -252,6 +256,10 @@ credible set. By measurement (docs/decisions/0040). Study: not in it."""
 
 LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
 """The same, up to which a name is stated alone whatever its size. By definition of a credible set. Study: not in it."""
+
+LEAST_BESIDE_AN_ODD_SIZE = 0.3
+"""Probability that a cause larger than its source allows (`PLAUSIBLE_SD`) is something else, at least. As `PRIOR_OUTSIDE`: the fit says
+nothing for the name that something else which resembles it would not. By measurement (docs/decisions/0063). Study: not in it."""
 
 MORE_THAN_OF_NOISE = math.log(3.0)
 """Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone

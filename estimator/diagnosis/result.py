@@ -188,7 +188,7 @@ class Diagnosis:
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
         search = self.findings.search
-        left = max(p_of_structure(one) for one in (search.steps[-1].discrepancy, search.scatter))
+        left = max(p_of_structure(one) for one in (search.steps[-1].discrepancy, search.scatter, search.pull))
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:
@@ -257,6 +257,11 @@ class Diagnosis:
             "scatter": {
                 "log_bayes_factor": search.scatter.log_bayes_factor,
                 "depends_on": search.scatter.along,
+            },
+            "pull": {
+                "log_bayes_factor": search.pull.log_bayes_factor,
+                "parameter": search.pull.name,
+                "widths": search.pull.widths,
             },
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),

@@ -16,12 +16,11 @@ from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
-    leaves_structure,
     shares_of,
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
-from estimator.diagnosis.structure.relatives import unknown_beside
+from estimator.diagnosis.structure.relatives import Unknown, unknown_beside
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -86,7 +85,7 @@ class NamedCause:
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome. `unexplained` where structure remains, or where a flexible curve does better than several causes together."""
     prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
-    if leaves_structure(search.steps[-1].discrepancy) or leaves_structure(search.scatter):
+    if search.leaves_structure:
         return Verdict.UNEXPLAINED
     curve_log_odds = search.base_discrepancy.log_bayes_factor + prior
     if len(named) > 1 and curve_log_odds > max(policy.LEAST_LOG_ODDS, search.log_odds):
@@ -119,6 +118,8 @@ def named_causes(search: Search) -> list[NamedCause]:
         if step.taken is None or step.taken not in final_causes:
             continue
         unknown = unknown_beside(search.final, step.taken, search.curves)
+        if not is_plausible(search.final, step.taken):
+            unknown = Unknown(max(unknown.probability, policy.LEAST_BESIDE_AN_ODD_SIZE))
         shares = {
             cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()
         }

@@ -21,7 +21,8 @@ from scripts.studies.hidden_cases import (
     row_of,
     share_and_interval,
 )
-from scripts.studies.open_world import ABSENT, LEAST_OF_A_SET, lone_name, stated
+from scripts.studies.imitation import left_of_truth
+from scripts.studies.open_world import ABSENT, LEAST_OF_A_SET, NEAR_SIGMA, is_refutable, lone_name, stated
 from tests.hidden.library import ALL
 from tests.hidden.open_session import adjustable_of, draw_open_session
 from tests.hidden.rivals import left_beside
@@ -39,10 +40,7 @@ HEADS = (
     "error on unseen readings over the noise",
 )
 NO_TWIN, EXACT_TWIN, NEAR_TWIN = "", "exact twin", "near twin"
-EXACT_SIGMA, NEAR_SIGMA = (
-    1.0,
-    5.0,
-)  # what of a hidden cause another leaves: nothing to see, too little to be named
+EXACT_SIGMA = 1.0  # of a hidden cause that another leaves: nothing to see
 
 
 def main() -> None:
@@ -62,7 +60,7 @@ def run_case(name: str, seed: int, sigma: float) -> Row:
     )
     with without(name):
         diagnosis, seconds = diagnosed(hidden, seed)
-        row = row_of(name, hidden, diagnosis, seconds)
+        row = row_of(name, hidden, diagnosis, seconds) | {"left_of_truth": left_of_truth(hidden, diagnosis)}
     assert hidden.rig is not None
     left = left_beside(adjustable_of(hidden.rig, hidden.scene), hidden.flaws[0], EFFECTS)
     return row | {
@@ -100,7 +98,7 @@ def says_unknown(row: Row) -> bool:
 
 
 def wrong_names(row: Row) -> list[str]:
-    """Names stated alone, all wrong by construction, but for twins of the hidden cause."""
+    """Names stated alone, all wrong by construction, but for twins of the hidden cause as the linear imitation tells them."""
     twins = {name for name, left in row["left_beside"].items() if left < NEAR_SIGMA}
     return [name for name in map(lone_name, row["causes"]) if name is not None and name not in twins]
 
@@ -117,7 +115,15 @@ def show(rows: list[Row]) -> None:
     for words, count in (
         ("unexplained or a set with something not in the library", sum(map(says_unknown, apart))),
         ("a lone wrong name", sum(bool(wrong_names(row)) for row in apart)),
+        (
+            "of these one that readings could refute",
+            sum(bool(wrong_names(row)) and is_refutable(row) for row in apart),
+        ),
         ("nothing found", sum(row["verdict"] == "nothing_found" for row in apart)),
+        (
+            "of these with something to find",
+            sum(row["verdict"] == "nothing_found" and is_refutable(row) for row in apart),
+        ),
     ):
         print(f"- {words}: {share_and_interval(count, len(apart))}")
 

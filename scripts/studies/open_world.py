@@ -28,12 +28,14 @@ from scripts.studies.hidden_cases import (
     share,
     share_and_interval,
 )
+from scripts.studies.imitation import left_of_truth
 from tests.hidden.study import OPEN_KINDS, draw_case, is_relative
 
 ABSENT = "not in the library"
 ANOTHER = "another of the library"
 LEAST_OF_A_SET = 0.05  # a 95 % credible set names what is as probable as this
 LEAST_SCORED = 1e-3  # probabilities below count as this: reports state no smaller ones
+NEAR_SIGMA = 5.0  # of a truth without noise that the named causes leave: too little to be told from it
 NEAR_NOISE = 1.1  # error on unseen readings over the noise up to which a model is as good as the readings
 NEAR_90 = 0.05  # of a 90 % interval's coverage
 EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
@@ -60,7 +62,7 @@ def run_case(kind: str, seed: int) -> Row:
     """Hide a cause, or none, and diagnose."""
     hidden = draw_case(kind, seed, EFFECTS)
     diagnosis, seconds = diagnosed(hidden, seed)
-    row = row_of(kind, hidden, diagnosis, seconds)
+    row = row_of(kind, hidden, diagnosis, seconds) | {"left_of_truth": left_of_truth(hidden, diagnosis)}
     for cause in row["truth"]:
         cause["is_known"] = cause["name"] in EFFECTS
     return row
@@ -100,6 +102,11 @@ def is_named_wrongly(row: Row) -> bool:
     truths = [cause["label"] for cause in row["truth"]]
     names = [cause["name"].partition("[")[0] for cause in row["causes"]]
     return row["verdict"] == "named" and any(name not in truths for name in names)
+
+
+def is_refutable(row: Row) -> bool:
+    """Whether readings could tell the causes that were found from the hidden ones, by a fit of them to readings without noise."""
+    return bool(row["left_of_truth"] >= NEAR_SIGMA)
 
 
 def prediction(row: Row) -> dict[str, float] | None:
@@ -169,6 +176,8 @@ def show_kind(kind: str, rows: list[Row]) -> None:
         print(f"  {words:20} {share_and_interval(sum(bool(one[place]) for one in lone), n)}")
     strict = sum(is_named_wrongly(row) for row in rows)
     print(f"  named, not the truth {share_and_interval(strict, n)}")
+    refutable = sum(is_named_wrongly(row) and is_refutable(row) for row in rows)
+    print(f"  of these a name that readings could refute {share_and_interval(refutable, n)}")
     show_unseen([row for row in rows if row["gain"]])
 
 

@@ -38,6 +38,7 @@ from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.pull import Pull, pull_of
 from estimator.diagnosis.structure.scatter import Scatter, scatter_of
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
@@ -93,6 +94,16 @@ class Search:
     def scatter(self) -> Scatter:
         """Whether readings scatter otherwise than the final fit says."""
         return scatter_of(self.final)
+
+    @cached_property
+    def pull(self) -> Pull:
+        """Whether the final fit pulls a number of the rig far from its prior."""
+        return pull_of(self.final)
+
+    @property
+    def leaves_structure(self) -> bool:
+        """Whether the posterior odds favour something unexplained: in the residual, in how readings scatter, or in a number of the rig."""
+        return any(leaves_structure(one) for one in (self.steps[-1].discrepancy, self.scatter, self.pull))
 
     @property
     def source_seems_wrong(self) -> bool:

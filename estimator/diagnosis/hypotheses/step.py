@@ -25,6 +25,7 @@ from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.pull import Pull
 from estimator.diagnosis.structure.scatter import Scatter
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
@@ -167,17 +168,17 @@ def least_log_evidence(n_causes: int) -> float:
     )
 
 
-def leaves_structure(remainder: Discrepancy | Scatter) -> bool:
+def leaves_structure(remainder: Discrepancy | Scatter | Pull) -> bool:
     """Whether the posterior odds favour something unexplained in the residual."""
     return _log_odds_left(remainder) > policy.LEAST_LOG_ODDS_LEFT
 
 
-def p_of_structure(remainder: Discrepancy | Scatter) -> float:
+def p_of_structure(remainder: Discrepancy | Scatter | Pull) -> float:
     """Posterior probability that something unexplained is in the residual."""
     return 1.0 / (1.0 + math.exp(-min(max(_log_odds_left(remainder), -700.0), 700.0)))
 
 
-def _log_odds_left(remainder: Discrepancy | Scatter) -> float:
+def _log_odds_left(remainder: Discrepancy | Scatter | Pull) -> float:
     return remainder.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
 
 

@@ -1,0 +1,63 @@
+"""Whether the readings pull a number of the rig far from what its prior expects.
+
+A wrong number in the rig file leaves no residual where the number is free: the fit moves it, against its prior. No curve shows that. A
+prior that is right keeps its number within three or four of its widths.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.linear import log_mean_exp
+from estimator.rig.parameters import LogNormal, Normal
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Evidence that the prior of a number of the rig is wrong.
+
+    Attributes:
+        log_bayes_factor: Of a wider prior against the stated one, averaged over numbers and widths.
+        name: The number that is pulled farthest; empty where none has a prior with a width.
+        widths: How far from the middle of its prior it lies, in the prior's standard deviations.
+    """
+
+    log_bayes_factor: float
+    name: str = ""
+    widths: float = 0.0
+
+
+def pull_of(fit: Fit) -> Pull:
+    """The evidence that one of the numbers that a rig file states lies outside its prior; not of causes, and not of the noise.
+
+    A fit that the prior holds back would go farther without it. To first order, with `g = 1 - (sd / prior sd)^2` the share of its knowledge
+    that the readings have of a number that lies `z` prior widths off, a prior `A` times as wide has a log Bayes factor of
+    `z^2 / (2 (g + 1 / A^2)) - log(1 + g A^2) / 2`.
+    """
+    causes = tuple(f"{cause.label}." for cause in fit.rig.effects)
+    evidence, farthest = [], Pull(0.0)
+    for parameter in fit.rig.free:
+        prior, name = parameter.prior, parameter.name
+        if not isinstance(prior, Normal | LogNormal) or name.startswith(causes) or name.endswith(".noise_T"):
+            continue
+        value = float(fit.values[name])
+        widths = prior.distance(value)
+        width = value * prior.relative_sd if isinstance(prior, LogNormal) else prior.sd
+        known = min(max(1.0 - (fit.value_sd(name) / width) ** 2, 0.0), 1.0)
+        evidence += [_log_bayes_factor(widths, known, wider) for wider in policy.WIDER_PRIORS]
+        if abs(widths) > abs(farthest.widths):
+            farthest = Pull(0.0, name, widths)
+    if not evidence:
+        return farthest
+    mean = log_mean_exp(torch.tensor(evidence, dtype=torch.float64))
+    return Pull(mean, farthest.name, farthest.widths)
+
+
+def _log_bayes_factor(widths: float, known: float, wider: float) -> float:
+    """Of a prior so many times wider, for a number so many prior widths off, of which the readings know a share."""
+    return 0.5 * widths**2 / (known + wider**-2) - 0.5 * math.log1p(known * wider**2)
