@@ -257,10 +257,6 @@ credible set. By measurement (docs/decisions/0040). Study: not in it."""
 LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
 """The same, up to which a name is stated alone whatever its size. By definition of a credible set. Study: not in it."""
 
-LEAST_BESIDE_AN_ODD_SIZE = 0.3
-"""Probability that a cause larger than its source allows (`PLAUSIBLE_SD`) is something else, at least. As `PRIOR_OUTSIDE`: the fit says
-nothing for the name that something else which resembles it would not. By measurement (docs/decisions/0063). Study: not in it."""
-
 MORE_THAN_OF_NOISE = math.log(3.0)
 """Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone
 between these two. By measurement: four fifths of noise stay below, and 16 of 18 right names at 30 standard deviations

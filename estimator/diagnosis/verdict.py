@@ -20,7 +20,7 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
-from estimator.diagnosis.structure.relatives import Unknown, unknown_beside
+from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -118,8 +118,6 @@ def named_causes(search: Search) -> list[NamedCause]:
         if step.taken is None or step.taken not in final_causes:
             continue
         unknown = unknown_beside(search.final, step.taken, search.curves)
-        if not is_plausible(search.final, step.taken):
-            unknown = Unknown(max(unknown.probability, policy.LEAST_BESIDE_AN_ODD_SIZE))
         shares = {
             cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()
         }

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from estimator import diagnose, load_rig
+from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS, ORDER
+from estimator.store.importers.readings_csv import read_readings_csv
+from scripts.studies.imitation import left_of_truth
 from scripts.studies.leave_one_out import mark, says_unknown, without, wrong_names
 from scripts.studies.open_world import (
     ABSENT,
     ANOTHER,
+    NEAR_SIGMA,
     lone_name,
     lone_names,
     outcome,
@@ -20,6 +26,7 @@ from scripts.studies.open_world import (
     stated,
     statements,
 )
+from tests.hidden.open_session import draw_open_session
 
 Row = dict[str, Any]
 
@@ -46,6 +53,7 @@ def row(truth: str, verdict: str, *causes: Row, is_known: bool = True, unknown: 
         "gain": {"before": {"vector_T": 3e-5}, "after": {"vector_T": 2e-5}},
         "p_not_in_library": unknown,
         "seconds": 1.0,
+        "left_of_truth": 7.0,
     }
 
 
@@ -108,6 +116,7 @@ def test_the_summary_counts_verdicts_and_scores(capsys: pytest.CaptureFixture[st
     show(rows)
     printed = capsys.readouterr().out
     assert "lone wrong name      33.3% (1 of 3), 95 % interval 0.8% to 90.6%" in printed
+    assert "of these a name that readings could refute 33.3% (1 of 3)" in printed
     assert "at least 95%, mean 100.0%: 0.0% (0 of 1)" in printed
     assert "something was said in 66.7% (2 of 3); 33.3% (1 of 3) hold a cause outside the library" in printed
     log, brier = (0.6931 + 6.9078) / 2.0, (0.5 + 2.0) / 2.0  # a half; certain and wrong
@@ -115,6 +124,27 @@ def test_the_summary_counts_verdicts_and_scores(capsys: pytest.CaptureFixture[st
     assert "error on unseen readings over the noise, median: 1.73 before, 1.15 after" in printed
     points = [line for line in plot_reliability(statements(rows)).lines if line.get_marker() == "o"]
     assert [(p.get_xdata()[0], p.get_ydata()[0]) for p in points] == [(0.5, 0.5), (1.0, 0.0)]
+
+
+def test_a_twin_of_the_truth_is_no_name_that_readings_could_refute(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    show([row("tram_walk", "named", cause("axis_gain", 1.0), is_known=False) | {"left_of_truth": 4.9}])
+    printed = capsys.readouterr().out
+    assert "named, not the truth 100.0% (1 of 1)" in printed
+    assert "of these a name that readings could refute 0.0% (0 of 1)" in printed
+
+
+@pytest.mark.whole
+def test_what_is_left_of_the_truth_is_its_visible_size_without_causes_and_little_with_a_twin(
+    tmp_path: Path,
+) -> None:
+    hidden = draw_open_session([1], lambda possible: ["sensor_offset"], 30.0, 150_000)
+    hidden.write(tmp_path)
+    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
+    without_causes, named = (diagnose(session, limits=Limits(most)) for most in (0, 1))
+    assert left_of_truth(hidden, without_causes) == pytest.approx(hidden.visible[0].sigma, rel=0.1)
+    assert left_of_truth(hidden, named) < NEAR_SIGMA  # `background_field`, its twin with one sensor
 
 
 def test_a_cause_left_out_comes_back_in_its_place_even_after_a_failure() -> None:

@@ -26,8 +26,6 @@ from estimator.diagnosis.verdict import (
     stand_ins,
     verdict_of,
 )
-from estimator.effects import EFFECTS
-from estimator.effects.circumstances import Extent
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -231,16 +229,3 @@ def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig, sm
     moved = replace(far, prior=Normal(far.value - 8e-3, 1e-3), value=far.value - 8e-3)
     fit = fit_of(small_rig.with_parameters([moved]), small_session.observations.calibration)
     assert verdict_of(search_with(fit, fit, LAST), []) is Verdict.UNEXPLAINED
-
-
-def test_a_cause_larger_than_its_source_allows_is_not_named_alone(small_rig, small_session):
-    """A clean fit speaks for it, yet something else may as well be there, as often as something in no list is."""
-    seen = small_session.observations.calibration
-    sd = EFFECTS[GAIN.name].quantities(Extent())[0].prior.sd
-    doubt = []
-    for widths in (2.0, 6.0):
-        fit = fit_of(small_rig, with_wrong(small_rig, seen, GAIN, {"x": widths * sd}), GAIN)
-        (found,) = named_causes(search_with(fit, fit, step(GAIN, {GAIN: CLEAR}), LAST))
-        doubt.append(found.p_not_in_library)
-    assert doubt[0] < policy.LEAST_BESIDE_AN_ODD_SIZE <= doubt[1]
-    assert found.may_be_unknown
