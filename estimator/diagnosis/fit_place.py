@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
+from estimator.inference.secant import climb_with_secants, is_worthwhile
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 
@@ -40,4 +41,6 @@ def climbed(posterior: LogPosterior, start: Float[Tensor, "start coordinate"], t
         far = LogPosterior(posterior.coordinates, model, there)
         ahead = levenberg_marquardt(far, start.to(there.device), tolerance=tolerance, is_race=True)
         start = ahead.vector[ahead.log_posterior.argmax()][None].cpu()
+    if is_worthwhile(posterior, start):
+        return climb_with_secants(posterior, start, tolerance)[0]
     return levenberg_marquardt(posterior, start, tolerance=tolerance, is_race=True)

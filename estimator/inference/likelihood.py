@@ -153,6 +153,11 @@ class LogPosterior:
             return self.model.predict(values)
         return self.model.predict(self.model.alike(values)).double()
 
+    @property
+    def n_directions(self) -> int:
+        """Number of directions that predictions are differentiated in."""
+        return len(self._directions.each)
+
     @cached_property
     def _directions(self) -> Directions:
         """Directions that predictions are differentiated in."""
@@ -198,9 +203,21 @@ class LogPosterior:
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
             return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
-        sigma_T = self.component_sigma_T(vector)
-        whitened = (self.measured_T - self.predicted(vector)) / sigma_T
-        log_density, _ = self._scatter(whitened, vector)
+        return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
+
+    def log_likelihood_of(
+        self,
+        predicted_T: Float[Tensor, "*batch component"],
+        sigma_T: Float[Tensor, "*batch component"],
+        vector: Float[Tensor, "*batch coordinate"],
+    ) -> Float[Tensor, "*batch"]:
+        """The same, where predictions and noise are known already.
+
+        Args:
+            predicted_T, sigma_T: At the vector.
+            vector: Says how readings scatter.
+        """
+        log_density, _ = self._scatter((self.measured_T - predicted_T) / sigma_T, vector)
         constant = 0.5 * math.log(2.0 * math.pi) * len(self._flat)
         return (log_density - torch.log(sigma_T)).sum(-1) - constant
 
