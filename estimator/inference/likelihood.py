@@ -86,7 +86,7 @@ class LogPosterior:
         new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
         other = copy(self)
-        other.__dict__.pop("_for_jacobian", None)
+        other.__dict__.pop("for_jacobian", None)
         other.model = self.model.part(readings)
         other._flat = new_entry[self._flat[mine]]
         other.measured_T, other.sensor = self.measured_T[..., mine], self.sensor[mine]
@@ -136,7 +136,7 @@ class LogPosterior:
         def moved(step: Tensor) -> Tensor:
             there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
             values = self.coordinates.values(there)
-            predicted_T = self._for_jacobian._predicted_at(values, batch)
+            predicted_T = self.for_jacobian._predicted_at(values, batch)
             return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
         (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
@@ -164,7 +164,7 @@ class LogPosterior:
         return Directions.of(self.model.rig, self.coordinates)
 
     @cached_property
-    def _for_jacobian(self) -> LogPosterior:
+    def for_jacobian(self) -> LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
         other.model = self.model.with_mode(SumMode.FIRST_ORDER)
