@@ -36,6 +36,7 @@ class Optimum:
         precision: Negative Hessian of the log posterior: Gauss-Newton for the data, exact for a prior that is not flat.
         information: The data's part of it (Fisher information).
         is_converged: The predicted increase by a further step inside the prior is below the tolerance.
+        slopes: Predictions and noise to first order at the maximum, where the climb keeps them.
     """
 
     vector: Float[Tensor, "start coordinate"]
@@ -44,6 +45,7 @@ class Optimum:
     information: Float[Tensor, "start continuous continuous"]
     is_converged: Bool[Tensor, " start"]
     n_iterations: int
+    slopes: FirstOrder | None = None
 
     def rows(self, index: slice | Tensor) -> Optimum:
         """Select starts."""

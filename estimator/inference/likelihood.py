@@ -110,18 +110,24 @@ class LogPosterior:
         """Jacobian of the predictions in every continuous coordinate."""
         return self.to_first_order(vector).jacobian_T
 
-    def to_first_order(self, vector: Float[Tensor, "*batch coordinate"]) -> FirstOrder:
-        """Predictions, noise, and how both change with every continuous coordinate.
+    def to_first_order(
+        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"] | None = None
+    ) -> FirstOrder:
+        """Predictions, noise, and how both change with every continuous coordinate, or with some of them.
 
         All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
+
+        Args:
+            vector: The coordinates.
+            columns: Numbers of those that derivatives are taken in; all by default.
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
-        directions = self._directions
+        directions = self._directions if columns is None else self._directions.only(columns)
         n_readings = len(self.model.circumstances)
         at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
             parts = [
-                self.part(part).to_first_order(vector)
+                self.part(part).to_first_order(vector, columns)
                 for part in torch.arange(n_readings, device=vector.device).split(at_once)
             ]
             components, jacobians = slice(0, 2), slice(2, 4)
@@ -142,6 +148,19 @@ class LogPosterior:
         (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
         jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
+
+    def log_sigma_jacobian(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component continuous"]:
+        """How the logarithm of the noise changes with every continuous coordinate."""
+        n, directions = self.coordinates.n_continuous, self._directions
+
+        def moved(step: Tensor) -> Tensor:
+            there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
+            return torch.log(self.component_sigma_T(there))
+
+        _, along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
+        return directions.jacobian(along, self.sensor)
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.

@@ -45,7 +45,7 @@ def climb_with_secants(
     tolerance: float,
     slopes: FirstOrder | None = None,
     max_iterations: int = 60,
-) -> tuple[Optimum, FirstOrder]:
+) -> Optimum:
     """Climb to the nearest maximum of the posterior, as `levenberg_marquardt` does from one start.
 
     The Jacobians of predictions and noise are corrected by Broyden's rank-one update, the least change in units of the posterior's
@@ -57,7 +57,7 @@ def climb_with_secants(
         tolerance: Stop where a Newton step would increase the log density by less than this.
         slopes: Derivatives at the start, which may be those of a similar model; exact ones by default.
         max_iterations: Largest number of steps.
-    Returns: The maximum with its curvature, and predictions and noise there to first order, both exact.
+    Returns: The maximum with its exact curvature and slopes.
     References: Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. (2004), section 3.5; Broyden,
         Math. Comput. 19, 577 (1965).
     """
@@ -103,15 +103,15 @@ def climb_with_secants(
         before.append(at.value)
         is_stalled = len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
     is_converged = is_at_bound or promised < max(tolerance, 1e-6)
-    optimum = Optimum(
+    return Optimum(
         at.vector,
         posterior(at.vector),
         model.precision,
         model.information,
         torch.tensor([is_converged], device=at.vector.device),
         iteration,
+        model.first_order,
     )
-    return optimum, model.first_order
 
 
 class _Point:

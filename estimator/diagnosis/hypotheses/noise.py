@@ -88,7 +88,8 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
     if use.effect.kind is Kind.SENSOR:
         noise = f"{use.place}.noise_T"
         start[noise] = fit.values[noise] * estimate.noise_factor
-    full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
+    rules = fit.posterior.model.rules
+    full = fit_rig(rig, fit.observations, start, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
     if not full.still_has(use.cause):
         return 0.0, full
     # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.

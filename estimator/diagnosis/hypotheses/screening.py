@@ -110,7 +110,12 @@ def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
     circumstances = fit.posterior.model.circumstances
     rig = with_effect(fit.rig, start.cause, observations, start.shapes, circumstances=circumstances)
     full = fit_rig(
-        rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE
+        rig,
+        observations,
+        fit.start_with(rig),
+        fit.posterior.model.rules,
+        tolerance=policy.ROUGH_TOLERANCE,
+        near=fit,
     )
     value = full.log_evidence - fit.log_evidence
     if not math.isfinite(value):

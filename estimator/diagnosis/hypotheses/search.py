@@ -132,7 +132,7 @@ def search(
     if is_alone and leaves_structure(state.steps[-1].discrepancy) and not limits.is_over:
         fit = state.with_alternative(fit)
     if state.added(fit):
-        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules)
+        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -241,9 +241,8 @@ class _SearchState:
         for cause in self.added(fit):
             if self.limits.is_over:
                 return fit
-            without = fit_rig(
-                fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.model.rules
-            )
+            rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
+            without = fit_rig(rig, fit.observations, fit.values, rules, near=fit)
             self.tell(f"testing {cause.label} again, beside the others")
             step = self.step(without)
             if step.taken is None:
@@ -381,14 +380,14 @@ class _SearchState:
         self.tell(f"testing {first.cause.label} and {second.cause.label} together")
         rig = with_effect(fit.rig, first.cause, fit.observations, first.shapes)
         rig = with_effect(rig, second.cause, fit.observations, second.shapes)
-        both = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
+        rules = fit.posterior.model.rules
+        both = fit_rig(rig, fit.observations, fit.start_with(rig), rules, near=fit)
         if both.log_evidence - fit.log_evidence <= least:
             return None
         steps = []
         for cause in (first.cause, second.cause):
-            without = fit_rig(
-                both.rig.without_cause(cause), fit.observations, both.values, fit.posterior.model.rules
-            )
+            rig = both.rig.without_cause(cause)
+            without = fit_rig(rig, fit.observations, both.values, rules, near=both)
             step = self.step(without)
             if step.taken is None:
                 return None
@@ -450,7 +449,7 @@ def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         if cause is None or evidence[cause] > policy.SURELY_NEEDED:
             return fit, dropped
         rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
-        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
         if best.log_evidence <= fit.log_evidence:
             return fit, dropped
         dropped.append(cause)

@@ -124,7 +124,9 @@ def fit_with_needed(fit: Fit, rig: Rig, causes: Sequence[Cause], least: float) -
         least: Log evidence that each needs.
     """
     rules = fit.posterior.model.rules
-    wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+    wider = fit_rig(
+        rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE, near=fit
+    )
     while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
         for cause in idle:
@@ -132,7 +134,9 @@ def fit_with_needed(fit: Fit, rig: Rig, causes: Sequence[Cause], least: float) -
         causes = [cause for cause in causes if cause not in idle]
         if not causes:
             return fit
-        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+        wider = fit_rig(
+            rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=wider
+        )
     return wider
 
 
