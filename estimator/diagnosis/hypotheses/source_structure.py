@@ -145,7 +145,7 @@ def other_structures(
             break
         pace.tell(len(causes) + i, 2 * len(causes))
         others = [c for c in piled if c != trial.cause]
-        beside = _with_needed(trial, pile, others, least)
+        beside = _with_needed(base, trial, pile, others, least)
         needed_causes = tuple(c for c in others if c in beside.rig.effects)
         value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
         asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
@@ -194,14 +194,17 @@ def _changes_nothing(base: Fit, alone: Fit, cause: Cause) -> bool:
     return all(float(each.abs().max()) < NO_CHANGE for each in (change, columns) if each.numel())
 
 
-def _with_needed(trial: Asked, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
+def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
     """The fit with those causes of a pile whose evidence suffices beside a hypothesis of structure.
 
-    It starts from the pile, which has moved all numbers to where the readings want them, and from the hypothesis as it is fitted alone.
+    It starts from the pile, which has moved all numbers to where the readings want them. Where the hypothesis explains something alone, the
+    fit with it alone is another start, for in a pile other causes have already taken its place.
     """
-    label = f"{trial.cause.label}."
-    rig = pile.rig.without_cause(trial.cause) if trial.cause in pile.rig.effects else pile.rig
-    rig = rig.with_cause(trial.cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
+    cause, label = trial.cause, f"{trial.cause.label}."
+    rig = pile.rig.without_cause(cause) if cause in pile.rig.effects else pile.rig
+    rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
     own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
-    beside = fit_with_needed(pile, rig, others, least, {**pile.values, **own})
-    return trial.alone if beside is pile else beside
+    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own})]
+    if trial.alone.log_evidence - base.log_evidence > least:
+        fits.append(fit_with_needed(trial.alone, rig, others, least))
+    return max((trial.alone if fit is pile else fit for fit in fits), key=lambda fit: fit.log_evidence)
