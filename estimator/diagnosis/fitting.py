@@ -163,9 +163,7 @@ class Fit:
         if len(new):
             jacobian_T[..., new] = posterior.to_first_order(vector, new).jacobian_T
         sigma_T = posterior.component_sigma_T(vector)
-        return FirstOrder(
-            self.predicted_T[None], sigma_T, jacobian_T, posterior.log_sigma_jacobian(vector)
-        )
+        return FirstOrder(self.predicted_T[None], sigma_T, jacobian_T, posterior.log_sigma_jacobian(vector))
 
     @cached_property
     def projector(self) -> Projector:
@@ -322,6 +320,7 @@ def fit_rig(
     more_starts: int = 0,
     tolerance: float | None = None,
     near: Fit | None = None,
+    other_start: Mapping[str, Tensor] | None = None,
 ) -> Fit:
     """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
@@ -333,6 +332,7 @@ def fit_rig(
         more_starts: Number of draws of the prior.
         tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
+        other_start: Values of some parameters that replace those of the start where the density is then higher.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)
@@ -343,6 +343,10 @@ def fit_rig(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
+    if other_start is not None:
+        other = coordinates.vector({n: v for n, v in {**start, **other_start}.items() if n in rig.parameters})
+        vector = torch.cat((vector, other[None]))
+        vector = vector[posterior(vector).argmax()][None]
     tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
     journal = current_journal()
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)

@@ -90,7 +90,9 @@ def climb_with_secants(
         if is_at_bound:
             continue
         ratio = (there.value - at.value) / max(expected, 1e-300)
-        first_order = model.first_order if there.is_outside else _corrected(model.first_order, at, there, scale)
+        first_order = (
+            model.first_order if there.is_outside else _corrected(model.first_order, at, there, scale)
+        )
         if there.value > at.value:
             shrink = min(max(1.0 - (2.0 * ratio - 1.0) ** 3, LEAST_SHRINK), 2.0)
             damping, growth, n_refused = max(damping * shrink, SMALLEST_DAMPING), 2.0, 0
@@ -101,7 +103,9 @@ def climb_with_secants(
         if not (is_exact and at is not there):
             model, is_exact = model.moved(posterior, at, first_order), False
         before.append(at.value)
-        is_stalled = len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
+        is_stalled = (
+            len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
+        )
     is_converged = is_at_bound or promised < max(tolerance, 1e-6)
     return Optimum(
         at.vector,

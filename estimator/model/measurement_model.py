@@ -310,6 +310,7 @@ class MeasurementModel:
         poses = Transform(rotation[..., None, :, :, :], translation_m[..., None, :, :])
         of_each = {name: value[..., None] if value.dim() else value for name, value in values.items()}
         field_T = self._field_at(of_each, _shifted(poses, elements_m))  # batch, element, reading, axis
+        field_T = field_T.expand(*field_T.shape[:-3], 3, *field_T.shape[-2:])  # where it is the same for all
         own_T: Tensor = torch.diagonal(field_T, dim1=-3, dim2=-1)
         return own_T
 

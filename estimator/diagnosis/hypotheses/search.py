@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -175,6 +176,7 @@ class _SearchState:
         self.steps: list[Step] = []
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
+        self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
 
     def added(self, fit: Fit) -> list[Cause]:
         """Causes of a fit beyond the base."""
@@ -402,7 +404,15 @@ class _SearchState:
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
-        return take_step(fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder)
+        step = take_step(
+            fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder, self.reached
+        )
+        for hypothesis in step.hypotheses:
+            if hypothesis.fit is not None and hypothesis.cause is not None:
+                own = f"{hypothesis.cause.label}."
+                values = hypothesis.fit.values
+                self.reached[hypothesis.cause] = {n: v for n, v in values.items() if n.startswith(own)}
+        return step
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""

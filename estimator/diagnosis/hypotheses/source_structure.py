@@ -31,7 +31,6 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
-
 NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of a cause without an effect on any reading
 
 
@@ -186,7 +185,9 @@ def _best_alone(base: Fit, cause: Cause) -> Fit | None:
 
 def _changes_nothing(base: Fit, alone: Fit, cause: Cause) -> bool:
     """Whether a cause changes no prediction, neither as it is fitted nor to first order: of a coil without current, for one."""
-    own = [i for i, name in enumerate(alone.posterior.coordinates.names) if name.startswith(f"{cause.label}.")]
+    own = [
+        i for i, name in enumerate(alone.posterior.coordinates.names) if name.startswith(f"{cause.label}.")
+    ]
     with torch.no_grad():
         without_T = base.posterior.measured_components(base.posterior.model.predict(alone.values))
     change = (alone.predicted_T - without_T) * alone.whitening_per_T

@@ -58,7 +58,9 @@ def assert_same_maximum(found: Optimum, exact: Optimum) -> None:
 
 
 @pytest.mark.parametrize("more", [(), (WIDER,), (ROBUST,)], ids=["free noise", "jitter", "outliers"])
-def test_maximum_and_curvature_are_those_of_exact_jacobians(problem: Problem, more: tuple[Cause, ...]) -> None:
+def test_maximum_and_curvature_are_those_of_exact_jacobians(
+    problem: Problem, more: tuple[Cause, ...]
+) -> None:
     posterior = posterior_of(problem, *SENSOR_CAUSES, *more)
     start = posterior.coordinates.start()[None]
     found = climb_with_secants(posterior, start, TOLERANCE)
@@ -73,7 +75,9 @@ def test_maximum_and_curvature_are_those_of_exact_jacobians(problem: Problem, mo
 def test_few_jacobians_are_made(problem: Problem) -> None:
     posterior = posterior_of(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
-    with patch.object(LogPosterior, "to_first_order", autospec=True, side_effect=LogPosterior.to_first_order) as made:
+    with patch.object(
+        LogPosterior, "to_first_order", autospec=True, side_effect=LogPosterior.to_first_order
+    ) as made:
         found = climb_with_secants(posterior, start, TOLERANCE)
         n_with_secants = made.call_count
         exact = levenberg_marquardt(posterior, start, tolerance=TOLERANCE)
@@ -105,7 +109,9 @@ def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Proble
     posterior = posterior_of(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     slopes = posterior.to_first_order(start)
-    wrong = slopes._replace(jacobian_T=slopes.jacobian_T * torch.linspace(0.5, 1.5, slopes.jacobian_T.shape[-1]))
+    wrong = slopes._replace(
+        jacobian_T=slopes.jacobian_T * torch.linspace(0.5, 1.5, slopes.jacobian_T.shape[-1])
+    )
     found = climb_with_secants(posterior, start, TOLERANCE, wrong)
     assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
 
