@@ -292,6 +292,7 @@ def solve(matrix: Tensor, right: Tensor) -> Tensor:
 
 
 def diagonal_of(matrix: Tensor) -> Tensor:
+    """Diagonal of each matrix."""
     return torch.diagonal(matrix, dim1=-2, dim2=-1)
 
 

@@ -1,8 +1,8 @@
 """Levenberg-Marquardt with secants: between exact Jacobians, each step corrects the last one by what it has shown.
 
 Where many numbers are free, a Jacobian costs as much as a dozen densities and changes little from step to step; a gradient costs two.
-The gradient is therefore exact at every step, and only the curvature is corrected. A climb may start from the Jacobian of a similar model. It
-ends with an exact one, so that the curvature at the maximum and the test of convergence are those of `levenberg_marquardt`.
+The gradient is therefore exact at every step, and only the curvature is corrected. A climb may start from the Jacobian of a similar model.
+It ends with an exact one, so that the curvature at the maximum and the test of convergence are those of `levenberg_marquardt`.
 """
 
 from __future__ import annotations
