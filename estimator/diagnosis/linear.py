@@ -141,7 +141,8 @@ def _times_each(
 ) -> Float[Tensor, "batch row vector"]:
     """A matrix times each of several sets of vectors, as one product: many small ones take two to sixteen times as long."""
     together = sets.transpose(0, 1).flatten(1)
-    return (matrix @ together).unflatten(1, (len(sets), sets.shape[-1])).transpose(0, 1)
+    product: Tensor = (matrix @ together).unflatten(1, (len(sets), sets.shape[-1])).transpose(0, 1)
+    return product
 
 
 @dataclass(frozen=True)
