@@ -143,12 +143,14 @@ def _sums(points_m: Tensor, rings: Rings, magnetisation_T: Tensor) -> Tensor:
     """The two factors of the field of each pattern, and their slopes along z: by factor, row, pattern, value and slope, point."""
     step_m = DIFFERENCE_STEP * rings.radius_m
     radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
-    weight_A = torch.cat((radial_A - axial_A, axial_A, -radial_A), dim=-1)
     height_m = torch.cat((rings.height_m, rings.height_m, rings.height_m + step_m))
     radius_m = torch.cat((rings.radius_m, rings.radius_m + step_m, rings.radius_m))
     rows = (len(points_m), len(height_m))
     of_each = loop_slopes(points_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
-    return (weight_A @ of_each).transpose(-3, -2)
+    # Differences first: sums of many loops would round by as much as their difference is worth.
+    ring, wider, higher = of_each.chunk(3, dim=-2)
+    total: Tensor = axial_A @ (wider - ring) - radial_A @ (higher - ring)
+    return total.transpose(-3, -2)
 
 
 def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ring 2"]:
