@@ -6,7 +6,7 @@ less than single precision tells: both, and the last step of every fit, are made
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
-from estimator.inference.likelihood import LogPosterior
+from estimator.inference.likelihood import FirstOrder, LogPosterior
+from estimator.inference.secant import climb_with_secants, is_worthwhile
 from estimator.model.measurement_model import MeasurementModel
 
 _current: ContextVar[tuple[torch.device, torch.dtype] | None] = ContextVar("current", default=None)
@@ -31,8 +32,20 @@ def climbing_on(device: torch.device, dtype: torch.dtype) -> Iterator[None]:
         _current.reset(token)
 
 
-def climbed(posterior: LogPosterior, start: Float[Tensor, "start coordinate"], tolerance: float) -> Optimum:
-    """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it on the processor."""
+def climbed(
+    posterior: LogPosterior,
+    start: Float[Tensor, "start coordinate"],
+    tolerance: float,
+    slopes: Callable[[], FirstOrder | None] = lambda: None,
+) -> Optimum:
+    """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it on the processor.
+
+    Args:
+        posterior: Density to maximise.
+        start: Coordinates to start from.
+        tolerance: Rise in log density by a further step below which the climb stops.
+        slopes: Gives derivatives of a similar model at the only start; None where there are none.
+    """
     readings = posterior.model.circumstances.observations
     there = readings if (place := _current.get()) is None else readings.to(*place)
     if there is not readings:
@@ -40,4 +53,7 @@ def climbed(posterior: LogPosterior, start: Float[Tensor, "start coordinate"], t
         far = LogPosterior(posterior.coordinates, model, there)
         ahead = levenberg_marquardt(far, start.to(there.device), tolerance=tolerance, is_race=True)
         start = ahead.vector[ahead.log_posterior.argmax()][None].cpu()
+    if is_worthwhile(posterior, start):
+        known = slopes() if there is readings else None
+        return climb_with_secants(posterior, start, tolerance, known)
     return levenberg_marquardt(posterior, start, tolerance=tolerance, is_race=True)

@@ -22,7 +22,7 @@ from estimator.effects.use import Use
 from estimator.field.winding import Rule
 from estimator.inference.laplace import covariance, log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, solve
-from estimator.inference.likelihood import LogPosterior
+from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -139,8 +139,31 @@ class Fit:
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
         """Whitened Jacobian of the predictions in the coordinates."""
-        jacobian_T: Tensor = self.posterior.jacobian(self.vector)
+        jacobian_T: Tensor = self.posterior.jacobian(self.optimum.vector)[0]
         return jacobian_T * self.whitening_per_T[:, None]
+
+    def slopes_for(self, posterior: LogPosterior, vector: Float[Tensor, "1 coordinate"]) -> FirstOrder:
+        """Predictions and noise of a similar model of the same readings to first order, as a climb may start from.
+
+        Derivatives in the coordinates that both models have are those of this fit; in the others they are exact.
+
+        Args:
+            posterior: Density of the other model.
+            vector: Its coordinates, near this fit.
+        """
+        mine, other = self.posterior.coordinates, posterior.coordinates
+        known = dict(zip(zip(mine.names, mine.labels, strict=True), range(mine.n), strict=True))
+        keys = list(zip(other.names, other.labels, strict=True))
+        new = torch.tensor([i for i, key in enumerate(keys) if key not in known], dtype=torch.int64)
+        shared = torch.tensor([i for i, key in enumerate(keys) if key in known], dtype=torch.int64)
+        source = [known[key] for key in keys if key in known]
+        jacobian_T = vector.new_zeros(1, len(self.predicted_T), other.n)
+        whitening_per_T = self.whitening_per_T.clamp(min=1e-300)
+        jacobian_T[0, :, shared] = self.jacobian[:, source] / whitening_per_T[:, None]
+        if len(new):
+            jacobian_T[..., new] = posterior.to_first_order(vector, new).jacobian_T
+        sigma_T = posterior.component_sigma_T(vector)
+        return FirstOrder(self.predicted_T[None], sigma_T, jacobian_T, posterior.log_sigma_jacobian(vector))
 
     @cached_property
     def projector(self) -> Projector:
@@ -296,6 +319,8 @@ def fit_rig(
     rules: Mapping[str, Rule],
     more_starts: int = 0,
     tolerance: float | None = None,
+    near: Fit | None = None,
+    other_start: Mapping[str, Tensor] | None = None,
 ) -> Fit:
     """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
@@ -306,6 +331,8 @@ def fit_rig(
         rules: Quadrature rule of each winding.
         more_starts: Number of draws of the prior.
         tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
+        near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
+        other_start: Values of some parameters that replace those of the start where the density is then higher.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)
@@ -316,17 +343,28 @@ def fit_rig(
             (vector, coordinates.sample_prior(np.random.default_rng(more_starts), more_starts))
         )
         vector = vector[torch.isfinite(posterior(vector))]
+    if other_start is not None:
+        other = coordinates.vector({n: v for n, v in {**start, **other_start}.items() if n in rig.parameters})
+        vector = torch.cat((vector, other[None]))
+        vector = vector[posterior(vector).argmax()][None]
     tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
     journal = current_journal()
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known)
-    optimum = climbed(posterior, vector, tolerance)
+    is_near = near is not None and near.observations is observations
+    optimum = climbed(
+        posterior, vector, tolerance, lambda: near.slopes_for(posterior, vector) if near and is_near else None
+    )
     top = int(optimum.log_posterior.argmax())
     best = optimum.rows(slice(top, top + 1))
     if journal is not None:
         journal.add(key, best)
-    return Fit(posterior, best)
+    fit = Fit(posterior, best)
+    if (slopes := optimum.slopes) is not None:  # what the climb ended with is not made again
+        fit.__dict__.update(predicted_T=slopes.predicted_T[0])
+        fit.__dict__.update(jacobian=slopes.jacobian_T[0] * fit.whitening_per_T[:, None])
+    return fit
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:

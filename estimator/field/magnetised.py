@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
+from estimator.field.kernel import is_plain
 from estimator.field.loop import loop_terms
 from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
@@ -25,6 +26,7 @@ DIFFERENCE_STEP = (
     1e-5  # of a ring's radius: distance of the two loops whose difference stands for a ring of dipoles
 )
 AGM_STEPS = 7  # enough next to a ring
+POINTS_AT_ONCE = 2048  # whose factors are kept for every ring, which bounds the memory
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,8 @@ def field_of_rings(
     >>> bool(abs(field_T / (2.0 * 2.0 * math.pi * 0.1 * 1e-4 / (4.0 * math.pi * 10.0**3)) - 1.0) < 1e-3)
     True
     """
+    if is_plain(points_coil_m):
+        return _in_machine_code(points_coil_m, rings, magnetisation_T)
     # The two loops differ by less than single precision shows.
     x, y, z = points_coil_m.double()[..., None].unbind(-2)
     step_m = DIFFERENCE_STEP * rings.radius_m
@@ -119,21 +123,34 @@ def field_of_rings_to_first_order(
     points_m = (
         points_coil_m.double().flatten(0, -3) if points_coil_m.ndim > 2 else points_coil_m.double()[None]
     )
+    h, axial = _sums(points_m.detach(), rings, magnetisation_T).unbind(0)
+    field = carrying_first_order(points_m[:, None], h, axial)
+    return field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
+
+
+def _in_machine_code(points_coil_m: Tensor, rings: Rings, magnetisation_T: Tensor) -> Tensor:
+    """Values of the field to first order: differences of loops magnify rounding, and both are to be the same."""
+    parts = []
+    for points_m in points_coil_m.reshape(1, -1, 3).split(POINTS_AT_ONCE, dim=-2):
+        h, axial = _sums(points_m, rings, magnetisation_T)[..., 0, :].unbind(0)
+        x, y = points_m[:, None, :, 0], points_m[:, None, :, 1]
+        parts.append(torch.stack((x * h, y * h, axial), dim=-1))  # row, pattern, point, axis
+    field = torch.cat(parts, dim=-2)[0].transpose(0, 1)
+    return field.reshape(*points_coil_m.shape[:-1], -1, 3)
+
+
+def _sums(points_m: Tensor, rings: Rings, magnetisation_T: Tensor) -> Tensor:
+    """The two factors of the field of each pattern, and their slopes along z: by factor, row, pattern, value and slope, point."""
     step_m = DIFFERENCE_STEP * rings.radius_m
     radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
-    weight_A = torch.cat((radial_A - axial_A, axial_A, -radial_A), dim=-1)
     height_m = torch.cat((rings.height_m, rings.height_m, rings.height_m + step_m))
     radius_m = torch.cat((rings.radius_m, rings.radius_m + step_m, rings.radius_m))
-    fixed_m = points_m.detach()
     rows = (len(points_m), len(height_m))
-    of_each = loop_slopes(fixed_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
-    # By row, pattern, value and slope along z, point.
-    h, axial = (weight_A @ of_each).transpose(-3, -2).unbind(0)
-    field = carrying_first_order(points_m[:, None], h, axial)
-    field = field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
-    # Differences of loops magnify rounding, by other code too: the value is that of the plain field.
-    value = field_of_rings(points_coil_m.detach(), rings, magnetisation_T)
-    return value + (field - field.detach())
+    of_each = loop_slopes(points_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
+    # Differences first: sums of many loops would round by as much as their difference is worth.
+    ring, wider, higher = of_each.chunk(3, dim=-2)
+    total: Tensor = axial_A @ (wider - ring) - radial_A @ (higher - ring)
+    return total.transpose(-3, -2)
 
 
 def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ring 2"]:

@@ -58,6 +58,13 @@ class Directions:
         each[of_coordinate, torch.arange(len(names), device=device)] = 1.0
         return cls(each, of_coordinate, torch.tensor(owners, dtype=torch.int64, device=device))
 
+    def only(self, columns: Int[Tensor, " column"]) -> Directions:
+        """Those of some coordinates; derivatives are then by these, in the given order."""
+        number, of_column = torch.unique(self.of_coordinate[columns], return_inverse=True)
+        is_asked = torch.zeros(len(self.of_coordinate), dtype=self.each.dtype, device=self.each.device)
+        is_asked[columns] = 1.0
+        return Directions(self.each[number] * is_asked, of_column, self.sensor[columns])
+
     @property
     def is_compressed(self) -> bool:
         """Whether some coordinates share a direction."""
@@ -72,7 +79,7 @@ class Directions:
             along: The latter.
             sensor: Of each component.
         """
-        if not self.is_compressed:
+        if torch.equal(self.of_coordinate, torch.arange(along.shape[-1], device=along.device)):
             return along
         is_own = (self.sensor == EVERY) | (self.sensor == sensor[:, None])
         result: Tensor = along[..., self.of_coordinate].masked_fill_(~is_own, 0.0)

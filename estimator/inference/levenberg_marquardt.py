@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
-from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, LogPosterior
+from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, FirstOrder, LogPosterior
 from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
@@ -36,6 +36,7 @@ class Optimum:
         precision: Negative Hessian of the log posterior: Gauss-Newton for the data, exact for a prior that is not flat.
         information: The data's part of it (Fisher information).
         is_converged: The predicted increase by a further step inside the prior is below the tolerance.
+        slopes: Predictions and noise to first order at the maximum, where the climb keeps them.
     """
 
     vector: Float[Tensor, "start coordinate"]
@@ -44,6 +45,7 @@ class Optimum:
     information: Float[Tensor, "start continuous continuous"]
     is_converged: Bool[Tensor, " start"]
     n_iterations: int
+    slopes: FirstOrder | None = None
 
     def rows(self, index: slice | Tensor) -> Optimum:
         """Select starts."""
@@ -118,7 +120,7 @@ def levenberg_marquardt(
             posterior.at(active), vector[active], damped, gradient[active]
         )
         expected = 0.5 * (
-            (damping[active, None] * _diagonal_of(precision[active]) * step + gradient[active]) * step
+            (damping[active, None] * diagonal_of(precision[active]) * step + gradient[active]) * step
         ).sum(-1)
         ratio = (trial_value - value[active]) / expected.clamp(min=1e-300)
         is_better = trial_value > value[active]
@@ -162,7 +164,7 @@ def _trial(
     trial_value = posterior(trial)
     is_bounded = torch.isinf(trial_value)
     for i in is_bounded.nonzero().flatten():
-        step[i] = _along_bounds(posterior, vector[i], damped[i], step[i])
+        step[i] = along_bounds(posterior, vector[i], damped[i], step[i])
         trial[i, :n] = vector[i, :n] + step[i]
         trial_value[i] = posterior.at(i)(trial[i])
     return step, trial, trial_value, is_bounded
@@ -180,7 +182,16 @@ def _gradient_and_precision(
         each = [_gradient_and_precision(posterior.at(part), vector[part]) for part in parts]
         gradient, information, precision = (torch.cat(tensors) for tensors in zip(*each, strict=True))
         return gradient, information, precision
-    predicted_T, sigma_T, jacobian_T, log_sigma_jacobian = posterior.to_first_order(vector)
+    gradient, information = gradient_and_information(posterior, vector, posterior.to_first_order(vector))
+    prior_gradient, prior_precision = prior_gradient_and_precision(posterior.coordinates, vector)
+    return gradient + prior_gradient, information, information + prior_precision
+
+
+def gradient_and_information(
+    posterior: LogPosterior, vector: Float[Tensor, "start coordinate"], first_order: FirstOrder
+) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
+    """Gradient of the log likelihood, and its Fisher information, given predictions and noise to first order."""
+    predicted_T, sigma_T, jacobian_T, log_sigma_jacobian = first_order
     whitened = (posterior.measured_T - predicted_T) / sigma_T
     weight = posterior.weight(whitened, vector)
     jacobian = jacobian_T / sigma_T[..., None]
@@ -192,9 +203,7 @@ def _gradient_and_precision(
     by_sensor.index_add_(1, posterior.sensor, chi2)
     mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
     curvature = (2.0 * mean_chi2).clamp(min=0.5)[..., None]
-    information = information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
-    prior_gradient, prior_precision = prior_gradient_and_precision(posterior.coordinates, vector)
-    return gradient + prior_gradient, information, information + prior_precision
+    return gradient, information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
 
 
 def prior_gradient_and_precision(
@@ -202,14 +211,12 @@ def prior_gradient_and_precision(
 ) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
     """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""
     n = coordinates.n_continuous
-    point = vector.detach().requires_grad_()
     directions = torch.eye(coordinates.n, dtype=vector.dtype, device=vector.device)[:n, None, :].expand(
         -1, len(vector), -1
     )
+    point = vector.detach().requires_grad_()
     with torch.enable_grad():
-        # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
-        total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
-        (gradient,) = torch.autograd.grad(total, point, create_graph=True)
+        gradient = _prior_gradient(coordinates, point)
         (hessian_rows,) = torch.autograd.grad(gradient, point, directions, is_grads_batched=True)
     curvature = -hessian_rows[..., :n].transpose(0, 1)
     scale = coordinates.scale[:n]
@@ -219,7 +226,23 @@ def prior_gradient_and_precision(
     return gradient[:, :n].detach(), precision
 
 
-def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
+def prior_gradient(
+    coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
+) -> Float[Tensor, "start continuous"]:
+    """Gradient of the log prior."""
+    with torch.enable_grad():
+        gradient = _prior_gradient(coordinates, vector.detach().requires_grad_())
+    return gradient[:, : coordinates.n_continuous].detach()
+
+
+def _prior_gradient(coordinates: Coordinates, point: Tensor) -> Tensor:
+    # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
+    total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
+    gradient: Tensor = torch.autograd.grad(total, point, create_graph=True)[0]
+    return gradient
+
+
+def along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
     """The best damped step inside the prior: it approaches the bounds that it would overstep, and slides along them.
 
     References: Nocedal and Wright, Numerical Optimization, 2nd ed., section 16.1 (equality-constrained quadratic programs).
@@ -260,7 +283,7 @@ def _along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step:
 
 def solve(matrix: Tensor, right: Tensor) -> Tensor:
     """Solve a positive definite system, scaled to a unit diagonal first: coordinates differ by many powers of ten."""
-    scale = _diagonal_of(matrix).clamp(min=1e-300).rsqrt()
+    scale = diagonal_of(matrix).clamp(min=1e-300).rsqrt()
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
         matrix.shape[-1], dtype=matrix.dtype, device=matrix.device
     )
@@ -268,9 +291,10 @@ def solve(matrix: Tensor, right: Tensor) -> Tensor:
     return scale * solution
 
 
-def _diagonal_of(matrix: Tensor) -> Tensor:
+def diagonal_of(matrix: Tensor) -> Tensor:
+    """Diagonal of each matrix."""
     return torch.diagonal(matrix, dim1=-2, dim2=-1)
 
 
 def _diagonal(matrix: Tensor) -> Tensor:
-    return torch.diag_embed(_diagonal_of(matrix))
+    return torch.diag_embed(diagonal_of(matrix))

@@ -86,7 +86,7 @@ class LogPosterior:
         new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
         other = copy(self)
-        other.__dict__.pop("_for_jacobian", None)
+        other.__dict__.pop("for_jacobian", None)
         other.model = self.model.part(readings)
         other._flat = new_entry[self._flat[mine]]
         other.measured_T, other.sensor = self.measured_T[..., mine], self.sensor[mine]
@@ -110,18 +110,24 @@ class LogPosterior:
         """Jacobian of the predictions in every continuous coordinate."""
         return self.to_first_order(vector).jacobian_T
 
-    def to_first_order(self, vector: Float[Tensor, "*batch coordinate"]) -> FirstOrder:
-        """Predictions, noise, and how both change with every continuous coordinate.
+    def to_first_order(
+        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"] | None = None
+    ) -> FirstOrder:
+        """Predictions, noise, and how both change with every continuous coordinate, or with some of them.
 
         All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
+
+        Args:
+            vector: The coordinates.
+            columns: Numbers of those that derivatives are taken in; all by default.
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
-        directions = self._directions
+        directions = self._directions if columns is None else self._directions.only(columns)
         n_readings = len(self.model.circumstances)
         at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
             parts = [
-                self.part(part).to_first_order(vector)
+                self.part(part).to_first_order(vector, columns)
                 for part in torch.arange(n_readings, device=vector.device).split(at_once)
             ]
             components, jacobians = slice(0, 2), slice(2, 4)
@@ -136,12 +142,25 @@ class LogPosterior:
         def moved(step: Tensor) -> Tensor:
             there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
             values = self.coordinates.values(there)
-            predicted_T = self._for_jacobian._predicted_at(values, batch)
+            predicted_T = self.for_jacobian._predicted_at(values, batch)
             return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
         (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
         jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
+
+    def log_sigma_jacobian(
+        self, vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch component continuous"]:
+        """How the logarithm of the noise changes with every continuous coordinate."""
+        n, directions = self.coordinates.n_continuous, self._directions
+
+        def moved(step: Tensor) -> Tensor:
+            there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
+            return torch.log(self.component_sigma_T(there))
+
+        _, along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
+        return directions.jacobian(along, self.sensor)
 
     def _predicted_at(self, values: Values, batch: torch.Size) -> Tensor:
         # Where only noise is free, the field has no batch.
@@ -153,13 +172,18 @@ class LogPosterior:
             return self.model.predict(values)
         return self.model.predict(self.model.alike(values)).double()
 
+    @property
+    def n_directions(self) -> int:
+        """Number of directions that predictions are differentiated in."""
+        return len(self._directions.each)
+
     @cached_property
     def _directions(self) -> Directions:
         """Directions that predictions are differentiated in."""
         return Directions.of(self.model.rig, self.coordinates)
 
     @cached_property
-    def _for_jacobian(self) -> LogPosterior:
+    def for_jacobian(self) -> LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
         other.model = self.model.with_mode(SumMode.FIRST_ORDER)
@@ -198,9 +222,21 @@ class LogPosterior:
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
             return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
-        sigma_T = self.component_sigma_T(vector)
-        whitened = (self.measured_T - self.predicted(vector)) / sigma_T
-        log_density, _ = self._scatter(whitened, vector)
+        return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
+
+    def log_likelihood_of(
+        self,
+        predicted_T: Float[Tensor, "*batch component"],
+        sigma_T: Float[Tensor, "*batch component"],
+        vector: Float[Tensor, "*batch coordinate"],
+    ) -> Float[Tensor, "*batch"]:
+        """The same, where predictions and noise are known already.
+
+        Args:
+            predicted_T, sigma_T: At the vector.
+            vector: Says how readings scatter.
+        """
+        log_density, _ = self._scatter((self.measured_T - predicted_T) / sigma_T, vector)
         constant = 0.5 * math.log(2.0 * math.pi) * len(self._flat)
         return (log_density - torch.log(sigma_T)).sum(-1) - constant
 

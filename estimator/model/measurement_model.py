@@ -306,11 +306,13 @@ class MeasurementModel:
             offset_m = offset_m * (self.sensor == use.index(self.rig.sensors))[:, None]
             elements_m = offset_m if elements_m is None else elements_m + offset_m
         assert elements_m is not None
-        components = [
-            self._field_at(values, _shifted(world_from_sensor, elements_m[..., i, :, :]))[..., i]
-            for i in range(3)
-        ]
-        return torch.stack(torch.broadcast_tensors(*components), dim=-1)
+        rotation, translation_m = world_from_sensor.rotation, world_from_sensor.translation_m
+        poses = Transform(rotation[..., None, :, :, :], translation_m[..., None, :, :])
+        of_each = {name: value[..., None] if value.dim() else value for name, value in values.items()}
+        field_T = self._field_at(of_each, _shifted(poses, elements_m))  # batch, element, reading, axis
+        field_T = field_T.expand(*field_T.shape[:-3], 3, *field_T.shape[-2:])  # where it is the same for all
+        own_T: Tensor = torch.diagonal(field_T, dim1=-3, dim2=-1)
+        return own_T
 
     def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, at its origin."""

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -353,6 +354,10 @@ class Rig:
 
     def nominal_values(self) -> dict[str, float]:
         """Nominal value of every parameter, ties resolved."""
+        return dict(self._nominal_values)
+
+    @cached_property
+    def _nominal_values(self) -> dict[str, float]:
         return {name: self._nominal(name) for name in self.parameters}
 
     def _nominal(self, name: str) -> float:

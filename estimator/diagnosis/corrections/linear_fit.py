@@ -6,7 +6,7 @@ Evaluating it costs algebra with a fixed Jacobian in place of fields at every re
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
@@ -43,12 +43,16 @@ class LinearPosterior(LogPosterior):
         predicted_T: Tensor = self._predicted_T + (vector - self._about) @ self._jacobian_T.T
         return predicted_T
 
-    def to_first_order(self, vector: Float[Tensor, "*batch coordinate"]) -> FirstOrder:
-        """Predictions, noise, and how both change with every coordinate; the Jacobian of the predictions is the same everywhere."""
+    def to_first_order(
+        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"] | None = None
+    ) -> FirstOrder:
+        """Predictions, noise, and how both change with the coordinates; the Jacobian of the predictions is the same everywhere."""
         log_sigma, log_sigma_jacobian = value_and_jacobian(
             lambda step: torch.log(self.component_sigma_T(vector + step)), torch.zeros_like(self._about)
         )
         jacobian_T = self._jacobian_T.expand_as(log_sigma_jacobian)
+        if columns is not None:
+            jacobian_T, log_sigma_jacobian = jacobian_T[..., columns], log_sigma_jacobian[..., columns]
         return FirstOrder(self.predicted(vector), torch.exp(log_sigma), jacobian_T, log_sigma_jacobian)
 
 

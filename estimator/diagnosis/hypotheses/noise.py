@@ -11,6 +11,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.screening import Reached
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Kind
@@ -20,12 +21,15 @@ from estimator.model.measurement_model import NominalPrediction
 from estimator.rig.rig import Cause
 
 
-def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | None]]:
+def noise_causes(
+    fit: Fit, beside: float, reached: Reached | None = None
+) -> Iterator[tuple[Cause, float, Fit | None]]:
     """For each noise effect the place with the strongest hint: its cause, log Bayes factor and fit.
 
     Args:
         fit: Without them.
         beside: Hint from which on a full fit is worth its time; below, the hint stands for the log Bayes factor and the fit is None.
+        reached: Where an earlier comparison has found causes.
     """
     for effect in EFFECTS.values():
         if not isinstance(effect, NoiseEffect):
@@ -39,7 +43,7 @@ def noise_causes(fit: Fit, beside: float) -> Iterator[tuple[Cause, float, Fit | 
         if hint < beside:
             yield use.cause, hint, None
         else:
-            yield use.cause, *_fitted(fit, use)
+            yield use.cause, *_fitted(fit, use, reached or {})
 
 
 def _hint(fit: Fit, use: Use[NoiseEffect]) -> float:
@@ -79,7 +83,7 @@ def _concerned(
     return components[fit.posterior.measured_components(readings[:, None].expand(-1, 3))]
 
 
-def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
+def _fitted(fit: Fit, use: Use[NoiseEffect], reached: Reached) -> tuple[float, Fit]:
     """Log Bayes factor and fit with the effect, which starts from its estimate by the residuals."""
     whitened = _concerned(fit, use, fit.residual)
     estimate = use.effect.estimate(whitened) or NoiseEstimate({}, 1.0, 0.0)
@@ -88,7 +92,16 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
     if use.effect.kind is Kind.SENSOR:
         noise = f"{use.place}.noise_T"
         start[noise] = fit.values[noise] * estimate.noise_factor
-    full = fit_rig(rig, fit.observations, start, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
+    rules = fit.posterior.model.rules
+    full = fit_rig(
+        rig,
+        fit.observations,
+        start,
+        rules,
+        tolerance=policy.ROUGH_TOLERANCE,
+        near=fit,
+        other_start=reached.get(use.cause),
+    )
     if not full.still_has(use.cause):
         return 0.0, full
     # Each quantity that is estimated and not fitted costs half the log of the sample size, as in BIC.

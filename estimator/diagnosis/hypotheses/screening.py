@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 import torch
@@ -101,16 +101,31 @@ def _by_subset(
     return torch.cat(values, dim=1)
 
 
-def in_full(fit: Fit, screened: float, start: Candidate) -> tuple[float, Fit]:
+Reached = Mapping[Cause, Mapping[str, Tensor]]  # by cause: what its own parameters were in its last fit
+
+
+def in_full(fit: Fit, screened: float, start: Candidate, reached: Reached | None = None) -> tuple[float, Fit]:
     """Log Bayes factor of a cause by a full fit, corrected by the screening for subsets of its quantities.
 
     It is 0 where the cause is no longer itself at the fitted values.
+
+    Args:
+        fit: Without it.
+        screened: Log Bayes factor in the linear model.
+        start: Where the linear model has it.
+        reached: Where an earlier comparison has found it, which the fit starts from where the density is higher there.
     """
     observations = fit.observations
     circumstances = fit.posterior.model.circumstances
     rig = with_effect(fit.rig, start.cause, observations, start.shapes, circumstances=circumstances)
     full = fit_rig(
-        rig, observations, fit.start_with(rig), fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE
+        rig,
+        observations,
+        fit.start_with(rig),
+        fit.posterior.model.rules,
+        tolerance=policy.ROUGH_TOLERANCE,
+        near=fit,
+        other_start=(reached or {}).get(start.cause),
     )
     value = full.log_evidence - fit.log_evidence
     if not math.isfinite(value):

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -143,7 +144,7 @@ def search(
     if is_alone and leaves_structure(state.steps[-1].discrepancy) and not limits.is_over:
         fit = state.with_alternative(fit)
     if state.added(fit):
-        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules)
+        fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -186,6 +187,7 @@ class _SearchState:
         self.steps: list[Step] = []
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
+        self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
 
     def added(self, fit: Fit) -> list[Cause]:
         """Causes of a fit beyond the base."""
@@ -252,9 +254,8 @@ class _SearchState:
         for cause in self.added(fit):
             if self.limits.is_over:
                 return fit
-            without = fit_rig(
-                fit.rig.without_cause(cause), fit.observations, fit.values, fit.posterior.model.rules
-            )
+            rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
+            without = fit_rig(rig, fit.observations, fit.values, rules, near=fit)
             self.tell(f"testing {cause.label} again, beside the others")
             step = self.step(without)
             if step.taken is None:
@@ -392,14 +393,14 @@ class _SearchState:
         self.tell(f"testing {first.cause.label} and {second.cause.label} together")
         rig = with_effect(fit.rig, first.cause, fit.observations, first.shapes)
         rig = with_effect(rig, second.cause, fit.observations, second.shapes)
-        both = fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
+        rules = fit.posterior.model.rules
+        both = fit_rig(rig, fit.observations, fit.start_with(rig), rules, near=fit)
         if both.log_evidence - fit.log_evidence <= least:
             return None
         steps = []
         for cause in (first.cause, second.cause):
-            without = fit_rig(
-                both.rig.without_cause(cause), fit.observations, both.values, fit.posterior.model.rules
-            )
+            rig = both.rig.without_cause(cause)
+            without = fit_rig(rig, fit.observations, both.values, rules, near=both)
             step = self.step(without)
             if step.taken is None:
                 return None
@@ -414,7 +415,15 @@ class _SearchState:
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
-        return take_step(fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder)
+        step = take_step(
+            fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder, self.reached
+        )
+        for hypothesis in step.hypotheses:
+            if hypothesis.fit is not None and hypothesis.cause is not None:
+                own = f"{hypothesis.cause.label}."
+                values = hypothesis.fit.values
+                self.reached[hypothesis.cause] = {n: v for n, v in values.items() if n.startswith(own)}
+        return step
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""
@@ -461,7 +470,7 @@ def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
         if cause is None or evidence[cause] > policy.SURELY_NEEDED:
             return fit, dropped
         rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
-        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
         if best.log_evidence <= fit.log_evidence:
             return fit, dropped
         dropped.append(cause)

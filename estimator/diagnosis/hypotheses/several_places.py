@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
 import torch
@@ -114,17 +114,25 @@ def joint_evidence(
     return best, [starts[i] for i in sorted(members)]
 
 
-def fit_with_needed(fit: Fit, rig: Rig, causes: Sequence[Cause], least: float) -> Fit:
+def fit_with_needed(
+    fit: Fit,
+    rig: Rig,
+    causes: Sequence[Cause],
+    least: float,
+    start: Mapping[str, Tensor | float] | None = None,
+) -> Fit:
     """The fit with those of several causes whose evidence suffices beside the others.
 
     Args:
-        fit: Without them.
+        fit: One near by: mostly that without them.
         rig: With all of them.
-        causes: Those that were added.
+        causes: Those that are asked.
         least: Log evidence that each needs.
+        start: Values by parameter to start from; those of the fit near by, and nominal ones, by default.
+    Returns: The fit near by where none of them suffices.
     """
-    rules = fit.posterior.model.rules
-    wider = fit_rig(rig, fit.observations, fit.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+    rules, start = fit.posterior.model.rules, start or fit.start_with(rig)
+    wider = fit_rig(rig, fit.observations, start, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
     while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
         for cause in idle:
@@ -132,7 +140,9 @@ def fit_with_needed(fit: Fit, rig: Rig, causes: Sequence[Cause], least: float) -
         causes = [cause for cause in causes if cause not in idle]
         if not causes:
             return fit
-        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+        wider = fit_rig(
+            rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=wider
+        )
     return wider
 
 

@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
@@ -28,6 +30,8 @@ from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
+
+NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of a cause without an effect on any reading
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def other_structures(
             break
         pace.tell(i, 2 * len(causes))
         alone = _best_alone(base, cause)
-        if alone is None:
+        if alone is None or _changes_nothing(base, alone, cause):
             continue
         starts = _starts(base, alone, pool, [c for c in piled if c != cause])
         gain, needed = joint_evidence(alone, starts, least) if starts else (0.0, [])
@@ -140,7 +144,7 @@ def other_structures(
             break
         pace.tell(len(causes) + i, 2 * len(causes))
         others = [c for c in piled if c != trial.cause]
-        beside = _with_needed(trial.alone, pile, others, least)
+        beside = _with_needed(base, trial, pile, others, least)
         needed_causes = tuple(c for c in others if c in beside.rig.effects)
         value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
         asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
@@ -179,10 +183,29 @@ def _best_alone(base: Fit, cause: Cause) -> Fit | None:
     return max(fits, key=lambda fit: fit.log_evidence, default=None)
 
 
-def _with_needed(alone: Fit, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
-    """The fit with those causes of a pile whose evidence suffices beside a hypothesis of structure."""
-    rig = alone.rig
-    for cause in others:
-        parameters = [p for name, p in pile.rig.parameters.items() if name.startswith(f"{cause.label}.")]
-        rig = rig.with_cause(cause, parameters)
-    return fit_with_needed(alone, rig, others, least)
+def _changes_nothing(base: Fit, alone: Fit, cause: Cause) -> bool:
+    """Whether a cause changes no prediction, neither as it is fitted nor to first order: of a coil without current, for one."""
+    own = [
+        i for i, name in enumerate(alone.posterior.coordinates.names) if name.startswith(f"{cause.label}.")
+    ]
+    with torch.no_grad():
+        without_T = base.posterior.measured_components(base.posterior.model.predict(alone.values))
+    change = (alone.predicted_T - without_T) * alone.whitening_per_T
+    columns = alone.jacobian[:, own] * alone.posterior.coordinates.scale[own]
+    return all(float(each.abs().max()) < NO_CHANGE for each in (change, columns) if each.numel())
+
+
+def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
+    """The fit with those causes of a pile whose evidence suffices beside a hypothesis of structure.
+
+    It starts from the pile, which has moved all numbers to where the readings want them. Where the hypothesis explains something alone, the
+    fit with it alone is another start, for in a pile other causes have already taken its place.
+    """
+    cause, label = trial.cause, f"{trial.cause.label}."
+    rig = pile.rig.without_cause(cause) if cause in pile.rig.effects else pile.rig
+    rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
+    own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
+    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own})]
+    if trial.alone.log_evidence - base.log_evidence > least:
+        fits.append(fit_with_needed(trial.alone, rig, others, least))
+    return max((trial.alone if fit is pile else fit for fit in fits), key=lambda fit: fit.log_evidence)

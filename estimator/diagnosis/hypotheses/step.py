@@ -19,7 +19,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.noise import noise_causes
-from estimator.diagnosis.hypotheses.screening import in_full, screening
+from estimator.diagnosis.hypotheses.screening import Reached, in_full, screening
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
@@ -89,6 +89,7 @@ def take_step(
     limits: Limits,
     pace: Pace,
     remainder: Discrepancy | None = None,
+    reached: Reached | None = None,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -100,6 +101,7 @@ def take_step(
         limits: Once they are reached, no further hypothesis is fitted.
         pace: Told of each fit.
         remainder: Structure in the residual, where it is known already.
+        reached: Where an earlier comparison has found causes.
     """
     present = set(fit.rig.effects)
     remainder = remainder or discrepancy(fit, smooth)
@@ -124,14 +126,14 @@ def take_step(
         if (is_asked or _is_worth_a_fit(i, highest, best)) and not is_known and not limits.is_over:
             n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
             pace.tell(n_fitted, n_fitted + n_left)
-            value, fitted = in_full(fit, *at_finer_instant(fit, value, start))
+            value, fitted = in_full(fit, *at_finer_instant(fit, value, start), reached)
             best, n_fitted = max(best, value), n_fitted + 1
             pictured |= {picture} if picture is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
     beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
-    of_noise = noise_causes(fit, math.inf if limits.is_over else beside)
+    of_noise = noise_causes(fit, math.inf if limits.is_over else beside, reached)
     hypotheses += [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in of_noise]
     hypotheses = with_probabilities(
         [_cross_validated(fit, hypothesis, block) for hypothesis in hypotheses], len(ranked)

@@ -118,12 +118,12 @@ def evidence_by_amplitude(
 
 
 def expected_of_noise(
-    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float]
+    fit: Fit, families: Sequence[Family], amplitudes: Sequence[float], batches: Batches | None = None
 ) -> Float[Tensor, "family amplitude"]:
     """The same as it is expected where the residual is noise, less what the fit follows."""
     rms = torch.tensor(amplitudes, dtype=torch.float64)
     result = torch.zeros(len(families), len(rms), dtype=torch.float64)
-    for some, products in products_of(fit, families):
+    for some, products in products_of(fit, families) if batches is None else batches:
         result[some] = log_bayes_factor_of_noise(products.gram(fit.projector), rms.expand(len(some), -1))
     return result
 

@@ -21,7 +21,12 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector, log_mean_exp
-from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude, expected_of_noise
+from estimator.diagnosis.structure.discrepancy import (
+    Batches,
+    by_name,
+    evidence_by_amplitude,
+    expected_of_noise,
+)
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.diagnosis.structure.scatter import scatter_of
 from estimator.effects import EFFECTS
@@ -42,7 +47,9 @@ class Unknown:
     most_beside: float = policy.MOST_BESIDE_A_NAME
 
 
-def unknown_beside(fit: Fit, cause: Cause, families: Sequence[Family]) -> Unknown:
+def unknown_beside(
+    fit: Fit, cause: Cause, families: Sequence[Family], batches: Batches | None = None
+) -> Unknown:
     """Probability that something outside the library is there instead of a cause that resembles it, and how much of it a name bears.
 
     A credible set of 95 % holds what has more than 5 %. Even a true cause leaves more where it is not large: as much as noise is
@@ -52,15 +59,16 @@ def unknown_beside(fit: Fit, cause: Cause, families: Sequence[Family]) -> Unknow
         fit: With the cause.
         cause: One of its rig.
         families: Curves, weighed as at that fit.
+        batches: Their products there, where several causes are asked.
     """
     if isinstance(EFFECTS[cause.name], NoiseEffect):
         return Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
     rms_sigma = visible_rms_sigma(fit, cause)
     amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
-    probability = _probability(_mean(families, evidence_by_amplitude(fit, families, amplitudes)))
+    probability = _probability(_mean(families, evidence_by_amplitude(fit, families, amplitudes, batches)))
     if not policy.LEAST_BESIDE_A_NAME < probability <= policy.MOST_BESIDE_A_NAME:
         return Unknown(probability)  # on the same side of any limit
-    of_noise = _mean(families, expected_of_noise(fit, families, amplitudes))
+    of_noise = _mean(families, expected_of_noise(fit, families, amplitudes, batches))
     limit = _probability(of_noise + policy.MORE_THAN_OF_NOISE)
     return Unknown(probability, min(max(limit, policy.LEAST_BESIDE_A_NAME), policy.MOST_BESIDE_A_NAME))
 

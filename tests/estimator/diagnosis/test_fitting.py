@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.effects.attach import with_effect
+from estimator.inference import secant
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of
 
@@ -66,3 +68,64 @@ def test_null_of_a_cause_is_that_of_its_sizes_and_a_logarithm_where_they_are_pos
         rows, null = fit.at_null(cause)
         assert [names[i] for i in rows] == list(nulls)
         assert null.tolist() == [coordinate]
+
+
+AXES, GRADIENT = Cause("axis_gain", "hall"), Cause("background_gradient", "room")
+
+
+def test_derivatives_of_a_fit_without_a_cause_are_those_of_the_fit_with_it_at_its_null(
+    small_rig, small_session
+):
+    """A cause less and two more: nothing but the names of the coordinates says which derivatives are known."""
+    observations = small_session.observations
+    before = fit_of(small_rig, observations, AXES)
+    rig = before.rig.without_cause(AXES)
+    for cause in (Cause("sensor_offset", "hall"), GRADIENT):
+        rig = with_effect(rig, cause, observations, {})
+    after = fit_rig(rig, observations, before.values, before.posterior.model.rules, tolerance=1e9)
+    start = after.posterior.coordinates.vector(
+        {n: v for n, v in before.values.items() if n in rig.parameters}
+    )
+    given = before.slopes_for(after.posterior, start[None])
+    exact = after.posterior.to_first_order(start[None])
+    new = [i for i, name in enumerate(after.posterior.coordinates.names) if "[" in name]
+    assert len(new) > 5
+    torch.testing.assert_close(given.jacobian_T[..., new], exact.jacobian_T[..., new], rtol=1e-12, atol=0.0)
+    size = exact.jacobian_T.abs().amax((0, 1))
+    # The gains of the axes, which are gone, stood a little off one.
+    assert ((given.jacobian_T - exact.jacobian_T).abs().amax((0, 1)) <= 0.05 * size).all()
+    torch.testing.assert_close(given.log_sigma_jacobian, exact.log_sigma_jacobian)
+
+
+def test_a_climb_from_the_derivatives_of_another_fit_ends_where_an_exact_one_does(
+    small_rig, small_session, monkeypatch
+):
+    monkeypatch.setattr(secant, "MANY_DIRECTIONS", 1)
+    observations = small_session.observations
+    before = fit_of(small_rig, observations)
+    rig = with_effect(before.rig, GRADIENT, observations, {})
+    rules = before.posterior.model.rules
+    near = fit_rig(rig, observations, before.start_with(rig), rules, near=before)
+    monkeypatch.undo()
+    exact = fit_rig(rig, observations, before.start_with(rig), rules)
+    assert "jacobian" in near.__dict__  # made by the climb
+    assert "jacobian" not in exact.__dict__
+    torch.testing.assert_close(near.log_evidence, exact.log_evidence, atol=2e-3, rtol=0.0)
+    torch.testing.assert_close(
+        near.jacobian, near.posterior.jacobian(near.optimum.vector)[0] * near.whitening_per_T[:, None]
+    )
+    torch.testing.assert_close(near.residual, exact.residual, atol=0.02, rtol=0.0)
+
+
+def test_another_start_is_taken_where_the_density_is_higher(small_rig, small_session):
+    observations = small_session.observations
+    before = fit_of(small_rig, observations)
+    rig, rules = before.rig, before.posterior.model.rules
+    far = {**before.values, "coil1.radius_m": before.values["coil1.radius_m"] * 1.05}
+    own = {"coil1.radius_m": before.values["coil1.radius_m"]}
+    there, back = (
+        fit_rig(rig, observations, start, rules, tolerance=1e9, other_start=other)
+        for start, other in ((far, own), (before.values, {"coil1.radius_m": far["coil1.radius_m"]}))
+    )
+    for fit in (there, back):
+        assert float(fit.values["coil1.radius_m"]) == pytest.approx(float(own["coil1.radius_m"]), rel=1e-12)

@@ -92,7 +92,8 @@ def agree(rig: Rig, observations: Observations) -> None:
     first_order = plain.with_mode(SumMode.FIRST_ORDER)
     vector = coordinates.sample_prior(np.random.default_rng(4), 1)[0]
     values = [model.predict(coordinates.values(vector)) for model in (plain, first_order)]
-    torch.testing.assert_close(values[1], values[0], rtol=1e-13, atol=0.0)
+    # Rings of dipoles are differences of loops 1e-5 radii apart, which magnify rounding.
+    torch.testing.assert_close(values[1], values[0], rtol=1e-11, atol=0.0)
     jacobians = [
         jacfwd(lambda v: plain.predict(coordinates.values(v)))(vector),
         jacobian_of(lambda v: first_order.predict(coordinates.values(v)), vector),
@@ -100,5 +101,5 @@ def agree(rig: Rig, observations: Observations) -> None:
     moves = torch.tensor([".noise" not in name for name in coordinates.names])
     assert (jacobians[0].flatten(0, 1).norm(dim=0)[moves] > 0.0).all()
     torch.testing.assert_close(
-        jacobians[1], jacobians[0], rtol=1e-10, atol=1e-12 * float(jacobians[0].abs().max())
+        jacobians[1], jacobians[0], rtol=1e-10, atol=1e-11 * float(jacobians[0].abs().max())
     )

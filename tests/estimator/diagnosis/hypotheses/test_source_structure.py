@@ -8,12 +8,20 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses import source_structure
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Addition, _SearchState
-from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures, is_pile, structural_causes
+from estimator.diagnosis.hypotheses.source_structure import (
+    Asked,
+    OtherStructures,
+    is_pile,
+    other_structures,
+    structural_causes,
+)
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import Pace, unwatched
 from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+from tests.estimator.inference.conftest import make_problem
 
 pytestmark = pytest.mark.whole
 
@@ -90,3 +98,25 @@ def test_a_pile_stays_where_no_other_structure_is_asked(search_of_imitation, mon
     monkeypatch.setattr(source_structure, "structural_causes", lambda base, limits: [])
     assert state._with_other_structure(pile) is pile
     assert state.additions == [Addition(PILE, pile)]
+
+
+def test_a_coil_without_current_has_no_other_structure() -> None:
+    """It is not fitted with the pile, and not told as one that explains as much."""
+    two = """{c1: {radius_mm: {prior: {normal: {mean: 45, sd: 2}}}, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4},
+      c2: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4, world_from_coil: {z_mm: -50}}}"""
+    problem = make_problem(
+        two, "{hall: {noise_uT: {prior: {log_normal: {median: 20, relative_sd: 0.5}}}, carried_by: stage}}"
+    )
+    readings = problem.observations
+    readings = readings.rows(readings.current_A[:, 1] == 0.0)
+    base = fit_of(problem.rig, readings)
+    pile = fit_of(problem.rig, readings, *PILE)
+    limits = Limits()
+    causes = structural_causes(base, limits)
+    assert Cause("hidden_winding", "c2") in causes
+    found = other_structures(base, pile, candidates(base, causes), limits, Pace("structures", unwatched))
+    asked = {one.cause for one in found.asked}
+    assert Cause("hidden_winding", "c1") in asked
+    windings = ("hidden_winding", "winding_misstated", "iron_core", "coil_ovality")
+    assert not asked & {Cause(name, "c2") for name in windings}
+    assert Cause("cross_magnetisation", "c2") in asked  # a core there answers the other coil

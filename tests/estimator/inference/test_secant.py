@@ -1,0 +1,149 @@
+"""Climbs with secants reach the maxima of exact climbs, with the same curvature, by fewer Jacobians."""
+
+from __future__ import annotations
+
+from unittest.mock import patch
+
+import pytest
+import torch
+from torch import Tensor
+
+from estimator.effects.attach import with_effect
+from estimator.inference import secant
+from estimator.inference.laplace import log_evidence
+from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
+from estimator.inference.likelihood import LogPosterior
+from estimator.inference.secant import climb_with_secants, is_worthwhile
+from estimator.model.measurement_model import MeasurementModel
+from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Cause
+from tests.estimator.inference.conftest import Problem, make_problem
+
+pytestmark = pytest.mark.whole
+
+COIL = """{c: {radius_mm: {prior: {normal: {mean: 45, sd: 2}}}, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4, world_from_coil:
+  {x_mm: {prior: {normal: {mean: 0, sd: 3}}}, z_mm: {prior: {normal: {mean: -35, sd: 3, lower: -38, upper: -33}}}}}}"""
+SENSOR = "noise_uT: {prior: {log_normal: {median: 0.5, relative_sd: 0.5}}}, carried_by: stage"
+TRUTH = {"c.world_from_coil.x_m": 0.004, "c.radius_m": 0.047, "c.world_from_coil.z_m": -0.0341}
+SENSOR_CAUSES = tuple(
+    Cause(name, place)
+    for place in ("one", "two")
+    for name in ("axis_gain", "sensor_misplaced", "sensor_offset", "element_displacement")
+)
+ROBUST, WIDER = Cause("outliers", "one"), Cause("position_jitter", "stage")
+TOLERANCE = 1e-6
+
+
+def posterior_of(problem: Problem, *causes: Cause) -> LogPosterior:
+    rig = problem.rig
+    for cause in causes:
+        rig = with_effect(rig, cause, problem.observations, {})
+    model = MeasurementModel.build(rig, problem.observations)
+    return LogPosterior(Coordinates(rig), model, problem.observations)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return make_problem(COIL, f"{{one: {{{SENSOR}}}, two: {{{SENSOR}}}}}", TRUTH, noise_T=0.6e-6)
+
+
+def assert_same_maximum(found: Optimum, exact: Optimum) -> None:
+    assert found.is_converged.all()
+    assert exact.is_converged.all()
+    assert float(found.log_posterior) == pytest.approx(float(exact.log_posterior), abs=1e-3)
+    sd = torch.linalg.inv(exact.precision[0]).diagonal().sqrt()
+    n = len(sd)
+    assert ((found.vector - exact.vector)[0, :n].abs() < 0.05 * sd).all()
+    assert float(log_evidence(found)[0]) == pytest.approx(float(log_evidence(exact)[0]), abs=0.02)
+
+
+@pytest.mark.parametrize("more", [(), (WIDER,), (ROBUST,)], ids=["free noise", "jitter", "outliers"])
+def test_maximum_and_curvature_are_those_of_exact_jacobians(
+    problem: Problem, more: tuple[Cause, ...]
+) -> None:
+    posterior = posterior_of(problem, *SENSOR_CAUSES, *more)
+    start = posterior.coordinates.start()[None]
+    found = climb_with_secants(posterior, start, TOLERANCE)
+    assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
+    exact = posterior.to_first_order(found.vector)
+    assert found.slopes is not None
+    assert torch.equal(found.slopes.jacobian_T, exact.jacobian_T)
+    assert torch.equal(found.slopes.log_sigma_jacobian, exact.log_sigma_jacobian)
+    torch.testing.assert_close(found.log_posterior, posterior(found.vector), rtol=0.0, atol=0.0)
+
+
+def test_few_jacobians_are_made(problem: Problem) -> None:
+    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    start = posterior.coordinates.start()[None]
+    with patch.object(
+        LogPosterior, "to_first_order", autospec=True, side_effect=LogPosterior.to_first_order
+    ) as made:
+        found = climb_with_secants(posterior, start, TOLERANCE)
+        n_with_secants = made.call_count
+        exact = levenberg_marquardt(posterior, start, tolerance=TOLERANCE)
+        n_exact = made.call_count - n_with_secants
+    assert exact.n_iterations > 4
+    assert n_with_secants < 0.7 * n_exact
+    assert found.n_iterations > n_with_secants
+
+
+def test_maximum_at_a_bound(problem: Problem) -> None:
+    """Readings of a coil 1.5 mm beyond the bound."""
+    shifted = make_problem(
+        COIL.replace("lower: -38, upper: -33", "lower: -60, upper: -10"),
+        f"{{one: {{{SENSOR}}}, two: {{{SENSOR}}}}}",
+        TRUTH | {"c.world_from_coil.z_m": -0.0395},
+        noise_T=0.6e-6,
+    )
+    asked = Problem(problem.rig, shifted.observations, shifted.truth, problem.real, problem.whole)
+    posterior = posterior_of(asked, *SENSOR_CAUSES)
+    start = posterior.coordinates.start()[None]
+    found = climb_with_secants(posterior, start, TOLERANCE)
+    exact = levenberg_marquardt(posterior, start, tolerance=TOLERANCE)
+    assert found.is_converged.all()
+    assert float(posterior.coordinates.values(found.vector[0])["c.world_from_coil.z_m"]) < -0.0379
+    assert float(found.log_posterior) > float(exact.log_posterior) - 0.05
+
+
+def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Problem) -> None:
+    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    start = posterior.coordinates.start()[None]
+    slopes = posterior.to_first_order(start)
+    wrong = slopes._replace(
+        jacobian_T=slopes.jacobian_T * torch.linspace(0.5, 1.5, slopes.jacobian_T.shape[-1])
+    )
+    found = climb_with_secants(posterior, start, TOLERANCE, wrong)
+    assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
+
+
+def test_too_few_steps_are_reported(problem: Problem) -> None:
+    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    found = climb_with_secants(posterior, posterior.coordinates.start()[None], TOLERANCE, max_iterations=1)
+    assert found.n_iterations == 1
+    assert not found.is_converged.any()
+
+
+def test_they_serve_one_start_with_many_numbers(problem: Problem) -> None:
+    many, few = posterior_of(problem, *SENSOR_CAUSES), posterior_of(problem)
+    start: Tensor = many.coordinates.start()[None]
+    with patch.object(secant, "MANY_DIRECTIONS", 15):
+        assert is_worthwhile(many, start)
+        assert not is_worthwhile(many, start.repeat(2, 1))
+        assert not is_worthwhile(few, few.coordinates.start()[None])
+
+
+def test_corrected_derivatives_foretell_the_step_that_was_made(problem: Problem) -> None:
+    """Along it they are a secant; across it, in units of the curvature, they stay."""
+    posterior = posterior_of(problem, *SENSOR_CAUSES, WIDER)
+    start = posterior.coordinates.start()[None]
+    slopes, scale = posterior.to_first_order(start), 1.0 / posterior.coordinates.scale[None] ** 2
+    step = 0.5 * posterior.coordinates.scale * torch.sin(torch.arange(start.shape[1], dtype=torch.float64))
+    before, after = (secant._Point.of(posterior, at) for at in (start, start + step))
+    found = secant._corrected(slopes, before, after, scale)
+    change_T = after.predicted_T - before.predicted_T
+    assert (slopes.jacobian_T @ step - change_T).norm() > 1e-3 * change_T.norm()
+    torch.testing.assert_close(found.jacobian_T @ step, change_T, rtol=1e-9, atol=1e-15)
+    torch.testing.assert_close(found.log_sigma_jacobian @ step, torch.log(after.sigma_T / before.sigma_T))
+    across = torch.linspace(-1.0, 1.0, len(step), dtype=torch.float64) * posterior.coordinates.scale
+    across = across - step * (across @ (scale[0] * step)) / (step @ (scale[0] * step))
+    torch.testing.assert_close(found.jacobian_T @ across, slopes.jacobian_T @ across, rtol=1e-9, atol=1e-15)
