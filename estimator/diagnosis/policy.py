@@ -114,6 +114,10 @@ MOST_GAINED_IN_FULL = 4.0
 stays farther than this below the evidence that it needs, such causes are not fitted. By measurement: none of 32 gained more than 0.12
 (docs/decisions/0047). Study of 2 cases: numbers change in 1."""
 
+MOST_FITTED_IN_A_PILE = 3
+"""The same where more kinds of causes than `MOST_KINDS` have piled up. Effort: such a model has hundreds of numbers, and no cause of it
+gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0062). Study: not in it."""
+
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
 what it may imitate to come first. By measurement: a hint 2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008).

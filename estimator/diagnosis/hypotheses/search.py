@@ -415,8 +415,17 @@ class _SearchState:
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
+        is_piled = is_pile(self.added(fit), policy.MOST_KINDS)
         step = take_step(
-            fit, self._pool(fit), self.curves(fit), self.block, self.limits, pace, remainder, self.reached
+            fit,
+            self._pool(fit),
+            self.curves(fit),
+            self.block,
+            self.limits,
+            pace,
+            remainder,
+            self.reached,
+            policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED,
         )
         for hypothesis in step.hypotheses:
             if hypothesis.fit is not None and hypothesis.cause is not None:

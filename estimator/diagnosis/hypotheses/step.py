@@ -90,6 +90,7 @@ def take_step(
     pace: Pace,
     remainder: Discrepancy | None = None,
     reached: Reached | None = None,
+    most_fitted: int = policy.MOST_FITTED,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -102,6 +103,7 @@ def take_step(
         pace: Told of each fit.
         remainder: Structure in the residual, where it is known already.
         reached: Where an earlier comparison has found causes.
+        most_fitted: Causes that are fitted in full at most, the first by screening.
     """
     present = set(fit.rig.effects)
     remainder = remainder or discrepancy(fit, smooth)
@@ -123,8 +125,14 @@ def take_step(
         )  # its shapes move far in a fit, as those of the other picture did
         is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
         is_known = is_quiet and not is_asked and _is_linear(start, fit)
-        if (is_asked or _is_worth_a_fit(i, highest, best)) and not is_known and not limits.is_over:
-            n_left = sum(_is_worth_a_fit(k, screened[ranked[k]][1], best) for k in range(i, len(ranked)))
+        if (
+            (is_asked or _is_worth_a_fit(i, highest, best, most_fitted))
+            and not is_known
+            and not limits.is_over
+        ):
+            n_left = sum(
+                _is_worth_a_fit(k, screened[ranked[k]][1], best, most_fitted) for k in range(i, len(ranked))
+            )
             pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, *at_finer_instant(fit, value, start), reached)
             best, n_fitted = max(best, value), n_fitted + 1
@@ -149,10 +157,10 @@ def take_step(
     return Step(tuple(hypotheses), taken, credible_set(causes, taken), remainder)
 
 
-def _is_worth_a_fit(i: int, highest: float, best: float) -> bool:
+def _is_worth_a_fit(i: int, highest: float, best: float, most: int) -> bool:
     """Whether a cause at a place of the screening is fitted in full, given its best start there and the best that was fitted."""
-    is_leader = i < policy.MOST_LEADERS and highest > max(best - policy.LEADERS_WITHIN, 0.0)
-    could_be_best = i < policy.MOST_FITTED and highest > max(best, 0.0)
+    is_leader = i < min(policy.MOST_LEADERS, most) and highest > max(best - policy.LEADERS_WITHIN, 0.0)
+    could_be_best = i < most and highest > max(best, 0.0)
     return is_leader or could_be_best
 
 
