@@ -29,15 +29,15 @@ class Directions:
 
     Attributes:
         each: The directions, rows of zeros and ones.
-        of_coordinate: Number of the direction that holds each coordinate.
-        sensor: Sensor whose readings a coordinate changes; `EVERY` where it may change all.
+        of_coordinate: Number of the direction that holds each coordinate that is asked for.
+        sensor: Sensor whose readings such a coordinate changes; `EVERY` where it may change all.
 
     References: A. Curtis, M. Powell and J. Reid, J. Inst. Math. Appl. 13, 117 (1974).
     """
 
     each: Float[Tensor, "direction coordinate"]
-    of_coordinate: Int[Tensor, " coordinate"]
-    sensor: Int[Tensor, " coordinate"]
+    of_coordinate: Int[Tensor, " asked"]
+    sensor: Int[Tensor, " asked"]
 
     @classmethod
     def of(cls, rig: Rig, coordinates: Coordinates) -> Directions:
@@ -72,8 +72,8 @@ class Directions:
 
     def jacobian(
         self, along: Float[Tensor, "*batch component direction"], sensor: Int[Tensor, " component"]
-    ) -> Float[Tensor, "*batch component coordinate"]:
-        """Derivatives in every coordinate, of those along the directions.
+    ) -> Float[Tensor, "*batch component asked"]:
+        """Derivatives in every coordinate that is asked for, of those along the directions.
 
         Args:
             along: The latter.
