@@ -10,7 +10,7 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.diagnosis.hypotheses.step import Hypothesis, _choice, take_step
+from estimator.diagnosis.hypotheses.step import Hypothesis, Step, _choice, is_noise, take_step
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import Pace, unwatched
 from estimator.diagnosis.structure.discrepancy import Discrepancy
@@ -81,3 +81,24 @@ def test_causes_without_shapes_are_fitted_only_where_one_comes_near_and_the_numb
     for fitted in asked_before:
         value = screened[fitted.name].log_bayes_factor
         assert value == pytest.approx(fitted.log_bayes_factor, abs=0.1)
+
+
+@pytest.mark.whole
+def test_no_more_causes_are_fitted_than_a_comparison_allows(
+    small_rig: Rig, small_session: Session, quiet: Discrepancy
+) -> None:
+    """In a pile of causes few fits must do; the cause that leads the screening is among them."""
+    readings, offset = small_session.observations, Cause("sensor_offset", "hall")
+    fit = fit_of(small_rig, with_wrong(small_rig, readings, offset, {"x_T": 200e-6}))
+    pool, block = candidates(fit, causes_of(small_rig, fit)), pose_blocks(readings, np.random.default_rng(0))
+
+    def step_of(most: int) -> Step:
+        pace = Pace("a step", unwatched)
+        return take_step(fit, pool, [], block, Limits(), pace, quiet, most_fitted=most)
+
+    def n_fitted(step: Step) -> int:
+        return sum(one.fit is not None and not is_noise(one) for one in step.hypotheses)
+
+    few, many = step_of(1), step_of(policy.MOST_FITTED)
+    assert n_fitted(few) == 1 < n_fitted(many)
+    assert few.taken is not None
