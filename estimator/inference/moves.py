@@ -58,7 +58,8 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         if move > 0:
             moved: tuple[State, np.ndarray] = self._dependent[move - 1].propose(model, state)
             return moved
-        fresh, log_prob, log_density = self._block.draws((self._block.moves[:i] == 0).sum())
+        n_fresh = int((self._block.moves[:i] == 0).sum())
+        fresh, log_prob, log_density = self._block.draws(n_fresh)
         log_ratio = log_prob - log_density - (state.log_prob - self.proposal.log_density(state.coords))
         accepted = np.log(model.random.rand(len(log_ratio))) < log_ratio
         return self.update(state, State(fresh, log_prob=log_prob), accepted), accepted
