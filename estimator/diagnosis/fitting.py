@@ -361,8 +361,7 @@ def fit_rig(
     if journal is not None:
         journal.add(key, best)
     fit = Fit(posterior, best)
-    if (slopes := optimum.slopes) is not None:  # what the climb ended with is not made again
-        fit.__dict__.update(predicted_T=slopes.predicted_T[0])
+    if (slopes := optimum.slopes) is not None:  # the Jacobian that the climb ended with is not made again
         fit.__dict__.update(jacobian=slopes.jacobian_T[0] * fit.whitening_per_T[:, None])
     return fit
 

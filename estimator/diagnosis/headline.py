@@ -10,6 +10,7 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.sizes import Difference
+from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
@@ -80,7 +81,8 @@ def _what(diagnosis: Diagnosis) -> str:
     search = diagnosis.findings.search
     remainder = search.steps[-1].discrepancy
     if _is_pulled(diagnosis):
-        dependence = f"{_pulled(diagnosis)} lies {abs(search.pull.widths):.2g} widths of its prior from what the rig file states"
+        name, widths = _pulled(diagnosis)
+        dependence = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
     elif leaves_structure(search.scatter) and not leaves_structure(remainder):
         dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
     else:
@@ -99,11 +101,10 @@ def _is_pulled(diagnosis: Diagnosis) -> bool:
     return leaves_structure(search.pull) and not leaves_structure(search.steps[-1].discrepancy)
 
 
-def _pulled(diagnosis: Diagnosis) -> str:
-    """The number that is pulled farthest from its prior."""
-    return displays([parameter.name for parameter in diagnosis.rig.free])[
-        diagnosis.findings.search.pull.name
-    ].words
+def _pulled(diagnosis: Diagnosis) -> tuple[str, float]:
+    """The number that is pulled most in the fit that the page shows, and how many widths of its prior the readings would have it off."""
+    pull = pull_of(diagnosis.fits.final)
+    return displays([parameter.name for parameter in diagnosis.rig.free])[pull.name].words, abs(pull.widths)
 
 
 def _plain(dependence: str) -> str:
@@ -234,7 +235,7 @@ def _next(diagnosis: Diagnosis) -> str:
             f"To tell them apart, measure {best.action.words} (expected {odds(best.expected_log_evidence)})."
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED and _is_pulled(diagnosis):
-        return f"Check {_pulled(diagnosis)} in the rig file; state a wider prior if such a value is possible, and diagnose again."
+        return f"Check {_pulled(diagnosis)[0]} in the rig file; state a wider prior if such a value is possible, and diagnose again."
     if (correction := diagnosis.fits.correction) is not None and correction.is_taken:
         return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:

@@ -211,12 +211,14 @@ def prior_gradient_and_precision(
 ) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
     """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""
     n = coordinates.n_continuous
+    point = vector.detach().requires_grad_()
     directions = torch.eye(coordinates.n, dtype=vector.dtype, device=vector.device)[:n, None, :].expand(
         -1, len(vector), -1
     )
-    point = vector.detach().requires_grad_()
     with torch.enable_grad():
-        gradient = _prior_gradient(coordinates, point)
+        # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
+        total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
+        (gradient,) = torch.autograd.grad(total, point, create_graph=True)
         (hessian_rows,) = torch.autograd.grad(gradient, point, directions, is_grads_batched=True)
     curvature = -hessian_rows[..., :n].transpose(0, 1)
     scale = coordinates.scale[:n]
@@ -224,22 +226,6 @@ def prior_gradient_and_precision(
     eigenvalues, vectors = torch.linalg.eigh(0.5 * (curvature + curvature.mT) * unit)
     precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
     return gradient[:, :n].detach(), precision
-
-
-def prior_gradient(
-    coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
-) -> Float[Tensor, "start continuous"]:
-    """Gradient of the log prior."""
-    with torch.enable_grad():
-        gradient = _prior_gradient(coordinates, vector.detach().requires_grad_())
-    return gradient[:, : coordinates.n_continuous].detach()
-
-
-def _prior_gradient(coordinates: Coordinates, point: Tensor) -> Tensor:
-    # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
-    total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
-    gradient: Tensor = torch.autograd.grad(total, point, create_graph=True)[0]
-    return gradient
 
 
 def along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:

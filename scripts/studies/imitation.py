@@ -2,7 +2,7 @@
 
 A name is not the hidden one, yet often the same to every reading: a plate for a sphere of iron far away, a gain by polarity for an
 asymmetric supply. No rule tells those apart. So the rig with the named causes is fitted to the perfect readings of the session, noise and
-priors as they were. What it leaves, in standard deviations, is the root of the log likelihood ratio, twice, that speaks against the name.
+priors as they were. What it leaves, in standard deviations, is the root of twice the log likelihood ratio that speaks against the name.
 """
 
 from __future__ import annotations

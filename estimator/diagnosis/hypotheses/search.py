@@ -423,9 +423,9 @@ class _SearchState:
             self.block,
             self.limits,
             pace,
+            policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED,
             remainder,
             self.reached,
-            policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED,
         )
         for hypothesis in step.hypotheses:
             if hypothesis.fit is not None and hypothesis.cause is not None:

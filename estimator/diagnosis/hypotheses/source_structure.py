@@ -142,7 +142,7 @@ def other_structures(
     for i, trial in enumerate(trials):
         if limits.is_over:
             break
-        pace.tell(len(causes) + i, 2 * len(causes))
+        pace.tell(len(causes) + i, len(causes) + len(trials))
         others = [c for c in piled if c != trial.cause]
         beside = _with_needed(base, trial, pile, others, least)
         needed_causes = tuple(c for c in others if c in beside.rig.effects)

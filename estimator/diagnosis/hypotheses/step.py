@@ -88,9 +88,9 @@ def take_step(
     block: Blocks,
     limits: Limits,
     pace: Pace,
+    most_fitted: int,
     remainder: Discrepancy | None = None,
     reached: Reached | None = None,
-    most_fitted: int = policy.MOST_FITTED,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -101,9 +101,9 @@ def take_step(
         block: Block number of each reading, for cross-validation.
         limits: Once they are reached, no further hypothesis is fitted.
         pace: Told of each fit.
+        most_fitted: Causes that are fitted in full at most, the first by screening.
         remainder: Structure in the residual, where it is known already.
         reached: Where an earlier comparison has found causes.
-        most_fitted: Causes that are fitted in full at most, the first by screening.
     """
     present = set(fit.rig.effects)
     remainder = remainder or discrepancy(fit, smooth)

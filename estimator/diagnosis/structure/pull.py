@@ -7,7 +7,7 @@ prior that is right keeps its number within three or four of its widths.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -16,6 +16,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
 from estimator.rig.parameters import LogNormal, Normal
 
+LEAST_KNOWN = 1e-3  # share of the knowledge of a number that the readings have; below, they say nothing of it
+
 
 @dataclass(frozen=True)
 class Pull:
@@ -23,8 +25,8 @@ class Pull:
 
     Attributes:
         log_bayes_factor: Of a wider prior against the stated one, averaged over numbers and widths.
-        name: The number that is pulled farthest; empty where none has a prior with a width.
-        widths: How far from the middle of its prior it lies, in the prior's standard deviations.
+        name: The number with the most evidence; empty where none has a prior with a width.
+        widths: How far from the middle of its prior the readings alone would have it, in the prior's standard deviations.
     """
 
     log_bayes_factor: float
@@ -37,10 +39,10 @@ def pull_of(fit: Fit) -> Pull:
 
     A fit that the prior holds back would go farther without it. To first order, with `g = 1 - (sd / prior sd)^2` the share of its knowledge
     that the readings have of a number that lies `z` prior widths off, a prior `A` times as wide has a log Bayes factor of
-    `z^2 / (2 (g + 1 / A^2)) - log(1 + g A^2) / 2`.
+    `z^2 / (2 (g + 1 / A^2)) - log(1 + g A^2) / 2`. Without a prior it would lie `z / g` widths off.
     """
     causes = tuple(f"{cause.label}." for cause in fit.rig.effects)
-    evidence, farthest = [], Pull(0.0)
+    evidence, most = [], Pull(-math.inf)
     for parameter in fit.rig.free:
         prior, name = parameter.prior, parameter.name
         if not isinstance(prior, Normal | LogNormal) or name.startswith(causes) or name.endswith(".noise_T"):
@@ -48,14 +50,14 @@ def pull_of(fit: Fit) -> Pull:
         value = float(fit.values[name])
         widths = prior.distance(value)
         width = value * prior.relative_sd if isinstance(prior, LogNormal) else prior.sd
-        known = min(max(1.0 - (fit.value_sd(name) / width) ** 2, 0.0), 1.0)
-        evidence += [_log_bayes_factor(widths, known, wider) for wider in policy.WIDER_PRIORS]
-        if abs(widths) > abs(farthest.widths):
-            farthest = Pull(0.0, name, widths)
+        known = min(max(1.0 - (fit.value_sd(name) / width) ** 2, LEAST_KNOWN), 1.0)
+        own = [_log_bayes_factor(widths, known, wider) for wider in policy.WIDER_PRIORS]
+        evidence += own
+        if max(own) > most.log_bayes_factor:
+            most = Pull(max(own), name, widths / known)
     if not evidence:
-        return farthest
-    mean = log_mean_exp(torch.tensor(evidence, dtype=torch.float64))
-    return Pull(mean, farthest.name, farthest.widths)
+        return Pull(0.0)
+    return replace(most, log_bayes_factor=log_mean_exp(torch.tensor(evidence, dtype=torch.float64)))
 
 
 def _log_bayes_factor(widths: float, known: float, wider: float) -> float:

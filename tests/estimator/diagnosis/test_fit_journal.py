@@ -12,6 +12,7 @@ from estimator.diagnosis import fitting
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fit_journal import FITS, FitJournal, remembering
 from estimator.diagnosis.limits import Limits
+from estimator.inference import secant
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -32,7 +33,11 @@ class Killed(BaseException):
     """Stands for a signal that cannot be caught."""
 
 
-def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(session, tmp_path, monkeypatch):
+@pytest.mark.parametrize("many_directions", [secant.MANY_DIRECTIONS, 1])  # without and with secants
+def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
+    session, tmp_path, monkeypatch, many_directions
+):
+    monkeypatch.setattr(secant, "MANY_DIRECTIONS", many_directions)
     whole = diagnose(session, seed=1, out=tmp_path / "whole")
     n_fits = []
     climb = fitting.climbed

@@ -22,6 +22,7 @@ from estimator.diagnosis.headline import headline, held_back
 from estimator.diagnosis.hypotheses.search import Addition
 from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures
 from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.panels import panels, panels_text
 from estimator.diagnosis.report import diagnosis_report
@@ -43,6 +44,7 @@ pytestmark = pytest.mark.whole
 OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4
 RADIUS = "coil1.radius_m"
+TRUE_Z_M = -0.0425  # of the small session
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +119,21 @@ def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosi
     assert words in as_text(strained)
     assert "where 900 is expected" in as_text(strained)
     assert _text(strained, tmp_path).splitlines()[1].strip().startswith(words)
+
+
+def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
+    small_rig: Rig, small_session: Session
+) -> None:
+    """The prior holds the fit back, but the sentence says how far off the number truly is."""
+    stated = small_rig.parameters["coil1.world_from_coil0.z_m"]
+    prior = Normal(TRUE_Z_M - 8e-4, 1e-4)
+    rig = small_rig.with_parameters([replace(stated, prior=prior, value=prior.mean)])
+    session = Session(rig, small_session.observations, "a place misstated")
+    first, *rest = headline(diagnose(session, limits=Limits(most_causes=0)))
+    told = re.search(r"the readings alone would put z ([\d.]+) widths of its prior", first)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(8.0, abs=1.5)
+    assert any(sentence.startswith("Check z in the rig file") for sentence in rest)
 
 
 def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:

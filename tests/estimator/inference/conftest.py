@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.effects.attach import with_effect
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 
 
@@ -176,3 +177,12 @@ def exact_counts(counts_problem: Problem) -> ExactCounts:
         z_mean.item(),
         (mass * (z_m - z_mean) ** 2).sum().sqrt().item(),
     )
+
+
+def posterior_with(problem: Problem, *causes: Cause) -> LogPosterior:
+    """Density of a problem whose rig also has some causes."""
+    rig = problem.rig
+    for cause in causes:
+        rig = with_effect(rig, cause, problem.observations, {})
+    model = MeasurementModel.build(rig, problem.observations)
+    return LogPosterior(Coordinates(rig), model, problem.observations)

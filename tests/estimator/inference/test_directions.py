@@ -7,13 +7,9 @@ import torch
 
 from estimator.derivatives import jacobian_of
 from estimator.effects import EFFECTS
-from estimator.effects.attach import with_effect
 from estimator.inference.directions import EVERY, Directions
-from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
-from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause
-from tests.estimator.inference.conftest import Problem, make_problem
+from tests.estimator.inference.conftest import Problem, make_problem, posterior_with
 
 COIL = "{c: {radius_mm: {prior: {normal: {mean: 45, sd: 2}}}, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4}}"
 SENSOR = "noise_uT: {prior: {log_normal: {median: 20, relative_sd: 0.5}}}, carried_by: stage"
@@ -24,14 +20,6 @@ CAUSES = [Cause(name, place) for name in ("axis_gain", "sensor_misplaced") for p
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     return make_problem(COIL, SENSORS)
-
-
-def posterior_with(problem: Problem, *causes: Cause) -> LogPosterior:
-    rig = problem.rig
-    for cause in causes:
-        rig = with_effect(rig, cause, problem.observations, {})
-    model = MeasurementModel.build(rig, problem.observations)
-    return LogPosterior(Coordinates(rig), model, problem.observations)
 
 
 def test_shared_directions_give_the_derivatives_in_every_coordinate(problem: Problem) -> None:

@@ -8,16 +8,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.effects.attach import with_effect
 from estimator.inference import secant
 from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.secant import climb_with_secants, is_worthwhile
-from estimator.model.measurement_model import MeasurementModel
-from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause
-from tests.estimator.inference.conftest import Problem, make_problem
+from tests.estimator.inference.conftest import Problem, make_problem, posterior_with
 
 pytestmark = pytest.mark.whole
 
@@ -32,14 +29,6 @@ SENSOR_CAUSES = tuple(
 )
 ROBUST, WIDER = Cause("outliers", "one"), Cause("position_jitter", "stage")
 TOLERANCE = 1e-6
-
-
-def posterior_of(problem: Problem, *causes: Cause) -> LogPosterior:
-    rig = problem.rig
-    for cause in causes:
-        rig = with_effect(rig, cause, problem.observations, {})
-    model = MeasurementModel.build(rig, problem.observations)
-    return LogPosterior(Coordinates(rig), model, problem.observations)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +50,7 @@ def assert_same_maximum(found: Optimum, exact: Optimum) -> None:
 def test_maximum_and_curvature_are_those_of_exact_jacobians(
     problem: Problem, more: tuple[Cause, ...]
 ) -> None:
-    posterior = posterior_of(problem, *SENSOR_CAUSES, *more)
+    posterior = posterior_with(problem, *SENSOR_CAUSES, *more)
     start = posterior.coordinates.start()[None]
     found = climb_with_secants(posterior, start, TOLERANCE)
     assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
@@ -73,7 +62,7 @@ def test_maximum_and_curvature_are_those_of_exact_jacobians(
 
 
 def test_few_jacobians_are_made(problem: Problem) -> None:
-    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     with patch.object(
         LogPosterior, "to_first_order", autospec=True, side_effect=LogPosterior.to_first_order
@@ -96,7 +85,7 @@ def test_maximum_at_a_bound(problem: Problem) -> None:
         noise_T=0.6e-6,
     )
     asked = Problem(problem.rig, shifted.observations, shifted.truth, problem.real, problem.whole)
-    posterior = posterior_of(asked, *SENSOR_CAUSES)
+    posterior = posterior_with(asked, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     found = climb_with_secants(posterior, start, TOLERANCE)
     exact = levenberg_marquardt(posterior, start, tolerance=TOLERANCE)
@@ -106,7 +95,7 @@ def test_maximum_at_a_bound(problem: Problem) -> None:
 
 
 def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Problem) -> None:
-    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     slopes = posterior.to_first_order(start)
     wrong = slopes._replace(
@@ -117,14 +106,14 @@ def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Proble
 
 
 def test_too_few_steps_are_reported(problem: Problem) -> None:
-    posterior = posterior_of(problem, *SENSOR_CAUSES)
+    posterior = posterior_with(problem, *SENSOR_CAUSES)
     found = climb_with_secants(posterior, posterior.coordinates.start()[None], TOLERANCE, max_iterations=1)
     assert found.n_iterations == 1
     assert not found.is_converged.any()
 
 
 def test_they_serve_one_start_with_many_numbers(problem: Problem) -> None:
-    many, few = posterior_of(problem, *SENSOR_CAUSES), posterior_of(problem)
+    many, few = posterior_with(problem, *SENSOR_CAUSES), posterior_with(problem)
     start: Tensor = many.coordinates.start()[None]
     with patch.object(secant, "MANY_DIRECTIONS", 15):
         assert is_worthwhile(many, start)
@@ -134,7 +123,7 @@ def test_they_serve_one_start_with_many_numbers(problem: Problem) -> None:
 
 def test_corrected_derivatives_foretell_the_step_that_was_made(problem: Problem) -> None:
     """Along it they are a secant; across it, in units of the curvature, they stay."""
-    posterior = posterior_of(problem, *SENSOR_CAUSES, WIDER)
+    posterior = posterior_with(problem, *SENSOR_CAUSES, WIDER)
     start = posterior.coordinates.start()[None]
     slopes, scale = posterior.to_first_order(start), 1.0 / posterior.coordinates.scale[None] ** 2
     step = 0.5 * posterior.coordinates.scale * torch.sin(torch.arange(start.shape[1], dtype=torch.float64))

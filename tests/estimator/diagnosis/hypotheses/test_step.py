@@ -69,7 +69,7 @@ def test_causes_without_shapes_are_fitted_only_where_one_comes_near_and_the_numb
     def step_of(size_T: float):
         fit = fit_of(small_rig, with_wrong(small_rig, readings, offset, {"x_T": size_T}))
         pool = candidates(fit, causes_of(small_rig, fit))
-        return take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), quiet)
+        return take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), policy.MOST_FITTED, quiet)
 
     small, large = step_of(2e-6), step_of(200e-6)
     assert small.taken is None
@@ -94,7 +94,7 @@ def test_no_more_causes_are_fitted_than_a_comparison_allows(
 
     def step_of(most: int) -> Step:
         pace = Pace("a step", unwatched)
-        return take_step(fit, pool, [], block, Limits(), pace, quiet, most_fitted=most)
+        return take_step(fit, pool, [], block, Limits(), pace, most, quiet)
 
     def n_fitted(step: Step) -> int:
         return sum(one.fit is not None and not is_noise(one) for one in step.hypotheses)

@@ -35,7 +35,7 @@ def test_a_number_outside_its_prior_is_told_with_the_number() -> None:
     pull = pull_of(with_place(7.0))
     assert leaves_structure(pull)
     assert pull.name == PLACE
-    assert 3.0 < pull.widths < 7.5
+    assert pull.widths == pytest.approx(7.0, abs=0.5)  # though the fit has gone only a part of that way
 
 
 @pytest.mark.parametrize("wider", [4.0, 16.0])
