@@ -321,6 +321,7 @@ def fit_rig(
     tolerance: float | None = None,
     near: Fit | None = None,
     other_start: Mapping[str, Tensor] | None = None,
+    to_beat: float = -math.inf,
 ) -> Fit:
     """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
@@ -333,6 +334,7 @@ def fit_rig(
         tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
         other_start: Values of some parameters that replace those of the start where the density is then higher.
+        to_beat: Log posterior density of a fit that is known: a climb to less ends early.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     coordinates = Coordinates(rig)
@@ -354,11 +356,15 @@ def fit_rig(
         return Fit(posterior, known)
     is_near = near is not None and near.observations is observations
     optimum = climbed(
-        posterior, vector, tolerance, lambda: near.slopes_for(posterior, vector) if near and is_near else None
+        posterior,
+        vector,
+        tolerance,
+        lambda: near.slopes_for(posterior, vector) if near and is_near else None,
+        to_beat,
     )
     top = int(optimum.log_posterior.argmax())
     best = optimum.rows(slice(top, top + 1))
-    if journal is not None:
+    if journal is not None and float(best.log_posterior) >= to_beat:
         journal.add(key, best)
     fit = Fit(posterior, best)
     if (slopes := optimum.slopes) is not None:  # the Jacobian that the climb ended with is not made again

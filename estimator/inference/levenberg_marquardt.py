@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -77,6 +78,7 @@ def levenberg_marquardt(
     max_iterations: int = 60,
     tolerance: float = 1e-10,
     is_race: bool = False,
+    to_beat: float = -math.inf,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
 
@@ -91,6 +93,7 @@ def levenberg_marquardt(
         max_iterations: Largest number of iterations.
         tolerance: Stop where a Newton step would increase the log density by less than this.
         is_race: Whether only the highest maximum counts: a start ends too where another one goes to the same maximum, or to a higher one.
+        to_beat: Log density of a maximum that is known; in a race a start ends too where it goes to a lower one.
     Returns: The maxima with their curvature, start by start.
     References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
     """
@@ -111,7 +114,7 @@ def levenberg_marquardt(
             rise = value - before.pop(0)
             is_done |= rise < STALLED_BELOW * tolerance
         if is_race:
-            is_done |= _is_beaten(value, promised, vector[:, : newton.shape[-1]] + newton, precision)
+            is_done |= _is_beaten(value, promised, vector[:, : newton.shape[-1]] + newton, precision, to_beat)
         active = (~is_done).nonzero().flatten()
         if not len(active):
             break
@@ -144,13 +147,13 @@ def levenberg_marquardt(
     return Optimum(vector, value, precision, information, is_converged, iteration)
 
 
-def _is_beaten(value: Tensor, promised: Tensor, ahead: Tensor, precision: Tensor) -> Tensor:
-    """Starts that a higher one makes superfluous, given the rise that a Newton step promises each and where it leads."""
+def _is_beaten(value: Tensor, promised: Tensor, ahead: Tensor, precision: Tensor, to_beat: float) -> Tensor:
+    """Starts that a higher maximum makes superfluous, given the rise that a Newton step promises each and where it leads."""
     top = int(value.argmax())
     apart = ahead - ahead[top]
     joins = ((apart @ precision[top]) * apart).sum(-1) < SAME_SD**2
     joins[top] = False
-    return joins | (value + BEHIND * promised < value[top])
+    return joins | (value + BEHIND * promised < value[top].clamp(min=to_beat))
 
 
 def _trial(

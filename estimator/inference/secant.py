@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import (
+    BEHIND,
     LARGEST_DAMPING,
     LEAST_SHRINK,
     NEARLY_UNDAMPED,
@@ -25,6 +26,7 @@ from estimator.inference.levenberg_marquardt import (
     along_bounds,
     diagonal_of,
     gradient_and_information,
+    levenberg_marquardt,
     prior_gradient_and_precision,
     solve,
 )
@@ -44,6 +46,7 @@ def climb_with_secants(
     start: Float[Tensor, "1 coordinate"],
     tolerance: float,
     slopes: FirstOrder | None = None,
+    to_beat: float = -math.inf,
     max_iterations: int = 60,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior, as `levenberg_marquardt` does from one start.
@@ -56,21 +59,28 @@ def climb_with_secants(
         start: Coordinates to start from, inside the prior.
         tolerance: Stop where a Newton step would increase the log density by less than this.
         slopes: Derivatives at the start, which may be those of a similar model; exact ones by default.
+        to_beat: Log density of a maximum that is known: a climb to a lower one ends early, with the curvature that it has.
         max_iterations: Largest number of steps.
     Returns: The maximum with its exact curvature and slopes.
     References: Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. (2004), section 3.5; Broyden,
         Math. Comput. 19, 577 (1965).
     """
     at = _Point.of(posterior, start)
+    if at.is_outside:  # there is nothing to correct by
+        return levenberg_marquardt(posterior, start, max_iterations, tolerance)
     gradient = at.gradient()
     is_exact = slopes is None
     model = _Model.about(posterior, at, posterior.to_first_order(start) if slopes is None else slopes)
     damping, growth, n_refused, iteration = 1e-3, 2.0, 0, 0
     is_at_bound = False  # the density rises beyond a bound, but no step inside increases it
     is_stalled, before, at_stall = False, [at.value], -math.inf
+    is_beaten = False
     while True:
         newton = solve(model.precision, gradient)
         promised = float((gradient * newton).sum())
+        is_beaten = at.value + BEHIND * 0.5 * promised < to_beat
+        if is_beaten:
+            break
         is_done = is_at_bound or is_stalled or promised < tolerance or damping > LARGEST_DAMPING
         if is_exact and (is_done or iteration == max_iterations):
             break
@@ -106,7 +116,7 @@ def climb_with_secants(
         is_stalled = (
             len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
         )
-    is_converged = is_at_bound or promised < max(tolerance, 1e-6)
+    is_converged = not is_beaten and (is_at_bound or promised < max(tolerance, 1e-6))
     return Optimum(
         at.vector,
         posterior(at.vector),
@@ -114,7 +124,7 @@ def climb_with_secants(
         model.information,
         torch.tensor([is_converged], device=at.vector.device),
         iteration,
-        model.first_order,
+        model.first_order if is_exact else None,
     )
 
 

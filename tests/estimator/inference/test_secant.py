@@ -136,3 +136,27 @@ def test_corrected_derivatives_foretell_the_step_that_was_made(problem: Problem)
     across = torch.linspace(-1.0, 1.0, len(step), dtype=torch.float64) * posterior.coordinates.scale
     across = across - step * (across @ (scale[0] * step)) / (step @ (scale[0] * step))
     torch.testing.assert_close(found.jacobian_T @ across, slopes.jacobian_T @ across, rtol=1e-9, atol=1e-15)
+
+
+def test_a_climb_to_less_than_is_known_ends_early_and_one_to_more_does_not(problem: Problem) -> None:
+    posterior = posterior_with(problem, *SENSOR_CAUSES)
+    start = posterior.coordinates.start()[None]
+    free = climb_with_secants(posterior, start, TOLERANCE)
+    reached = float(free.log_posterior)
+    same = climb_with_secants(posterior, start, TOLERANCE, to_beat=reached - 1.0)
+    torch.testing.assert_close(same.vector, free.vector, rtol=0.0, atol=0.0)
+    beaten = climb_with_secants(posterior, start, TOLERANCE, to_beat=reached + 20.0)
+    assert not beaten.is_converged.any()
+    assert beaten.n_iterations < free.n_iterations
+    assert beaten.slopes is None  # they may be those of a secant
+
+
+def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(problem: Problem) -> None:
+    posterior = posterior_with(problem, *SENSOR_CAUSES)
+    start = posterior.coordinates.start()[None]
+    exact = climb_with_secants(posterior, start, TOLERANCE)
+    column = posterior.coordinates.names.index("c.world_from_coil.z_m")
+    outside = exact.vector.clone()
+    outside[:, column] = -0.033 + 1e-15  # the bound is -33 mm
+    assert posterior(outside).isneginf().all()
+    assert_same_maximum(climb_with_secants(posterior, outside, TOLERANCE), exact)
