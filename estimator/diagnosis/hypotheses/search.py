@@ -20,6 +20,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.hypotheses.far_off import with_far_off
+from estimator.diagnosis.hypotheses.many_at_once import many_at_once
 from estimator.diagnosis.hypotheses.pairs import pairs
 from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
@@ -188,10 +189,15 @@ class _SearchState:
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
         self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
+        self.collapsed: set[Cause] = set()  # fits in a pile found nothing of them: they are not asked again
 
     def added(self, fit: Fit) -> list[Cause]:
         """Causes of a fit beyond the base."""
         return [cause for cause in fit.rig.effects if cause not in self.base.rig.effects]
+
+    def is_piled(self, fit: Fit) -> bool:
+        """Whether causes of many kinds have piled up in a fit."""
+        return is_pile(self.added(fit), policy.MOST_KINDS)
 
     def forward(self, fit: Fit) -> Fit:
         """Take causes until the evidence for none suffices."""
@@ -211,8 +217,12 @@ class _SearchState:
             if not is_over and (wider := self._with_several_places(fit)) is not None:
                 fit = self._without_idle(wider)
                 continue
+            if not is_over and (wider := self._with_many(fit)) is not None:
+                fit = self._without_idle(wider)
+                continue
             step = self.step(fit)
-            if step.taken is None and not is_over and (both := self._with_pair(fit, step)) is not None:
+            is_pair_asked = step.taken is None and not is_over and not self.is_piled(fit)
+            if is_pair_asked and (both := self._with_pair(fit, step)) is not None:
                 fit = both
                 continue
             if step.taken is not None and len(self.added(fit)) >= self.limits.most_causes:
@@ -364,7 +374,18 @@ class _SearchState:
 
     def _with_several_places(self, fit: Fit) -> Fit | None:
         """The fit with one effect at several more places; None where a cause at one place does better."""
-        wider = at_several_places(fit, self._pool(fit))
+        return self._taken_together(fit, at_several_places(fit, self._pool(fit)))
+
+    def _with_many(self, fit: Fit) -> Fit | None:
+        """The fit with several more causes where causes of many kinds have piled up; None where there are fewer than two."""
+        if not self.is_piled(fit):
+            return None
+        return self._taken_together(
+            fit, many_at_once(fit, [c for c in self._pool(fit) if c.cause not in self.collapsed])
+        )
+
+    def _taken_together(self, fit: Fit, wider: Fit | None) -> Fit | None:
+        """The fit with several more causes, unless it predicts blocks held out worse or has too many."""
         if wider is None or held_out(fit, wider, self.block).is_loss:
             return None
         if len(self.added(wider)) > self.limits.most_causes:
@@ -415,15 +436,15 @@ class _SearchState:
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
-        is_piled = is_pile(self.added(fit), policy.MOST_KINDS)
+        is_piled = self.is_piled(fit)
         step = take_step(
             fit,
-            self._pool(fit),
+            [c for c in self._pool(fit) if c.cause not in self.collapsed],
             self.curves(fit),
             self.block,
             self.limits,
             pace,
-            policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED,
+            is_piled,
             remainder,
             self.reached,
         )
@@ -432,6 +453,8 @@ class _SearchState:
                 own = f"{hypothesis.cause.label}."
                 values = hypothesis.fit.values
                 self.reached[hypothesis.cause] = {n: v for n, v in values.items() if n.startswith(own)}
+                if is_piled and hypothesis.log_bayes_factor <= 0.0:
+                    self.collapsed.add(hypothesis.cause)
         return step
 
     def _without_idle(self, fit: Fit) -> Fit:

@@ -55,7 +55,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     starts_by_name = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
         for name, n in n_places.items()
-        if n > 1 and not _is_event(name, fit)
+        if n > 1 and not is_event(name, fit)
     ]
     if not starts_by_name:
         return None
@@ -73,7 +73,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     return wider if n_new > 1 and is_better else None
 
 
-def _is_event(name: str, fit: Fit) -> bool:
+def is_event(name: str, fit: Fit) -> bool:
     """Whether an effect sets in at an instant, or has another shape that no fit moves."""
     extent = fit.posterior.model.circumstances.extent
     return any(quantity.is_fixed for quantity in EFFECTS[name].quantities(extent))
@@ -120,6 +120,7 @@ def fit_with_needed(
     causes: Sequence[Cause],
     least: float,
     start: Mapping[str, Tensor | float] | None = None,
+    to_beat: float = -math.inf,
 ) -> Fit:
     """The fit with those of several causes whose evidence suffices beside the others.
 
@@ -129,10 +130,21 @@ def fit_with_needed(
         causes: Those that are asked.
         least: Log evidence that each needs.
         start: Values by parameter to start from; those of the fit near by, and nominal ones, by default.
+        to_beat: Log posterior density of another fit with all of them: where this one is lower it ends early, and is the fit near by.
     Returns: The fit near by where none of them suffices.
     """
     rules, start = fit.posterior.model.rules, start or fit.start_with(rig)
-    wider = fit_rig(rig, fit.observations, start, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
+    wider = fit_rig(
+        rig,
+        fit.observations,
+        start,
+        rules,
+        tolerance=policy.ROUGH_TOLERANCE,
+        near=fit,
+        to_beat=to_beat,
+    )
+    if float(wider.optimum.log_posterior) < to_beat:
+        return fit
     while idle := [cause for cause in causes if wider.log_evidence_for(cause) <= least]:
         rig = wider.rig
         for cause in idle:

@@ -31,6 +31,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
+NEARLY_THE_SAME = 1.0  # in log density: a climb that ends so far below the pile leads to a lower maximum
 NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of a cause without an effect on any reading
 
 
@@ -174,10 +175,19 @@ def structural_causes(base: Fit, limits: Limits) -> list[Cause]:
 def _best_alone(base: Fit, cause: Cause) -> Fit | None:
     """The fit with a cause from the best of its starts; None where it is no longer itself from any."""
     fits = []
+    to_beat = float(base.optimum.log_posterior)  # where it changes nothing
     for shapes in EFFECTS[cause.name].starts(base.posterior.model.circumstances, cause.place):
         rig = with_effect(base.rig, cause, base.observations, shapes)
         rules = base.posterior.model.rules
-        fit = fit_rig(rig, base.observations, base.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+        fit = fit_rig(
+            rig,
+            base.observations,
+            base.start_with(rig),
+            rules,
+            tolerance=policy.ROUGH_TOLERANCE,
+            to_beat=to_beat,
+        )
+        to_beat = max(to_beat, float(fit.optimum.log_posterior))
         if math.isfinite(fit.log_evidence) and fit.still_has(cause):
             fits.append(fit)
     return max(fits, key=lambda fit: fit.log_evidence, default=None)
@@ -205,7 +215,8 @@ def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], le
     rig = pile.rig.without_cause(cause) if cause in pile.rig.effects else pile.rig
     rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
     own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
-    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own})]
+    to_beat = float(pile.optimum.log_posterior) - NEARLY_THE_SAME  # where the hypothesis changes nothing
+    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own}, to_beat)]
     if trial.alone.log_evidence - base.log_evidence > least:
-        fits.append(fit_with_needed(trial.alone, rig, others, least))
+        fits.append(fit_with_needed(trial.alone, rig, others, least, to_beat=to_beat))
     return max((trial.alone if fit is pile else fit for fit in fits), key=lambda fit: fit.log_evidence)

@@ -88,7 +88,7 @@ def take_step(
     block: Blocks,
     limits: Limits,
     pace: Pace,
-    most_fitted: int,
+    is_piled: bool,
     remainder: Discrepancy | None = None,
     reached: Reached | None = None,
 ) -> Step:
@@ -101,11 +101,12 @@ def take_step(
         block: Block number of each reading, for cross-validation.
         limits: Once they are reached, no further hypothesis is fitted.
         pace: Told of each fit.
-        most_fitted: Causes that are fitted in full at most, the first by screening.
+        is_piled: Whether causes of many kinds have piled up: fewer are then fitted in full, and noise only where no other cause is left.
         remainder: Structure in the residual, where it is known already.
         reached: Where an earlier comparison has found causes.
     """
     present = set(fit.rig.effects)
+    most_fitted = policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED
     remainder = remainder or discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in present])
     ranked = sorted(screened, key=lambda cause: -screened[cause][0])
@@ -141,7 +142,8 @@ def take_step(
     pace.tell(n_fitted, n_fitted)
     highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
     beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
-    of_noise = noise_causes(fit, math.inf if limits.is_over else beside, reached)
+    is_noise_last = is_piled and highest_fitted > least
+    of_noise = noise_causes(fit, math.inf if limits.is_over or is_noise_last else beside, reached)
     hypotheses += [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in of_noise]
     hypotheses = with_probabilities(
         [_cross_validated(fit, hypothesis, block) for hypothesis in hypotheses], len(ranked)

@@ -69,7 +69,7 @@ def test_causes_without_shapes_are_fitted_only_where_one_comes_near_and_the_numb
     def step_of(size_T: float):
         fit = fit_of(small_rig, with_wrong(small_rig, readings, offset, {"x_T": size_T}))
         pool = candidates(fit, causes_of(small_rig, fit))
-        return take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), policy.MOST_FITTED, quiet)
+        return take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), False, quiet)
 
     small, large = step_of(2e-6), step_of(200e-6)
     assert small.taken is None
@@ -85,20 +85,22 @@ def test_causes_without_shapes_are_fitted_only_where_one_comes_near_and_the_numb
 
 @pytest.mark.whole
 def test_no_more_causes_are_fitted_than_a_comparison_allows(
-    small_rig: Rig, small_session: Session, quiet: Discrepancy
+    small_rig: Rig, small_session: Session, quiet: Discrepancy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a pile of causes few fits must do; the cause that leads the screening is among them."""
     readings, offset = small_session.observations, Cause("sensor_offset", "hall")
     fit = fit_of(small_rig, with_wrong(small_rig, readings, offset, {"x_T": 200e-6}))
+    monkeypatch.setattr(policy, "MOST_FITTED_IN_A_PILE", 1)
     pool, block = candidates(fit, causes_of(small_rig, fit)), pose_blocks(readings, np.random.default_rng(0))
 
-    def step_of(most: int) -> Step:
+    def step_of(is_piled: bool) -> Step:
         pace = Pace("a step", unwatched)
-        return take_step(fit, pool, [], block, Limits(), pace, most, quiet)
+        return take_step(fit, pool, [], block, Limits(), pace, is_piled, quiet)
 
     def n_fitted(step: Step) -> int:
         return sum(one.fit is not None and not is_noise(one) for one in step.hypotheses)
 
-    few, many = step_of(1), step_of(policy.MOST_FITTED)
+    few, many = step_of(is_piled=True), step_of(is_piled=False)
     assert n_fitted(few) == 1 < n_fitted(many)
+    assert not any(one.fit for one in few.hypotheses if is_noise(one))
     assert few.taken is not None

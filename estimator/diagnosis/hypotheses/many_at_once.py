@@ -1,0 +1,78 @@
+"""Where causes of many kinds have piled up: several more are taken at once, which the linear model chooses one beside the other.
+
+The source seems wrong there, and no cause gets a name for what it leads by: what counts is how well all of them together follow the field.
+One comparison of all hypotheses for each would cost a full fit of hundreds of numbers for every leader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.several_places import fit_with_needed, is_event
+from estimator.diagnosis.hypotheses.step import least_log_evidence
+from estimator.diagnosis.linear import Projector
+from estimator.effects.attach import with_effect
+
+MOST_AT_ONCE = 12  # causes; each is chosen by another screening of all
+
+
+def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
+    """The fit with two or more further causes, whose evidence suffices beside each other; None where there are fewer.
+
+    Only causes are asked that start at their null, for there the linear model holds, and that set in at no instant.
+
+    Args:
+        fit: With the causes taken so far.
+        pool: Columns of every cause at the fit.
+    """
+    asked = [
+        candidate
+        for candidate in pool
+        if candidate.cause not in fit.rig.effects
+        and not bool(candidate.shift.any())
+        and not is_event(candidate.cause.name, fit)
+    ]
+    least = least_log_evidence(len({candidate.cause for candidate in pool}))
+    chosen = chosen_one_by_one(fit, asked, least, MOST_AT_ONCE)
+    if len(chosen) < 2:
+        return None
+    rig = fit.rig
+    for start in chosen:
+        rig = with_effect(rig, start.cause, fit.observations, start.shapes)
+    wider = fit_with_needed(fit, rig, [start.cause for start in chosen], least)
+    n_new = len(wider.rig.effects) - len(fit.rig.effects)
+    return wider if n_new > 1 and wider.log_evidence > fit.log_evidence else None
+
+
+def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: int) -> list[Candidate]:
+    """Candidates in the order in which each has most evidence beside those before it, in the linear model.
+
+    Args:
+        fit: Without them.
+        asked: The candidates.
+        least: Log evidence that each needs beside those before it.
+        most: Number of them, at most.
+    """
+    chosen: list[Candidate] = []
+    jacobian, prior = fit.jacobian, (fit.optimum.precision - fit.optimum.information)[0]
+    beside = fit
+    while len(chosen) < most:
+        screened = screening(beside, asked)
+        cause = max(screened, key=lambda cause: screened[cause][0], default=None)
+        if cause is None or screened[cause][0] <= least:
+            break
+        start = screened[cause][2]
+        chosen.append(start)
+        asked = [candidate for candidate in asked if candidate.cause != cause]
+        gradient = torch.cat((jacobian.new_zeros(jacobian.shape[1]), start.columns.T @ beside.residual))
+        jacobian = torch.cat((jacobian, start.columns), dim=1)
+        prior = torch.block_diag(prior, torch.diag(start.prior_sd**-2))
+        projector = Projector.of(jacobian, prior)
+        step = projector.factor @ (projector.factor.T @ gradient)
+        beside = fit.to_first_order(projector, beside.residual - jacobian @ step)
+    return chosen
