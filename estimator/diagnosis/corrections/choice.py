@@ -15,6 +15,7 @@ from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
 from estimator.diagnosis.corrections.linear_fit import full_fit
 from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.source_structure import is_pile
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.validation import improvement_of
 from estimator.diagnosis.widening import Widening
@@ -35,13 +36,17 @@ def best_corrected(
         unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
     """
-    kinds = kinds_of(extended)
+    is_piled = is_pile(searched.rig.effects, policy.MOST_KINDS)
+    first = (
+        searched if is_piled else extended
+    )  # what the rig leaves without a pile tells nothing of what the pile leaves
+    kinds = kinds_of(first)
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     candidates = [
-        CorrectionCandidate.at(kind, extended) for kind in kinds if kind.limit.degree >= kind.effect.lowest
+        CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest
     ]  # columns hardly change as corrections are taken
-    trial = _linear_trial(extended, candidates, tell)
-    if searched.rig.effects != extended.rig.effects:
+    trial = _linear_trial(first, candidates, tell)
+    if first is not searched and searched.rig.effects != extended.rig.effects:
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
         other = _linear_trial(searched, asked, tell)
         lead = other.fit.log_evidence - trial.fit.log_evidence
@@ -52,7 +57,16 @@ def best_corrected(
         return best
     if causes.observations is not best.fit.observations:
         rules = best.fit.posterior.model.rules
-        best = replace(best, final=fit_rig(best.fit.rig, causes.observations, best.fit.values, rules))
+        best = replace(
+            best,
+            final=fit_rig(
+                best.fit.rig,
+                causes.observations,
+                best.fit.values,
+                rules,
+                tolerance=policy.ROUGH_TOLERANCE,
+            ),
+        )
     if not len(unseen):
         return best
     widened = Widening(best.final, best.final.covariance).over_blocks(best.fit)
