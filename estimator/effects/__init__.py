@@ -115,6 +115,7 @@ from estimator.effects.surroundings import (
     BackgroundStep,
     PeriodicInterference,
 )
+from estimator.effects.turning_correction import TurnsByAngle
 from estimator.effects.winding import (
     AxialPitch,
     CoilOvality,
@@ -247,6 +248,7 @@ EFFECTS: dict[str, Effect] = {
         ReadingRipples(),
         ResponseWanders(),
         TurnsWander(),
+        TurnsByAngle(),
         ZeroWanders(),
         ZeroSwings(),
         ZeroSteps(),

@@ -195,7 +195,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     coil_harmonics coil_multipoles room_harmonics room_wanders guide_errors sensor_response response_wanders zero_wanders
     current_wanders current_swings room_answers guides_wander guide_swings moves_remembered axis_curves gain_curve current_pickup reading_ripples zero_swings
     current_steps room_steps guides_step zero_steps axis_steps gain_steps sides_remembered current_remembered field_remembered
-    turns_wander response_steps coil_bore room_bore"""
+    turns_wander turns_by_angle response_steps coil_bore room_bore"""
     assert set(EFFECTS) == set(stable.split())
 
 
