@@ -12,8 +12,9 @@ import torch
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.screening import screening
-from estimator.diagnosis.hypotheses.several_places import fit_with_needed, is_event
+from estimator.diagnosis.hypotheses.several_places import fit_with_needed
 from estimator.diagnosis.hypotheses.step import least_log_evidence
 from estimator.diagnosis.linear import Projector
 from estimator.effects.attach import with_effect
@@ -24,7 +25,7 @@ MOST_AT_ONCE = 12  # causes; each is chosen by another screening of all
 def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """The fit with two or more further causes, whose evidence suffices beside each other; None where there are fewer.
 
-    Only causes are asked that start at their null, for there the linear model holds, and that set in at no instant.
+    Only causes are asked that start at their null, for there the linear model holds.
 
     Args:
         fit: With the causes taken so far.
@@ -33,9 +34,7 @@ def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     asked = [
         candidate
         for candidate in pool
-        if candidate.cause not in fit.rig.effects
-        and not bool(candidate.shift.any())
-        and not is_event(candidate.cause.name, fit)
+        if candidate.cause not in fit.rig.effects and not bool(candidate.shift.any())
     ]
     least = least_log_evidence(len({candidate.cause for candidate in pool}))
     chosen = chosen_one_by_one(fit, asked, least, MOST_AT_ONCE)
@@ -66,7 +65,8 @@ def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: 
         cause = max(screened, key=lambda cause: screened[cause][0], default=None)
         if cause is None or screened[cause][0] <= least:
             break
-        start = screened[cause][2]
+        value, _, start = screened[cause]
+        _, start = at_finer_instant(beside, value, start)
         chosen.append(start)
         asked = [candidate for candidate in asked if candidate.cause != cause]
         gradient = torch.cat((jacobian.new_zeros(jacobian.shape[1]), start.columns.T @ beside.residual))

@@ -55,7 +55,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     starts_by_name = [
         [start for cause, (_, _, start) in screened.items() if cause.name == name]
         for name, n in n_places.items()
-        if n > 1 and not is_event(name, fit)
+        if n > 1 and not _is_event(name, fit)
     ]
     if not starts_by_name:
         return None
@@ -73,7 +73,7 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     return wider if n_new > 1 and is_better else None
 
 
-def is_event(name: str, fit: Fit) -> bool:
+def _is_event(name: str, fit: Fit) -> bool:
     """Whether an effect sets in at an instant, or has another shape that no fit moves."""
     extent = fit.posterior.model.circumstances.extent
     return any(quantity.is_fixed for quantity in EFFECTS[name].quantities(extent))

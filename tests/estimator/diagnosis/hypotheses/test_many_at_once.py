@@ -9,7 +9,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.hypotheses.many_at_once import chosen_one_by_one, many_at_once
 from estimator.diagnosis.hypotheses.screening import screening
-from estimator.diagnosis.hypotheses.several_places import is_event
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -63,12 +62,27 @@ def test_each_is_weighed_beside_those_before_it(plain: Fit, pool: list[Candidate
     assert chosen_one_by_one(plain, pool, 1e6, 12) == []
 
 
-def test_what_has_its_start_away_from_the_null_or_at_an_instant_is_left_to_other_steps(plain: Fit) -> None:
-    every = candidates(plain, causes_of(plain.rig, plain))
-    others = [c for c in every if bool(c.shift.any()) or is_event(c.cause.name, plain)]
-    assert any(bool(c.shift.any()) for c in others)
-    assert any(c.cause.name == "offset_step" for c in others)
-    assert many_at_once(plain, others) is None
+def test_what_has_its_start_away_from_the_null_is_left_to_other_steps(plain: Fit) -> None:
+    far = [c for c in candidates(plain, causes_of(plain.rig, plain)) if bool(c.shift.any())]
+    assert far
+    assert many_at_once(plain, far) is None
+
+
+def test_an_instant_is_found_between_those_of_the_coarse_grid(
+    small_rig: Rig, small_session: Session, small_truth: dict[str, float]
+) -> None:
+    step = Cause("offset_step", "hall")
+    instants_h = fit_of(small_rig, small_session.observations).posterior.model.circumstances.instants_h
+    since_h = instants_h[4] + 0.4 * (instants_h[5] - instants_h[4])
+    rig, readings = small_rig.with_values(small_truth), small_session.observations
+    readings = with_wrong(rig, readings, step, {"x_T": 100e-6, "since_h": since_h})
+    fit = fit_of(small_rig, with_wrong(rig, readings, CROSS, HIDDEN[CROSS]))
+    wider = many_at_once(fit, candidates(fit, [step, CROSS]))
+    assert wider is not None
+    between = (fit.posterior.model.circumstances.hours - since_h) * (
+        fit.posterior.model.circumstances.hours - float(wider.values[f"{step.label}.since_h"])
+    )
+    assert int((between < 0.0).sum()) <= 1  # readings on the wrong side
 
 
 def test_columns_of_a_chosen_cause_are_followed_from_then_on(plain: Fit, pool: list[Candidate]) -> None:
