@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
-from estimator.effects.stages import NoiseEffect, RecordEffect
+from estimator.effects.stages import NoiseEffect, RecordEffect, RoomEffect, SourceEffect
 from estimator.effects.use import Use, as_meant, uses_of
 from estimator.field.node_sum import SumMode
 from estimator.inference.directions import Directions
@@ -171,6 +171,18 @@ class LogPosterior:
         if self.model.circumstances.observations.dtype is torch.float64:
             return self.model.predict(values)
         return self.model.predict(self.model.alike(values)).double()
+
+    @cached_property
+    def bent_columns(self) -> Int[Tensor, " column"]:
+        """Numbers of the continuous coordinates without amplitudes of fields that correct, which predictions are linear in.
+
+        How readings change with such an amplitude hardly depends on the other coordinates either.
+        """
+        uses = (*uses_of(self.model.rig, SourceEffect), *uses_of(self.model.rig, RoomEffect))
+        labels = tuple(f"{use.label}." for use in uses if use.effect.is_correction)
+        names = self.coordinates.names[: self.coordinates.n_continuous]
+        bent = [i for i, name in enumerate(names) if not (labels and name.startswith(labels))]
+        return torch.tensor(bent, dtype=torch.int64, device=self.coordinates.device)
 
     @property
     def n_directions(self) -> int:

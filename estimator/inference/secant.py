@@ -70,7 +70,8 @@ def climb_with_secants(
         return levenberg_marquardt(posterior, start, max_iterations, tolerance)
     gradient = at.gradient()
     is_exact = slopes is None
-    model = _Model.about(posterior, at, posterior.to_first_order(start) if slopes is None else slopes)
+    slopes = posterior.to_first_order(start) if slopes is None else slopes
+    model = _Model.about(posterior, at, slopes)
     damping, growth, n_refused, iteration = 1e-3, 2.0, 0, 0
     is_at_bound = False  # the density rises beyond a bound, but no step inside increases it
     is_stalled, before, at_stall = False, [at.value], -math.inf
@@ -85,7 +86,7 @@ def climb_with_secants(
         if is_exact and (is_done or iteration == max_iterations):
             break
         if is_done or iteration == max_iterations or n_refused == MOST_REFUSED:
-            model, is_exact = _Model.about(posterior, at, posterior.to_first_order(at.vector)), True
+            model, is_exact = _Model.about(posterior, at, _made_anew(posterior, at.vector, slopes)), True
             n_refused, is_at_bound = 0, False
             if is_stalled:
                 is_stalled = at.value - at_stall < STALLED_BELOW * tolerance
@@ -116,6 +117,8 @@ def climb_with_secants(
         is_stalled = (
             len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
         )
+    if is_exact and len(posterior.bent_columns) < gradient.shape[-1]:
+        model = _Model.about(posterior, at, posterior.to_first_order(at.vector))
     is_converged = not is_beaten and (is_at_bound or promised < max(tolerance, 1e-6))
     return Optimum(
         at.vector,
@@ -125,6 +128,21 @@ def climb_with_secants(
         torch.tensor([is_converged], device=at.vector.device),
         iteration,
         model.first_order if is_exact else None,
+    )
+
+
+def _made_anew(posterior: LogPosterior, vector: Tensor, slopes: FirstOrder) -> FirstOrder:
+    """Exact derivatives on the way; those by amplitudes of fields that correct, often most of them, stay as they were at the start."""
+    bent = posterior.bent_columns
+    if len(bent) == slopes.jacobian_T.shape[-1]:
+        return posterior.to_first_order(vector)
+    fresh = posterior.to_first_order(vector, bent)
+    jacobians = (slopes.jacobian_T, slopes.log_sigma_jacobian)
+    new = (fresh.jacobian_T, fresh.log_sigma_jacobian)
+    return FirstOrder(
+        fresh.predicted_T,
+        fresh.sigma_T,
+        *(old.index_copy(-1, bent, some) for old, some in zip(jacobians, new, strict=True)),
     )
 
 

@@ -40,7 +40,8 @@ def best_corrected(
     first = (
         searched if is_piled else extended
     )  # what the rig leaves without a pile tells nothing of what the pile leaves
-    kinds = kinds_of(first)
+    most = policy.MOST_AMPLITUDES_BESIDE_A_PILE if is_piled else None
+    kinds = [kind if most is None else kind.with_at_most(most) for kind in kinds_of(first)]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     candidates = [
         CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest

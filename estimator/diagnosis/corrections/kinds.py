@@ -52,6 +52,13 @@ class CorrectionKind:
         degrees = range(self.effect.lowest, degree + 1)
         return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
 
+    def with_at_most(self, n_amplitudes: int) -> CorrectionKind:
+        """The same up to the highest degree that has no more amplitudes."""
+        degree = self.limit.degree
+        while degree > self.effect.lowest and len(self.keys(degree)) > n_amplitudes:
+            degree -= 1
+        return replace(self, limit=replace(self.limit, degree=degree))
+
     def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
         """The rig with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)

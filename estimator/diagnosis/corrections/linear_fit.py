@@ -88,4 +88,5 @@ def full_fit(linear: Fit, before: Fit, tolerance: float | None = None) -> Fit:
     """The full fit of a rig that was fitted in the linear model, from its values, or from those of the fit before if more probable."""
     is_better = density_in_full(linear) > density_in_full(before)
     start = linear.values if is_better else before.start_with(linear.rig)
-    return fit_rig(linear.rig, linear.observations, start, linear.posterior.model.rules, tolerance=tolerance)
+    rules = linear.posterior.model.rules
+    return fit_rig(linear.rig, linear.observations, start, rules, tolerance=tolerance, near=linear)
