@@ -75,12 +75,11 @@ def climb_with_secants(
     damping, growth, n_refused, iteration = 1e-3, 2.0, 0, 0
     is_at_bound = False  # the density rises beyond a bound, but no step inside increases it
     is_stalled, before, at_stall = False, [at.value], -math.inf
-    is_beaten = False
     while True:
         newton = solve(model.precision, gradient)
         promised = float((gradient * newton).sum())
-        is_beaten = at.value + BEHIND * 0.5 * promised < to_beat
-        if is_beaten:
+        if at.value + BEHIND * 0.5 * promised < to_beat:
+            is_exact = False
             break
         is_done = is_at_bound or is_stalled or promised < tolerance or damping > LARGEST_DAMPING
         if is_exact and (is_done or iteration == max_iterations):
@@ -119,7 +118,7 @@ def climb_with_secants(
         )
     if is_exact and len(posterior.bent_columns) < gradient.shape[-1]:
         model = _Model.about(posterior, at, posterior.to_first_order(at.vector))
-    is_converged = not is_beaten and (is_at_bound or promised < max(tolerance, 1e-6))
+    is_converged = is_exact and (is_at_bound or promised < max(tolerance, 1e-6))
     return Optimum(
         at.vector,
         posterior(at.vector),
