@@ -8,7 +8,7 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -78,6 +78,9 @@ diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(RUN) scripts.studies.diagnose_real --out out/diagnosis
 	$(RUN) scripts.studies.diagnose_real mice-run07 mice-run05 --carry 'out/diagnosis/mice-run03/pierced_plate[room]' --out out/diagnosis_with_plate
 	$(RUN) scripts.studies.compare_diagnoses out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
+
+mice-floor: $(INSTALLED)  # what a diagnosis left of these maps beside their repeats and smooth functions in hindsight; after diagnose-real
+	$(RUN) scripts.studies.mice_floor mice-run07 mice-run05 mice-run03 --out out/diagnosis
 
 mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet do to its maps, everything fitted at once
 	$(RUN) scripts.studies.mice_filaments
