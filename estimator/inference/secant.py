@@ -33,6 +33,7 @@ from estimator.inference.levenberg_marquardt import (
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 
 MANY_DIRECTIONS = 24  # of derivatives, from which on a Jacobian costs much more than a gradient
+PATIENCE = 3.0  # times the steps of `STALLED_AFTER` in which a climb must reach what is known at the pace of the last ones
 MOST_REFUSED = 2  # steps in turn, after which a corrected Jacobian is made anew
 
 
@@ -78,7 +79,7 @@ def climb_with_secants(
     while True:
         newton = solve(model.precision, gradient)
         promised = float((gradient * newton).sum())
-        if at.value + BEHIND * 0.5 * promised < to_beat:
+        if at.value + BEHIND * 0.5 * promised < to_beat or _is_behind(before, to_beat):
             is_exact = False
             break
         is_done = is_at_bound or is_stalled or promised < tolerance or damping > LARGEST_DAMPING
@@ -128,6 +129,13 @@ def climb_with_secants(
         iteration,
         model.first_order if is_exact else None,
     )
+
+
+def _is_behind(values: list[float], to_beat: float) -> bool:
+    """Whether a climb, given its log densities step by step, crawls on so far below a known maximum that it will not reach it."""
+    if len(values) <= STALLED_AFTER:
+        return False
+    return to_beat - values[-1] > PATIENCE * (values[-1] - values[-1 - STALLED_AFTER])
 
 
 def _made_anew(posterior: LogPosterior, vector: Tensor, slopes: FirstOrder) -> FirstOrder:

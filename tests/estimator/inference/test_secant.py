@@ -12,7 +12,7 @@ from estimator.inference import secant
 from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.secant import climb_with_secants, is_worthwhile
+from estimator.inference.secant import _is_behind, climb_with_secants, is_worthwhile
 from estimator.rig.rig import Cause
 from tests.estimator.inference.conftest import Problem, make_problem, posterior_with
 
@@ -160,3 +160,11 @@ def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(proble
     outside[:, column] = -0.033 + 1e-15  # the bound is -33 mm
     assert posterior(outside).isneginf().all()
     assert_same_maximum(climb_with_secants(posterior, outside, TOLERANCE), exact)
+
+
+def test_a_climb_is_behind_where_its_pace_would_not_bring_it_to_what_is_known() -> None:
+    crawling = [100.0 + 0.1 * step for step in range(12)]  # 0.8 in the last eight
+    assert not _is_behind(crawling, 103.4)
+    assert _is_behind(crawling, 103.6)
+    assert not _is_behind(crawling[:8], 200.0)
+    assert not _is_behind(crawling, float("-inf"))
