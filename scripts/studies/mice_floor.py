@@ -86,8 +86,8 @@ def rest_of(name: str, folder: Path, seed: int) -> Rest:
         sys.exit(f"mice_floor: {folder} must hold a diagnosis of scripts.studies.diagnose_real; it does not")
     rig = load_rig(folder / "rig_extended.yaml")
     fitted = json.loads((folder / "diagnosis.json").read_text())["rig_parameters"]
-    numbers = rig.nominal_values() | {name: row["median"] for name, row in fitted.items()}
-    values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
+    rig = rig.with_values({name: row["median"] for name, row in fitted.items()})
+    values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     with torch.no_grad():
         field_T = MeasurementModel.build(rig, observations).predict(values)
     motion = observations.motion["mapper"].numpy()
