@@ -79,7 +79,7 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
     correction = diagnosis.fits.correction
-    if correction is None or not correction.is_taken:
+    if correction is None or not correction.parts:
         return
     fit = correction.fit
     amplitudes = [

@@ -37,9 +37,7 @@ def best_corrected(
         tell: Called with a message for each correction that is taken.
     """
     is_piled = is_pile(searched.rig.effects, policy.MOST_KINDS)
-    first = (
-        searched if is_piled else extended
-    )  # what the rig leaves without a pile tells nothing of what the pile leaves
+    first = searched if is_piled else extended  # what the bare rig leaves says nothing of what a pile leaves
     most = policy.MOST_AMPLITUDES_BESIDE_A_PILE if is_piled else None
     kinds = [kind if most is None else kind.with_at_most(most) for kind in kinds_of(first)]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
@@ -53,7 +51,7 @@ def best_corrected(
         lead = other.fit.log_evidence - trial.fit.log_evidence
         if other.parts and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not trial.parts):
             trial = other
-    best = trial.in_full(limits)
+    best = trial.in_full(limits, corrects_already=is_piled and first.rig.effects != extended.rig.effects)
     if not best.is_taken:
         return best
     if causes.observations is not best.fit.observations:
@@ -93,17 +91,22 @@ class _LinearTrial:
     parts: tuple[Part, ...]
     leaders: Sequence[CorrectionCandidate]
 
-    def in_full(self, limits: dict[str, str]) -> Correction:
-        """The same fitted in full; refused where that has no evidence any more, or predicts places held out worse."""
+    def in_full(self, limits: dict[str, str], corrects_already: bool) -> Correction:
+        """The same fitted in full; refused where that has no evidence any more, or predicts places held out worse.
+
+        Args:
+            limits: By kind and place why no higher degree was asked.
+            corrects_already: Whether the fit before them stands in their place then, for its causes stand in for something unknown.
+        """
         before = self.before
         if not self.parts:
             refusal = "no correction has clear evidence and predicts places held out better"
-            return Correction(before, (), limits, refusal, before)
+            return Correction(before, (), limits, "" if corrects_already else refusal, before)
         fit = full_fit(self.fit, before)
         gain = held_out(before, fit, pose_blocks(fit.observations, np.random.default_rng(0)))
         if gain.elpd_difference <= 0.0 or fit.log_evidence <= before.log_evidence:
             refusal = "fitted in full, what was tried predicts places held out no better"
-            return Correction(before, (), limits, refusal, before)
+            return Correction(before, (), limits, "" if corrects_already else refusal, before)
         return Correction(fit, self.parts, limits, "", fit)
 
 

@@ -36,7 +36,7 @@ class Correction:
 
     Attributes:
         fit: Of the readings of the search, with the corrections; as it was where none was taken.
-        parts: The corrections, as they were taken.
+        parts: The corrections, as they were taken; none where causes that stand in for something unknown correct by themselves.
         limits: By kind and place why no higher degree was asked, or none, and what to measure.
         refusal: Why nothing is corrected; empty where something is.
         final: The same, fitted to more readings.
@@ -59,7 +59,8 @@ class Correction:
         """In one sentence, with the names that the diagnosis gives."""
         if not self.is_taken:
             return f"Nothing is corrected: {self.refusal}."
-        by = " and ".join(f"{label(part.cause)} to degree {part.degree}" for part in self.parts)
+        each = [f"{label(part.cause)} to degree {part.degree}" for part in self.parts]
+        by = " and ".join(each) or "the causes that stand in"
         return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
 
     @property

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
 from estimator.diagnosis.corrections.linear_fit import density_in_full
@@ -145,6 +146,32 @@ def test_nothing_is_corrected_where_a_cause_explains_all(small_rig: Rig, small_s
     assert correction.parts == ()
     assert not correction.is_taken
     assert correction.words(str) == f"Nothing is corrected: {correction.refusal}."
+
+
+def test_a_kind_is_cut_to_a_number_of_amplitudes(plain: Fit):
+    kind = next(kind for kind in kinds_of(plain) if kind.cause == HARMONICS)
+    assert kind.limit.degree == 4
+    assert [kind.with_at_most(n).limit.degree for n in (24, 23, 8, 2)] == [4, 3, 2, 1]
+
+
+def test_a_pile_that_leaves_nothing_corrects_by_itself(
+    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch
+):
+    """Its causes have no name, but predictions with them are right where those of the bare rig are not."""
+    monkeypatch.setattr(policy, "MOST_KINDS", 1)
+    observations, offset = small_session.observations, Cause("sensor_offset", "hall")
+    observations = with_wrong(small_rig, observations, GAIN, {"x": 0.05})
+    observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
+    bare, pile = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
+    correction = best_corrected(bare, pile, bare, observations.validation, unheard)
+    assert correction.is_taken
+    assert correction.parts == ()
+    assert correction.fit is pile
+    assert "by the causes that stand in;" in correction.words(str)
+    assert correction.gain is not None
+    assert correction.gain.after.errors.vector_T < 0.5 * correction.gain.before.errors.vector_T
+    alone = best_corrected(pile, pile, pile, observations.validation, unheard)
+    assert not alone.is_taken  # nothing beyond what is named already
 
 
 def test_a_current_that_swings_is_followed_at_its_own_frequency(small_rig: Rig, small_session: Session):
