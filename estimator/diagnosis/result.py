@@ -38,6 +38,7 @@ DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "report.html",
     "calibration",
 )
+MOST_KINDS_TOLD = 3  # of causes that were taken together
 
 
 def label_of(cause: Cause, rig: Rig) -> str:
@@ -163,17 +164,24 @@ class Diagnosis:
         return label_of(cause, self.rig)
 
     def label_of_addition(self, addition: Addition) -> str:
-        """Names of the causes that the search took together."""
+        """Names of the causes that the search took together; of many kinds, of the first."""
+        kinds = list(self._kinds(addition).values())
+        if len(kinds) > MOST_KINDS_TOLD:
+            kinds = [*kinds[: MOST_KINDS_TOLD - 1], f"{len(kinds) - MOST_KINDS_TOLD + 1} other kinds"]
+        return " + ".join(kinds)
+
+    def _kinds(self, addition: Addition) -> dict[str, str]:
+        """What to call each kind of the causes that were taken together."""
         n_places = Counter(cause.name for cause in addition.causes)
         label = {cause.name: self.label(cause) for cause in addition.causes}
-        return " + ".join(label[name] if n == 1 else f"{name} at {n} places" for name, n in n_places.items())
+        return {name: label[name] if n == 1 else f"{name} at {n} places" for name, n in n_places.items()}
 
     @property
     def comparisons(self) -> list[tuple[str, Step]]:
-        """For each addition its label and the step of the first cause of each name; last, the step that took nothing."""
+        """For each addition what it took, and the step of the first cause of each name; last, the step that took nothing."""
         search = self.findings.search
         steps = [
-            (self.label_of_addition(addition), search.step_of(cause))
+            (self._kinds(addition)[cause.name], search.step_of(cause))
             for addition in search.additions
             for cause in {cause.name: cause for cause in reversed(addition.causes)}.values()
         ]

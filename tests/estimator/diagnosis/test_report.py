@@ -282,6 +282,9 @@ def test_what_was_taken_in_one_go_is_said_kind_by_kind(diagnosis: Diagnosis) -> 
     causes = [Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("sensor_offset", "other")]
     addition = Addition(tuple(causes), diagnosis.fits.final)
     assert diagnosis.label_of_addition(addition) == "sensor_offset at 2 places + axis_gain"
+    causes += [Cause(name, "hall") for name in ("cross_axis", "sensor_lag", "cubic_response")]
+    many = diagnosis.label_of_addition(Addition(tuple(causes), diagnosis.fits.final))
+    assert many == "sensor_offset at 2 places + axis_gain + 3 other kinds"
 
 
 def test_impact_is_the_move_of_a_parameter_when_the_cause_is_left_out(diagnosis: Diagnosis) -> None:
