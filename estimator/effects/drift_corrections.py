@@ -13,6 +13,7 @@ from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.correction import InTime
 from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
+from estimator.effects.turning_correction import shown_by_turned
 from estimator.frames import Transform
 
 
@@ -133,10 +134,7 @@ class TurnsWander(_Drift, ReadingEffect):
         sensor: str,
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read, to first order in the turn."""
-        turn_rad = self._wandering(theta, circumstances)
-        field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, turn_rad)
-        turned_T: Tensor = field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
-        return turned_T
+        return shown_by_turned(field_sensor_T, self._wandering(theta, circumstances))
 
 
 class CurrentWanders(_Drift, OneCoilCurrent):

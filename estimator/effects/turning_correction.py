@@ -76,13 +76,20 @@ class TurnsByAngle(Correction, ReadingEffect):
         """Components as they are read, to first order in the turn."""
         axis = torch.stack([theta[f"axis_{name}"].flatten()[0] for name in "xyz"])
         angle_rad = _turns_rad(circumstances, sensor) @ axis
-        turn_rad = torch.zeros(())
+        turn_rad = field_sensor_T.new_zeros(3)
         for degree, amplitude in self.amplitudes(theta).items():
             waves = torch.stack((torch.cos(degree * angle_rad), torch.sin(degree * angle_rad)), dim=-1)
             turn_rad = turn_rad + waves @ amplitude.unflatten(-1, (3, 2)).mT
-        field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, turn_rad)
-        turned_T: Tensor = field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
-        return turned_T
+        return shown_by_turned(field_sensor_T, turn_rad)
+
+
+def shown_by_turned(
+    field_sensor_T: Float[Tensor, "*#batch reading 3"], turn_rad: Float[Tensor, "*#batch #reading 3"]
+) -> Float[Tensor, "*batch reading 3"]:
+    """Components of a field along the axes of a sensor that is turned in its own frame, to first order in the turn."""
+    field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, turn_rad)
+    turned_T: Tensor = field_sensor_T - torch.linalg.cross(turn_rad, field_sensor_T, dim=-1)
+    return turned_T
 
 
 def _turns_rad(circumstances: Circumstances, sensor: str) -> Float[Tensor, "reading 3"]:

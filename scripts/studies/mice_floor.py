@@ -68,6 +68,8 @@ def main() -> None:
             f"{name}: {unseen.sum()} readings unseen, {rms_mT(rest.rest_T[unseen]):.3f} mT left of them, "
             f"{rms_mT(rest.rest_T[~unseen]):.3f} of the others"
         )
+        each = (rms_mT(rest.rest_T[unseen & (rest.sensor == k)]) for k in range(rest.sensor.max() + 1))
+        print(f"  left of each probe: {', '.join(f'{value:.3f}' for value in each)} mT")
         print(
             f"  repeats scatter by {scatter_T(rest) * 1e3:.3f} mT, as weighed by the probes of the unseen readings"
         )

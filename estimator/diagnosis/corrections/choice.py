@@ -36,22 +36,24 @@ def best_corrected(
         unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
     """
-    is_piled = is_pile(searched.rig.effects, policy.MOST_KINDS)
+    standing_in = [cause for cause in searched.rig.effects if cause not in extended.rig.effects]
+    is_piled = is_pile(standing_in, policy.MOST_KINDS)
     first = searched if is_piled else extended  # what the bare rig leaves says nothing of what a pile leaves
-    most = policy.MOST_AMPLITUDES_BESIDE_A_PILE if is_piled else None
-    kinds = [kind if most is None else kind.with_at_most(most) for kind in kinds_of(first)]
+    kinds = kinds_of(first)
+    if is_piled:
+        kinds = [kind.with_at_most(policy.MOST_AMPLITUDES_BESIDE_A_PILE) for kind in kinds]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     candidates = [
         CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest
     ]  # columns hardly change as corrections are taken
     trial = _linear_trial(first, candidates, tell)
-    if first is not searched and searched.rig.effects != extended.rig.effects:
+    if standing_in and not is_piled:
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
         other = _linear_trial(searched, asked, tell)
         lead = other.fit.log_evidence - trial.fit.log_evidence
         if other.parts and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not trial.parts):
             trial = other
-    best = trial.in_full(limits, corrects_already=is_piled and first.rig.effects != extended.rig.effects)
+    best = trial.in_full(limits, corrects_already=is_piled)
     if not best.is_taken:
         return best
     if causes.observations is not best.fit.observations:

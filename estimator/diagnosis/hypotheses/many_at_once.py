@@ -14,10 +14,9 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.screening import screening
-from estimator.diagnosis.hypotheses.several_places import fit_with_needed
+from estimator.diagnosis.hypotheses.several_places import with_several
 from estimator.diagnosis.hypotheses.step import least_log_evidence
 from estimator.diagnosis.linear import Projector
-from estimator.effects.attach import with_effect
 
 MOST_AT_ONCE = 12  # causes; each is chosen by another screening of all
 
@@ -40,12 +39,8 @@ def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     chosen = chosen_one_by_one(fit, asked, least, MOST_AT_ONCE)
     if len(chosen) < 2:
         return None
-    rig = fit.rig
-    for start in chosen:
-        rig = with_effect(rig, start.cause, fit.observations, start.shapes)
-    wider = fit_with_needed(fit, rig, [start.cause for start in chosen], least)
-    n_new = len(wider.rig.effects) - len(fit.rig.effects)
-    return wider if n_new > 1 and wider.log_evidence > fit.log_evidence else None
+    wider = with_several(fit, chosen, least)
+    return wider if wider is not None and wider.log_evidence > fit.log_evidence else None
 
 
 def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: int) -> list[Candidate]:

@@ -22,7 +22,11 @@ from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, cau
 from estimator.diagnosis.hypotheses.far_off import with_far_off
 from estimator.diagnosis.hypotheses.many_at_once import many_at_once
 from estimator.diagnosis.hypotheses.pairs import pairs
-from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps
+from estimator.diagnosis.hypotheses.several_places import (
+    at_several_places,
+    comparison_steps,
+    without_idle,
+)
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
@@ -380,9 +384,7 @@ class _SearchState:
         """The fit with several more causes where causes of many kinds have piled up; None where there are fewer than two."""
         if not self.is_piled(fit):
             return None
-        return self._taken_together(
-            fit, many_at_once(fit, [c for c in self._pool(fit) if c.cause not in self.collapsed])
-        )
+        return self._taken_together(fit, many_at_once(fit, self._asked_again(fit)))
 
     def _taken_together(self, fit: Fit, wider: Fit | None) -> Fit | None:
         """The fit with several more causes, unless it predicts blocks held out worse or has too many."""
@@ -439,7 +441,7 @@ class _SearchState:
         is_piled = self.is_piled(fit)
         step = take_step(
             fit,
-            [c for c in self._pool(fit) if c.cause not in self.collapsed],
+            self._asked_again(fit),
             self.curves(fit),
             self.block,
             self.limits,
@@ -459,7 +461,7 @@ class _SearchState:
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""
-        fit, dropped = _pruned(fit, self.base)
+        fit, dropped = without_idle(fit, self.base)
         self._drop(dropped)
         return fit
 
@@ -477,6 +479,10 @@ class _SearchState:
         others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in self.asked]
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
+    def _asked_again(self, fit: Fit) -> list[Candidate]:
+        """The pool without causes of which a fit in a pile has found nothing."""
+        return [candidate for candidate in self._pool(fit) if candidate.cause not in self.collapsed]
+
     def curves(self, fit: Fit) -> list[Family]:
         """Flexible curves, weighed as the readings are at a fit."""
         weight = fit.weight_over(self.screened_at)
@@ -490,20 +496,3 @@ def _alone_in_step(cause: Cause, before: Fit, after: Fit) -> Step:
     gain = Hypothesis(cause, cause.label, after.log_evidence - before.log_evidence, fit=after)
     hypotheses = with_probabilities([Hypothesis(None, "nothing", 0.0), gain], 1)
     return Step(tuple(hypotheses), cause, (hypotheses[0],), discrepancy(after, families(after)))
-
-
-def _pruned(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
-    """Drop causes, the least needed first, while the evidence rises; do not try it for causes far from their null."""
-    dropped: list[Cause] = []
-    while True:
-        added = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
-        evidence = {cause: fit.log_evidence_for(cause) for cause in added[:-1]}
-        cause = min(evidence, key=evidence.__getitem__, default=None)
-        if cause is None or evidence[cause] > policy.SURELY_NEEDED:
-            return fit, dropped
-        rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
-        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
-        if best.log_evidence <= fit.log_evidence:
-            return fit, dropped
-        dropped.append(cause)
-        fit = best

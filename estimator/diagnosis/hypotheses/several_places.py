@@ -62,15 +62,24 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     evidence, best_starts = max((joint_evidence(fit, starts) for starts in starts_by_name), key=itemgetter(0))
     if evidence <= least:
         return None
+    wider = with_several(fit, best_starts, least_log_evidence(len(screened)))
+    is_better = wider is not None and wider.log_evidence - fit.log_evidence > least
+    return wider if is_better else None
+
+
+def with_several(fit: Fit, starts: Sequence[Candidate], least: float) -> Fit | None:
+    """The fit with those of several causes whose evidence suffices beside the others; None where fewer than two are left.
+
+    Args:
+        fit: Without them.
+        starts: Where each begins.
+        least: Log evidence that each needs.
+    """
     rig = fit.rig
-    for start in best_starts:
+    for start in starts:
         rig = with_effect(rig, start.cause, fit.observations, start.shapes)
-    wider = fit_with_needed(
-        fit, rig, [start.cause for start in best_starts], least_log_evidence(len(screened))
-    )
-    n_new = len(wider.rig.effects) - len(fit.rig.effects)
-    is_better = wider.log_evidence - fit.log_evidence > least
-    return wider if n_new > 1 and is_better else None
+    wider = fit_with_needed(fit, rig, [start.cause for start in starts], least)
+    return wider if len(wider.rig.effects) > len(fit.rig.effects) + 1 else None
 
 
 def _is_event(name: str, fit: Fit) -> bool:
@@ -156,6 +165,23 @@ def fit_with_needed(
             rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=wider
         )
     return wider
+
+
+def without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
+    """Drop causes, the least needed first, while the evidence rises; do not try it for causes far from their null."""
+    dropped: list[Cause] = []
+    while True:
+        added = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
+        evidence = {cause: fit.log_evidence_for(cause) for cause in added[:-1]}
+        cause = min(evidence, key=evidence.__getitem__, default=None)
+        if cause is None or evidence[cause] > policy.SURELY_NEEDED:
+            return fit, dropped
+        rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
+        best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
+        if best.log_evidence <= fit.log_evidence:
+            return fit, dropped
+        dropped.append(cause)
+        fit = best
 
 
 def comparison_steps(
