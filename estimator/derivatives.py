@@ -52,7 +52,9 @@ def value_and_jacobian(
             else directions
         )
         values = function(free)
-        if not (values.requires_grad and len(point)):  # nothing depends on it
+        if not (
+            values.requires_grad and len(point) and len(each)
+        ):  # nothing depends on it, or none is asked for
             return values.detach(), values.new_zeros(*values.shape, len(each))
         weights = torch.zeros_like(values).requires_grad_()
         gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)[0]

@@ -35,6 +35,10 @@ ROUGH_TOLERANCE = 1e-2
 """The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1. Study of 5 cases: numbers change in
 2."""
 
+CORRECTED_TO_SD = 0.08
+"""How near its maximum the fit of a corrected model to all readings that count ends: root mean square over its numbers, in standard
+deviations. Effort: no name depends on it, and hundreds of amplitudes crawl. Study: not in it."""
+
 NEAR_BOUND = 1e-3
 """Distance from a bound of the prior, in its standard deviations, at which the density may still rise beyond: the last Newton step leaves
 such a coordinate alone. By judgement. Study of 5 cases: no change."""

@@ -20,8 +20,9 @@ from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.field.core import Core
 from estimator.field.magnetised import Rings
+from estimator.field.node_sum import Nodes, SumMode
 from estimator.field.sided import SidedWinding
-from estimator.field.winding import Rule, Winding
+from estimator.field.winding import Rule, Winding, field_of_loops
 from estimator.frames import Transform
 from estimator.rig.rig import Coil, Rig, SidedCoil
 
@@ -126,6 +127,31 @@ class SourceEffect(Effect):
     ) -> Float[Tensor, "*#batch reading"]:
         """What the additional field is proportional to: the coil's current, or 1 where it is permanent, unless said otherwise."""
         return torch.ones_like(current_A) if self.is_permanent else current_A
+
+
+class AddedLoops(SourceEffect):
+    """Adds loops about the axis of the coil, which its current runs through."""
+
+    @abstractmethod
+    def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
+        """The loops in the coil frame, on a grid of two node axes, and the AGM steps of each."""
+
+    def apply(
+        self,
+        points_coil_m: Float[Tensor, "*#batch pose 3"],
+        winding: Winding,
+        rule: Rule,
+        theta: Theta,
+        mode: SumMode = SumMode.PLAIN,
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """Field of the loops per ampere.
+
+        Args:
+            points_coil_m, winding, rule, theta: As with other sources.
+            mode: How loops are summed.
+        """
+        loops, steps = self.loops(winding, rule, theta)
+        return field_of_loops(points_coil_m, loops, steps, mode)
 
 
 class WindingMagnetisation(Effect):

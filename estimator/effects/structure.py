@@ -6,22 +6,20 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import SourceEffect
+from estimator.effects.stages import AddedLoops
 from estimator.field.loop import FEWEST_STEPS
 from estimator.field.node_sum import Nodes
-from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
+from estimator.field.winding import Rule, Winding, loops_of
 from estimator.rig.parameters import LogNormal, Normal
 
 HIDDEN_NODES = 6  # loops that stand for a hidden winding
 HIDDEN_STEPS = FEWEST_STEPS + 3  # enough wherever it ends up: a millionth of the distance to its other side
 
 
-class HiddenWinding(SourceEffect):
+class HiddenWinding(AddedLoops):
     """Another winding about the same axis carries the same current, in either sense: a shield, a compensation, a second coil.
 
     Its numbers count in those of the coil: turns in the coil's turns, lengths in its external radius, heights from its front face.
@@ -59,12 +57,10 @@ class HiddenWinding(SourceEffect):
         )
         return tuple(dict(zip(("radius", "middle", "length"), values, strict=True)) for values in places)
 
-    def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Field of the winding per ampere, at Gauss nodes along it."""
+    def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
+        """Gauss nodes along it."""
         nodes, weights = (
-            torch.from_numpy(v).to(points_coil_m) for v in np.polynomial.legendre.leggauss(HIDDEN_NODES)
+            torch.from_numpy(v).to(winding.radius_m) for v in np.polynomial.legendre.leggauss(HIDDEN_NODES)
         )
         turns, radius, middle, length = (
             theta[key][..., None] for key in ("turns", "radius", "middle", "length")
@@ -75,10 +71,10 @@ class HiddenWinding(SourceEffect):
             unit_m * (middle + 0.5 * length * nodes), unit_m * radius, weight
         )
         loops = Nodes(height_m[..., None], radius_m[..., None], weight[..., None])
-        return field_of_loops(points_coil_m, loops, max(rule.steps, HIDDEN_STEPS))
+        return loops, max(rule.steps, HIDDEN_STEPS)
 
 
-class ReversedLayer(SourceEffect):
+class ReversedLayer(AddedLoops):
     """A layer of the winding is wound the other way; half as much the other way round is a layer that is missing, or is there twice."""
 
     name: ClassVar[str] = "reversed_layer"
@@ -95,10 +91,8 @@ class ReversedLayer(SourceEffect):
         """Near the outside, in the middle, near the bore."""
         return tuple({"depth": depth} for depth in (0.05, 0.5, 0.95))
 
-    def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Twice the field of the layer, taken away, per ampere."""
+    def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
+        """Twice the layer, taken away."""
         in_m = theta["depth"] * winding.radial_pitch_m * (winding.radial_loops - 1.0)
         radius_m, *others = torch.broadcast_tensors(
             winding.radius_m - in_m,
@@ -108,5 +102,4 @@ class ReversedLayer(SourceEffect):
             winding.radial_pitch_m,
         )
         layer = loops_of(Winding(radius_m, *others), Rule(rule.axial_nodes, 1, rule.steps))
-        reversed_twice = layer._replace(weight=-2.0 * theta["share"][..., None, None] * layer.weight)
-        return field_of_loops(points_coil_m, reversed_twice, rule.steps)
+        return layer._replace(weight=-2.0 * theta["share"][..., None, None] * layer.weight), rule.steps

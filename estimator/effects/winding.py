@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import SourceEffect, WindingEffect
+from estimator.effects.stages import AddedLoops, SourceEffect, WindingEffect
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
@@ -67,7 +67,7 @@ class RadialPitch(PitchEffect):
         return winding.with_pitches(torch.ones_like(factor), factor)
 
 
-class TurnsGradient(SourceEffect):
+class TurnsGradient(AddedLoops):
     """Turns lie denser towards one end of the winding."""
 
     name: ClassVar[str] = "turns_gradient"
@@ -79,17 +79,15 @@ class TurnsGradient(SourceEffect):
         """Relative excess of turns per length at the front face."""
         return (normal("slope", "1", 0.05),)
 
-    def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Field of the excess per ampere."""
+    def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
+        """The excess of turns."""
         loops = loops_of(winding, rule)
         half_m = 0.5 * winding.length_m[..., None, None]
-        excess = loops._replace(weight=loops.weight * (loops.height_m + half_m) / half_m)
-        return theta["slope"][..., None, None] * field_of_loops(points_coil_m, excess, rule.steps)
+        excess = theta["slope"][..., None, None] * (loops.height_m + half_m) / half_m
+        return loops._replace(weight=loops.weight * excess), rule.steps
 
 
-class ShortLayer(SourceEffect):
+class ShortLayer(AddedLoops):
     """The outermost layer ends before the face of the winding."""
 
     name: ClassVar[str] = "short_layer"
@@ -106,12 +104,10 @@ class ShortLayer(SourceEffect):
         """At the front and at the back."""
         return ({"at_front": 1.0}, {"at_front": 0.0})
 
-    def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Field of what is missing, per ampere."""
+    def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
+        """What is missing."""
         nodes, weights = (
-            torch.from_numpy(v).to(points_coil_m) for v in np.polynomial.legendre.leggauss(LAYER_NODES)
+            torch.from_numpy(v).to(winding.radius_m) for v in np.polynomial.legendre.leggauss(LAYER_NODES)
         )
         share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
         depth = 0.5 * (nodes + 1.0) * share  # from the end, in units of the length
@@ -119,8 +115,7 @@ class ShortLayer(SourceEffect):
         radius_m = (winding.radius_m - 0.5 * winding.radial_pitch_m)[..., None]
         weight = -0.5 * weights * share * winding.axial_loops[..., None]
         height_m, radius_m, weight = torch.broadcast_tensors(height_m, radius_m, weight)
-        loops = Nodes(height_m[..., None], radius_m[..., None], weight[..., None])
-        return field_of_loops(points_coil_m, loops, rule.steps)
+        return Nodes(height_m[..., None], radius_m[..., None], weight[..., None]), rule.steps
 
 
 class CoilOvality(SourceEffect):

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
-from estimator.effects.stages import NoiseEffect, RecordEffect, RoomEffect, SourceEffect
+from estimator.effects.correction import KEY, Correction
+from estimator.effects.stages import NoiseEffect, ReadingEffect, RecordEffect, RoomEffect, SourceEffect
 from estimator.effects.use import Use, as_meant, uses_of
 from estimator.field.node_sum import SumMode
 from estimator.inference.directions import Directions
@@ -23,6 +25,7 @@ from estimator.rig.coordinates import Coordinates, Values
 
 # What a batch holds at once: entries of one array of predictions, and of one of derivatives. Calculations keep a few dozen such arrays.
 COMPONENTS_AT_ONCE, DERIVATIVES_AT_ONCE = 2**20, 2**22
+AMPLITUDE_STEP = 1e-3  # of the prior's width: predictions are nearly linear in amplitudes
 DERIVATIVES_IN_A_PASS = (
     2**19
 )  # of one part of the readings; larger parts fall out of the cache and take half as long again
@@ -115,19 +118,38 @@ class LogPosterior:
     ) -> FirstOrder:
         """Predictions, noise, and how both change with every continuous coordinate, or with some of them.
 
-        All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
-
         Args:
             vector: The coordinates.
             columns: Numbers of those that derivatives are taken in; all by default.
         """
+        if columns is None:
+            columns = torch.arange(self.coordinates.n_continuous, device=vector.device)
+        is_amplitude = torch.isin(columns, self._amplitudes)
+        is_double = self.model.circumstances.observations.dtype is torch.float64  # as differences want
+        if vector.shape[:-1].numel() != 1 or not is_double or not is_amplitude.any():
+            return self._by_two_passes(vector, columns)
+        others = self._by_two_passes(vector, columns[~is_amplitude])
+        shape = (*others.predicted_T.shape, len(columns))
+        jacobian_T, log_sigma_jacobian = vector.new_zeros(shape), vector.new_zeros(shape)
+        jacobian_T[..., ~is_amplitude] = others.jacobian_T
+        jacobian_T[..., is_amplitude] = self._by_amplitudes(vector, columns[is_amplitude])
+        log_sigma_jacobian[..., ~is_amplitude] = others.log_sigma_jacobian
+        return others._replace(jacobian_T=jacobian_T, log_sigma_jacobian=log_sigma_jacobian)
+
+    def _by_two_passes(
+        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"]
+    ) -> FirstOrder:
+        """The same by two backward passes (`derivatives`).
+
+        All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
+        """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
-        directions = self._directions if columns is None else self._directions.only(columns)
+        directions = self._directions if len(columns) == n else self._directions.only(columns)
         n_readings = len(self.model.circumstances)
         at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
             parts = [
-                self.part(part).to_first_order(vector, columns)
+                self.part(part)._by_two_passes(vector, columns)
                 for part in torch.arange(n_readings, device=vector.device).split(at_once)
             ]
             components, jacobians = slice(0, 2), slice(2, 4)
@@ -148,6 +170,27 @@ class LogPosterior:
         (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
         jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
+
+    def _by_amplitudes(
+        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"]
+    ) -> Float[Tensor, "*batch component column"]:
+        """Jacobian by amplitudes of corrections, which predictions are linear in: by differences, for one evaluation serves many."""
+        step = AMPLITUDE_STEP * self.coordinates.scale[columns]
+        with torch.no_grad():
+            values = self.coordinates.values(vector.flatten())
+            at_sensor_T = self.model.at_sensor_T(values)
+            middle_T = self.measured_components(self.model.shown_T(values, at_sensor_T))
+            jacobian_T = vector.new_empty(len(middle_T), len(columns))
+            for is_field in (True, False):
+                mine = (torch.isin(columns, self._amplitudes_of_fields) == is_field).nonzero().flatten()
+                for part in mine.split(max(1, COMPONENTS_AT_ONCE // max(1, len(middle_T)))):
+                    each = torch.diag(step[part])
+                    names = [self.coordinates.names[i] for i in columns[part].tolist()]
+                    there = {**values, **{n: values[n] + each[:, i] for i, n in enumerate(names)}}
+                    field_T = self.model.at_sensor_T(there) if is_field else at_sensor_T
+                    changed_T = self.measured_components(self.model.shown_T(there, field_T))
+                    jacobian_T[:, part] = ((changed_T - middle_T) / step[part, None]).T
+        return jacobian_T.expand(*vector.shape[:-1], -1, -1)
 
     def log_sigma_jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
@@ -173,16 +216,25 @@ class LogPosterior:
         return self.model.predict(self.model.alike(values)).double()
 
     @cached_property
-    def bent_columns(self) -> Int[Tensor, " column"]:
-        """Numbers of the continuous coordinates without amplitudes of fields that correct, which predictions are linear in.
+    def _amplitudes(self) -> Int[Tensor, " column"]:
+        """Numbers of the coordinates that are amplitudes of corrections of the field, or of what is read of it."""
+        of_readings = self._amplitudes_in(uses_of(self.model.rig, ReadingEffect))
+        return torch.cat((self._amplitudes_of_fields, of_readings))
 
-        How readings change with such an amplitude hardly depends on the other coordinates either.
-        """
-        uses = (*uses_of(self.model.rig, SourceEffect), *uses_of(self.model.rig, RoomEffect))
-        labels = tuple(f"{use.label}." for use in uses if use.effect.is_correction)
-        names = self.coordinates.names[: self.coordinates.n_continuous]
-        bent = [i for i, name in enumerate(names) if not (labels and name.startswith(labels))]
-        return torch.tensor(bent, dtype=torch.int64, device=self.coordinates.device)
+    @cached_property
+    def _amplitudes_of_fields(self) -> Int[Tensor, " column"]:
+        """The former of them."""
+        sources = uses_of(self.model.rig, SourceEffect)
+        return self._amplitudes_in([*sources, *uses_of(self.model.rig, RoomEffect)])
+
+    def _amplitudes_in(self, uses: Sequence[Use[Any]]) -> Int[Tensor, " column"]:
+        rows = []
+        for use in uses:
+            if isinstance(use.effect, Correction):
+                label = f"{use.label}."
+                own = enumerate(self.coordinates.names[: self.coordinates.n_continuous])
+                rows += [i for i, n in own if n.startswith(label) and KEY.fullmatch(n.removeprefix(label))]
+        return torch.tensor(rows, dtype=torch.int64, device=self.coordinates.device)
 
     @property
     def n_directions(self) -> int:

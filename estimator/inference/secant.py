@@ -86,7 +86,7 @@ def climb_with_secants(
         if is_exact and (is_done or iteration == max_iterations):
             break
         if is_done or iteration == max_iterations or n_refused == MOST_REFUSED:
-            model, is_exact = _Model.about(posterior, at, _made_anew(posterior, at.vector, slopes)), True
+            model, is_exact = _Model.about(posterior, at, posterior.to_first_order(at.vector)), True
             n_refused, is_at_bound = 0, False
             if is_stalled:
                 is_stalled = at.value - at_stall < STALLED_BELOW * tolerance
@@ -117,8 +117,6 @@ def climb_with_secants(
         is_stalled = (
             len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
         )
-    if is_exact and len(posterior.bent_columns) < gradient.shape[-1]:
-        model = _Model.about(posterior, at, posterior.to_first_order(at.vector))
     is_converged = is_exact and (is_at_bound or promised < max(tolerance, 1e-6))
     return Optimum(
         at.vector,
@@ -136,21 +134,6 @@ def _is_behind(values: list[float], to_beat: float) -> bool:
     if len(values) <= STALLED_AFTER:
         return False
     return to_beat - values[-1] > PATIENCE * (values[-1] - values[-1 - STALLED_AFTER])
-
-
-def _made_anew(posterior: LogPosterior, vector: Tensor, slopes: FirstOrder) -> FirstOrder:
-    """Exact derivatives on the way; those by amplitudes of fields that correct, often most of them, stay as they were at the start."""
-    bent = posterior.bent_columns
-    if len(bent) == slopes.jacobian_T.shape[-1]:
-        return posterior.to_first_order(vector)
-    fresh = posterior.to_first_order(vector, bent)
-    jacobians = (slopes.jacobian_T, slopes.log_sigma_jacobian)
-    new = (fresh.jacobian_T, fresh.log_sigma_jacobian)
-    return FirstOrder(
-        fresh.predicted_T,
-        fresh.sigma_T,
-        *(old.index_copy(-1, bent, some) for old, some in zip(jacobians, new, strict=True)),
-    )
 
 
 class _Point:

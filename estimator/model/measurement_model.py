@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
@@ -283,20 +283,28 @@ class MeasurementModel:
 
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
-        displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
         world_from_sensor = self.world_from_sensor(self.every_row, values)
-        if not displaced:
+        if not self._has_elements.any():
             return self._field_at(values, world_from_sensor)
-        has_elements = torch.isin(self.circumstances.sensor, self.sensor.new_tensor(displaced))
-        if has_elements.all():
+        if self._has_elements.all():
             return self._at_elements(values, world_from_sensor)
-        apart, together = has_elements.nonzero().flatten(), (~has_elements).nonzero().flatten()
-        part, rest = self.part(apart), self.part(together)
-        apart_T = part._at_elements(values, world_from_sensor.rows(self.pose_row[apart].unique()))
-        together_T = rest._field_at(values, world_from_sensor.rows(self.pose_row[together].unique()))
+        apart, together = self._parts_by_elements
+        apart_T = apart.model._at_elements(values, world_from_sensor.rows(apart.rows))
+        together_T = together.model._field_at(values, world_from_sensor.rows(together.rows))
         batch = torch.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
         field_T = torch.cat((apart_T.expand(*batch, -1, 3), together_T.expand(*batch, -1, 3)), dim=-2)
-        return field_T[..., torch.argsort(torch.cat((apart, together))), :]
+        return field_T[..., torch.argsort(torch.cat((apart.readings, together.readings))), :]
+
+    @cached_property
+    def _has_elements(self) -> Bool[Tensor, " reading"]:
+        """Readings of sensors whose elements sit apart."""
+        displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
+        return torch.isin(self.circumstances.sensor, self.sensor.new_tensor(displaced))
+
+    @cached_property
+    def _parts_by_elements(self) -> tuple[_Part, _Part]:
+        """Readings of sensors whose elements sit apart, and all others."""
+        return _Part.of(self, self._has_elements), _Part.of(self, ~self._has_elements)
 
     def _at_elements(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, each component where its element sits."""
@@ -353,6 +361,27 @@ class MeasurementModel:
 
 
 @dataclass(frozen=True)
+class _Part:
+    """Some of the readings of a model.
+
+    Attributes:
+        readings: Their numbers.
+        rows: Their distinct poses.
+        model: Of them alone.
+    """
+
+    readings: Int[Tensor, " part"]
+    rows: Int[Tensor, " rows"]
+    model: MeasurementModel
+
+    @classmethod
+    def of(cls, model: MeasurementModel, is_part: Bool[Tensor, " reading"]) -> _Part:
+        """Those that are chosen."""
+        readings = is_part.nonzero().flatten()
+        return cls(readings, model.pose_row[readings].unique(), model.part(readings))
+
+
+@dataclass(frozen=True)
 class NominalPrediction(Prediction):
     """Predictions of a model at the nominal values of its rig.
 
@@ -375,6 +404,7 @@ class NominalPrediction(Prediction):
 
 def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Float[Tensor, "reading 3 3"]:
     """Change of each component that a model predicts per displacement of a mover along its axes, at some values (no batch)."""
+    model = model.with_mode(SumMode.FIRST_ORDER)
     sources = model.sources
     poses = sources.flange[mover]
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
+    AddedLoops,
     CoreMagnetisation,
     CurrentEffect,
     PerAmpere,
@@ -40,7 +41,7 @@ from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
 from estimator.model.cores import Cores
 from estimator.model.unwound import harmonic_field_per_ampere
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Body, Coil, HarmonicCoil, Rig
+from estimator.rig.rig import AnyCoil, Body, HarmonicCoil, Rig, WoundCoil
 
 # Of points in a coil's frame, as `SourceEffect.apply`.
 SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
@@ -164,18 +165,17 @@ class Sources:
         field = self._zoned(coil, points_m, values) if coil.name in self.zones else own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
+            assert not isinstance(coil, HarmonicCoil)  # no place of such effects
+            winding = cast(
+                Winding, winding_of(self.rig, coil, values)
+            )  # corrections take those with sides too
             theta = use.theta(values)
-            if (
-                use.effect.is_correction
-            ):  # polynomials, whose second derivatives cost little, beside a winding of any shape
-                assert not isinstance(coil, HarmonicCoil)
-                winding = cast(Winding, winding_of(self.rig, coil, values))
+            if isinstance(use.effect, AddedLoops):
+                more = use.effect.apply(points_m, winding, self.rules[coil.name], theta, self.mode)
+            elif use.effect.is_correction:  # polynomials, whose second derivatives cost little
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
             else:
-                assert isinstance(coil, Coil)  # the others are no place of such effects
-                more = self._sloped(
-                    coil, use.effect.apply, points_m, winding_of(self.rig, coil, values), theta
-                )
+                more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
             drive = use.effect.drive(current_A, theta)
             if drive is current_A:
                 field = field + more
@@ -292,7 +292,7 @@ class Sources:
         return self.mode is SumMode.FIRST_ORDER
 
     def _sloped(
-        self, coil: Coil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
+        self, coil: WoundCoil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
         """What an effect adds to a coil's field, with cheap derivatives where second ones may be missing."""
         rule = self.rules[coil.name]

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.frames import rotation_from_vector
-from estimator.rig.parameters import Parameter
+from estimator.rig.parameters import Normal, Parameter, normal_log_density
 from estimator.rig.rig import Rig
 
 # Of the winding's thickness, by which the mean loop is larger than the bore.
@@ -185,7 +185,11 @@ class Coordinates:
         """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""
         values = self.values(vector)
         total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
-        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+        normals, numbers = self._normals
+        if normals:
+            together = torch.stack(torch.broadcast_tensors(*(values[name] for name in normals)), dim=-1)
+            total = total + normal_log_density(together, *numbers.to(vector)).sum(-1)
+        for parameter, is_log in self._priors_of_their_own:
             value = values[parameter.name]
             assert parameter.prior is not None
             total = total + parameter.prior.log_density(value)
@@ -195,6 +199,23 @@ class Coordinates:
                 half_m, variance_m2 = _layers(parameter.name.partition(".")[0], values.__getitem__)
                 total = total + 0.5 * torch.log1p(variance_m2 / (value - half_m) ** 2)
         return total
+
+    @cached_property
+    def _normals(self) -> tuple[list[str], Float[Tensor, "4 parameter"]]:
+        """Free parameters with normal priors that are coordinates themselves, and the numbers of these priors: there may be hundreds."""
+        alike = {
+            p.name: (p.prior.mean, p.prior.standard_deviation, p.prior.lower, p.prior.upper)
+            for p, is_log in zip(self.parameters, self._is_log, strict=True)
+            if isinstance(p.prior, Normal) and not is_log and not self._is_radius(p)
+        }
+        return list(alike), torch.tensor(list(alike.values()), dtype=torch.float64).reshape(-1, 4).T
+
+    @cached_property
+    def _priors_of_their_own(self) -> list[tuple[Parameter, bool]]:
+        """All other free parameters, and whether each is fitted as a logarithm."""
+        normals = set(self._normals[0])
+        each = zip(self.parameters, self._is_log, strict=True)
+        return [(parameter, is_log) for parameter, is_log in each if parameter.name not in normals]
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
         """Draws from the prior, as coordinates; loop counts are rounded to whole numbers."""

@@ -90,7 +90,7 @@ class Normal(Prior):
         return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(probability)
 
     def log_density(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-        return self._inside(value, -0.5 * ((value - self.mean) / self.standard_deviation) ** 2)
+        return normal_log_density(value, self.mean, self.standard_deviation, self.lower, self.upper)
 
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         from scipy import stats  # takes a second to load, which only draws from a prior need
@@ -98,6 +98,18 @@ class Normal(Prior):
         low, high = ((bound - self.mean) / self.sd for bound in (self.lower, self.upper))
         draws = stats.truncnorm.rvs(low, high, loc=self.mean, scale=self.sd, size=size, random_state=rng)
         return np.asarray(draws)
+
+
+def normal_log_density(
+    value: Float[Tensor, "*batch"],
+    mean: float | Float[Tensor, "*#batch"],
+    standard_deviation: float | Float[Tensor, "*#batch"],
+    lower: float | Float[Tensor, "*#batch"],
+    upper: float | Float[Tensor, "*#batch"],
+) -> Float[Tensor, "*batch"]:
+    """Log density of truncated normal priors up to a constant; -inf outside their bounds."""
+    is_outside = (value < lower) | (value > upper)
+    return torch.where(is_outside, -math.inf, -0.5 * ((value - mean) / standard_deviation) ** 2)
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ def best_corrected(
                 causes.observations,
                 best.fit.values,
                 rules,
-                tolerance=policy.ROUGH_TOLERANCE,
+                tolerance=0.5 * len(best.fit.rig.free) * policy.CORRECTED_TO_SD**2,
             ),
         )
     if not len(unseen):

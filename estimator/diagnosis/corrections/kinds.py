@@ -20,7 +20,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.correction import Correction as CorrectionEffect
 from estimator.effects.correction import Limit
-from estimator.effects.stages import MotionEffect
+from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.effects.use import Use
 from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import MeasurementModel, gradient_T_per_m
@@ -101,7 +101,9 @@ class CorrectionKind:
             ):  # many poses, each near the reported one
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
-                reading_T = model.predict(values).expand(n, len(fit.observations), 3)
+                is_shown = isinstance(self.effect, ReadingEffect)  # the field at the sensors stays
+                field_T = fit.at_sensor_T if is_shown else model.at_sensor_T(values)
+                reading_T = model.shown_T(values, field_T).expand(n, len(fit.observations), 3)
                 change_T = fit.posterior.measured_components(reading_T) - fit.predicted_T
         changes: Tensor = change_T * fit.whitening_per_T / step
         by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))

@@ -143,7 +143,7 @@ def search(
         fit = state.with_two(fit)
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
         fit = state.forward(state.revisited(fit))
-    else:
+    elif not state.is_piled(fit):
         state.compare_again(fit)
     is_alone = len(state.added(fit)) == 1
     if is_alone and leaves_structure(state.steps[-1].discrepancy) and not limits.is_over:
@@ -193,6 +193,7 @@ class _SearchState:
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
         self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
+        self.needed: set[Cause] = set()  # a fit in a pile without them was worse: they are not tried again
         self.collapsed: set[Cause] = set()  # fits in a pile found nothing of them: they are not asked again
 
     def added(self, fit: Fit) -> list[Cause]:
@@ -384,7 +385,9 @@ class _SearchState:
         """The fit with several more causes where causes of many kinds have piled up; None where there are fewer than two."""
         if not self.is_piled(fit):
             return None
-        return self._taken_together(fit, many_at_once(fit, self._asked_again(fit)))
+        wider, unneeded = many_at_once(fit, self._asked_again(fit))
+        self.collapsed |= set(unneeded)
+        return self._taken_together(fit, wider)
 
     def _taken_together(self, fit: Fit, wider: Fit | None) -> Fit | None:
         """The fit with several more causes, unless it predicts blocks held out worse or has too many."""
@@ -461,7 +464,7 @@ class _SearchState:
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""
-        fit, dropped = without_idle(fit, self.base)
+        fit, dropped = without_idle(fit, self.base, self.needed if self.is_piled(fit) else None)
         self._drop(dropped)
         return fit
 

@@ -167,18 +167,26 @@ def fit_with_needed(
     return wider
 
 
-def without_idle(fit: Fit, base: Fit) -> tuple[Fit, list[Cause]]:
-    """Drop causes, the least needed first, while the evidence rises; do not try it for causes far from their null."""
+def without_idle(fit: Fit, base: Fit, needed: set[Cause] | None = None) -> tuple[Fit, list[Cause]]:
+    """Drop causes, the least needed first, while the evidence rises; do not try it for causes far from their null.
+
+    Args:
+        fit: With all causes.
+        base: With those that stay.
+        needed: Causes that a fit has shown to be needed, where they are not tried again; the next one is put there.
+    """
     dropped: list[Cause] = []
     while True:
         added = [cause for cause in fit.rig.effects if cause not in base.rig.effects]
         evidence = {cause: fit.log_evidence_for(cause) for cause in added[:-1]}
         cause = min(evidence, key=evidence.__getitem__, default=None)
-        if cause is None or evidence[cause] > policy.SURELY_NEEDED:
+        if cause is None or evidence[cause] > policy.SURELY_NEEDED or (needed and cause in needed):
             return fit, dropped
         rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
         best = fit_rig(rig, fit.observations, fit.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=fit)
         if best.log_evidence <= fit.log_evidence:
+            if needed is not None:
+                needed.add(cause)
             return fit, dropped
         dropped.append(cause)
         fit = best

@@ -11,6 +11,7 @@ import torch
 from scipy import stats
 from torch.func import jacfwd
 
+from estimator.derivatives import jacobian_of
 from estimator.effects.attach import with_effect
 from estimator.inference import levenberg_marquardt, likelihood
 from estimator.inference.levenberg_marquardt import _gradient_and_precision
@@ -179,3 +180,30 @@ def test_what_follows_a_gain_is_differentiated_with_it(problem):
     torch.testing.assert_close(
         posterior.jacobian(vector), jacfwd(posterior.predicted)(vector), rtol=1e-9, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("cause", ["coil_harmonics", "room_harmonics", "sensor_response"])
+def test_derivatives_by_amplitudes_of_corrections_are_those_of_automatic_differentiation(
+    posterior: LogPosterior, cause: str
+):
+    """Predictions are linear in them, beside a response that is not."""
+    model = posterior.model
+    place = {"coil_harmonics": "coil1", "room_harmonics": "room", "sensor_response": "near"}[cause]
+    rig = model.rig
+    for each in (Cause("cubic_response", "near"), Cause(cause, place)):
+        rig = with_effect(rig, each, model.circumstances.observations, {})
+    corrected = LogPosterior(Coordinates(rig), model.with_effects_of(rig), model.circumstances.observations)
+    vector = corrected.coordinates.start() + 0.3 * corrected.coordinates.scale
+    is_amplitude = [name.startswith(cause) for name in corrected.coordinates.names]
+    assert sum(is_amplitude) > 2
+    exact = jacobian_of(corrected.predicted, vector)
+    found = corrected.to_first_order(vector[None])
+    columns = exact.norm(dim=0)
+    assert (columns[torch.tensor(is_amplitude)] > 0.0).all()
+    columns = columns.clamp(min=1e-300)  # the noise has none
+    torch.testing.assert_close(found.jacobian_T[0] / columns, exact / columns, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(
+        found.log_sigma_jacobian[0], corrected.log_sigma_jacobian(vector), rtol=0.0, atol=1e-12
+    )
+    own = torch.tensor(is_amplitude).nonzero().flatten()
+    assert torch.equal(corrected.to_first_order(vector[None], own).jacobian_T, found.jacobian_T[..., own])

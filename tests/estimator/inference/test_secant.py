@@ -27,7 +27,6 @@ SENSOR_CAUSES = tuple(
     for place in ("one", "two")
     for name in ("axis_gain", "sensor_misplaced", "sensor_offset", "element_displacement")
 )
-FIELD = Cause("coil_harmonics", "c")
 ROBUST, WIDER = Cause("outliers", "one"), Cause("position_jitter", "stage")
 TOLERANCE = 1e-6
 
@@ -60,18 +59,6 @@ def test_maximum_and_curvature_are_those_of_exact_jacobians(
     assert torch.equal(found.slopes.jacobian_T, exact.jacobian_T)
     assert torch.equal(found.slopes.log_sigma_jacobian, exact.log_sigma_jacobian)
     torch.testing.assert_close(found.log_posterior, posterior(found.vector), rtol=0.0, atol=0.0)
-
-
-def test_derivatives_by_amplitudes_of_a_field_are_exact_at_the_end_too(problem: Problem) -> None:
-    posterior = posterior_with(problem, *SENSOR_CAUSES, FIELD)
-    amplitudes = [i for i, name in enumerate(posterior.coordinates.names) if name.startswith(FIELD.label)]
-    assert len(amplitudes) > 5
-    assert not set(amplitudes) & set(posterior.bent_columns.tolist())
-    start = posterior.coordinates.start()[None]
-    found = climb_with_secants(posterior, start, TOLERANCE)
-    assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
-    assert found.slopes is not None
-    assert torch.equal(found.slopes.jacobian_T, posterior.to_first_order(found.vector).jacobian_T)
 
 
 def test_few_jacobians_are_made(problem: Problem) -> None:
