@@ -59,6 +59,7 @@ class LogPosterior:
         observations = as_meant(model.rig, observations)
         mask = observations.is_measured
         self._flat = mask.flatten().nonzero().flatten()
+        self._is_complete = len(self._flat) == mask.numel()
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]
         self.sensor = observations.sensor[:, None].expand(-1, 3).flatten()[self._flat]
         self.n_by_sensor = torch.bincount(self.sensor, minlength=len(model.rig.sensors)).to(torch.float64)
@@ -89,9 +90,11 @@ class LogPosterior:
         new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
         other = copy(self)
-        other.__dict__.pop("for_jacobian", None)
+        for cached in ("for_jacobian", "_is_of_sensor"):
+            other.__dict__.pop(cached, None)
         other.model = self.model.part(readings)
         other._flat = new_entry[self._flat[mine]]
+        other._is_complete = len(mine) == len(entries)
         other.measured_T, other.sensor = self.measured_T[..., mine], self.sensor[mine]
         other.n_by_sensor = torch.bincount(other.sensor, minlength=len(self.n_by_sensor)).to(torch.float64)
         other._noise = [noise.part(mine) for noise in self._noise]
@@ -101,7 +104,8 @@ class LogPosterior:
         self, field_T: Shaped[Tensor, "*batch reading 3"]
     ) -> Shaped[Tensor, "*batch component"]:
         """Of anything given by reading and axis, the entries that were measured."""
-        return field_T.flatten(-2)[..., self._flat]
+        flat = field_T.flatten(-2)
+        return flat if self._is_complete else flat[..., self._flat]
 
     def predicted(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
         """Predicted value of every measured component, in tesla."""
@@ -286,7 +290,19 @@ class LogPosterior:
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
             return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
-        return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
+        if self._noise or uses_of(self.model.rig, RecordEffect):
+            return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
+        # All components of a sensor have the same noise.
+        squares_T2 = (self.measured_T - self.predicted(vector)).square() @ self._is_of_sensor
+        sigma_T = self.sigma_T(vector)
+        log_density = -0.5 * squares_T2 / sigma_T**2 - self.n_by_sensor * torch.log(sigma_T)
+        return log_density.sum(-1) - 0.5 * math.log(2.0 * math.pi) * len(self._flat)
+
+    @cached_property
+    def _is_of_sensor(self) -> Float[Tensor, "component sensor"]:
+        """One where a component is a sensor's, else zero."""
+        sensors = torch.arange(len(self.n_by_sensor), device=self.sensor.device)
+        return (self.sensor[:, None] == sensors).to(self.measured_T)
 
     def log_likelihood_of(
         self,

@@ -158,7 +158,9 @@ class Sources:
         points_m = world_from_coil.locate(world_from_point.translation_m)
 
         def to_points(field: Tensor) -> Tensor:
-            """By the room: its steps are cheaper than the product of both rotations for every row."""
+            """By the room, whose steps are cheaper than the product of both rotations, unless that is the same for all rows."""
+            if world_from_point.rotation.shape[-3] == world_from_coil.rotation.shape[-3] == 1:
+                return turned(world_from_point.rotation.mT @ world_from_coil.rotation, field)
             return world_from_point.unrotate(world_from_coil.rotate(field))
 
         own = self._own_field(coil, values)
