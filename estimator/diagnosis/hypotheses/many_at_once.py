@@ -17,15 +17,12 @@ from estimator.diagnosis.hypotheses.screening import screening
 from estimator.diagnosis.hypotheses.several_places import with_several
 from estimator.diagnosis.hypotheses.step import least_log_evidence
 from estimator.diagnosis.linear import Projector
-from estimator.rig.rig import Cause
 
 MOST_AT_ONCE = 12  # causes; each is chosen by another screening of all
 
 
-def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> tuple[Fit | None, list[Cause]]:
+def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     """The fit with two or more further causes, whose evidence suffices beside each other; None where there are fewer.
-
-    Also those that the linear model chose and the fit found nothing of.
 
     Only causes are asked that start at their null, for there the linear model holds.
 
@@ -41,11 +38,9 @@ def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> tuple[Fit | None, list[
     least = least_log_evidence(len({candidate.cause for candidate in pool}))
     chosen = chosen_one_by_one(fit, asked, least, MOST_AT_ONCE)
     if len(chosen) < 2:
-        return None, []
+        return None
     wider = with_several(fit, chosen, least)
-    if wider is None or wider.log_evidence <= fit.log_evidence:
-        return None, []
-    return wider, [start.cause for start in chosen if start.cause not in wider.rig.effects]
+    return wider if wider is not None and wider.log_evidence > fit.log_evidence else None
 
 
 def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: int) -> list[Candidate]:

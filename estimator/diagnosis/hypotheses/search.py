@@ -385,9 +385,7 @@ class _SearchState:
         """The fit with several more causes where causes of many kinds have piled up; None where there are fewer than two."""
         if not self.is_piled(fit):
             return None
-        wider, unneeded = many_at_once(fit, self._asked_again(fit))
-        self.collapsed |= set(unneeded)
-        return self._taken_together(fit, wider)
+        return self._taken_together(fit, many_at_once(fit, self._asked_again(fit)))
 
     def _taken_together(self, fit: Fit, wider: Fit | None) -> Fit | None:
         """The fit with several more causes, unless it predicts blocks held out worse or has too many."""

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import combinations
+from unittest.mock import patch
 
 import pytest
 import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses import several_places
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
-from estimator.diagnosis.hypotheses.several_places import at_several_places, comparison_steps, joint_evidence
+from estimator.diagnosis.hypotheses.several_places import (
+    at_several_places,
+    comparison_steps,
+    joint_evidence,
+    without_idle,
+)
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.linear import log_bayes_factor
 from estimator.diagnosis.structure.families import families
@@ -190,3 +198,15 @@ def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(b
     assert {step.taken for step in state.steps} == WITH_IT
     assert state.dropped == [OFFSET["three"]]
     assert set(state.additions_in(fewer)[0].causes) == WITH_IT
+
+
+def test_a_cause_that_a_fit_has_shown_to_be_needed_is_not_left_out_again(base, readings, rig, monkeypatch):
+    monkeypatch.setattr(policy, "SURELY_NEEDED", math.inf)
+    fit = fit_of(rig, readings, *(OFFSET[name] for name in ("one", "four", "two")))
+    needed: set[Cause] = set()
+    assert without_idle(fit, base, needed) == (fit, [])
+    least = min(("one", "four"), key=lambda name: fit.log_evidence_for(OFFSET[name]))
+    assert needed == {OFFSET[least]}
+    with patch.object(several_places, "fit_rig") as again:
+        assert without_idle(fit, base, needed) == (fit, [])
+        again.assert_not_called()
