@@ -30,10 +30,11 @@ RULE_TOLERANCE = 0.1 * DEFAULT_TOLERANCE
 TOLERANCE = 1e-3  # of log density: leaves a running estimate within a twentieth of a standard deviation of the maximum
 # Lengths in standard deviations, as the precision measures them: no coordinate moves by more of its own.
 POLISHED_SD = 1e-7  # from the maximum, by the rate at which steps shrink
+LEAST_RATE = 0.1  # with curvature from secants, one step may shrink a thousandfold and the next one, in another direction, tenfold
 ROUNDING_SD = 1e-9  # steps do not shrink further for certain
-# The information is summed again where the maximum is farther from where that was done, root mean square over the coordinates, or where a
-# step was not this much shorter than the one before.
-STALE_SD, STALE_RATE = 0.1, 0.1
+STALE_SD = 0.1  # root mean square over the coordinates: farther from where it was summed, the information is summed again
+LEAST_CURVATURE = 0.1  # of the expected one along a step; less says that no maximum is near
+MOST_SWEEPS = 30  # after a reading; a maximum at a bound of the prior is never reached
 
 
 class RunningFit:
@@ -61,10 +62,12 @@ class RunningFit:
         self._rules: dict[str, Rule] = {}
         self._posterior: LogPosterior | None = None
         self._sweep: Sweep | None = None
+        self._is_exact = False  # whether the gradient at the point is that of all readings there
+        self._n_sweeps_before = 0  # up to the last reading
         self._is_stuck = False
-        self._step_sd = 0.0  # length of the last step; 0 where it is not known
+        self._step_sd = 0.0
         self._linearised_at = self.vector
-        self._is_stale = False
+        self._correction = torch.zeros_like(self._information)  # to the expected curvature, by secants
         self._evaluate_prior()
 
     @property
@@ -90,6 +93,7 @@ class RunningFit:
         self._gradient = self._gradient + gradient
         self._information = self._information + information
         self._is_stuck = self.is_polished = False
+        self._n_sweeps_before = self.n_sweeps
         self._step(observations)
         return innovation
 
@@ -113,7 +117,7 @@ class RunningFit:
                 model = MeasurementModel.build(self.coordinates.rig, observations)
                 self._posterior = LogPosterior(self.coordinates, model, observations)
                 return False
-            self._sweep = Sweep(self._posterior, self.vector, self._is_stale or self._is_far())
+            self._sweep = Sweep(self._posterior, self.vector, self._is_far())
         self._sweep.go_on()
         if not self._sweep.is_done:
             return False
@@ -126,27 +130,46 @@ class RunningFit:
         return float(moved @ self.precision @ moved) > self.coordinates.n * STALE_SD**2
 
     def _end_sweep(self, sweep: Sweep, observations: Observations) -> None:
-        """Go on from the point of a sweep, by a Newton step with its sums."""
+        """Go on from the point of a sweep, by a step with its sums."""
         self.n_sweeps += 1
         n_late = len(observations) - sweep.n_readings
         if n_late:  # they came while it went on
             late = observations.rows(torch.arange(sweep.n_readings, len(observations)))
             sweep.add(LogPosterior(self.coordinates, self._model(late), late))
+        moved, gradient = sweep.point - self._point, self._gradient + self._prior_gradient
         self._sweep, self._point, self._gradient = None, sweep.point, sweep.gradient
         if sweep.is_linearising:
             self._information, self._linearised_at = sweep.information, sweep.point
+            self._correction = torch.zeros_like(self._information)
         self._evaluate_prior()
-        before_sd, n_fits = self._step_sd, self.n_fits
+        before_sd = self._step_sd if self._is_exact else 0.0
+        if self._is_exact and not sweep.is_linearising:
+            self._learn(moved, gradient - self._gradient - self._prior_gradient)
+        self._is_exact, n_fits = True, self.n_fits
         self._step(observations)
-        rate = self._step_sd / before_sd if before_sd > 0.0 else inf
-        left_sd = self._step_sd * rate / (1.0 - rate) if rate < 1.0 else inf
         if self.n_fits > n_fits:  # the step left the prior, or was too long
             self._is_stuck = True
             return
+        rate = max(LEAST_RATE, self._step_sd / before_sd) if before_sd > 0.0 else inf
+        left_sd = self._step_sd * rate / (1.0 - rate) if rate < 1.0 else inf
         is_reached = left_sd < POLISHED_SD or self._step_sd < ROUNDING_SD
         self.is_polished = is_reached and not n_late
-        self._is_stuck = not is_reached and sweep.is_linearising and 0.0 < before_sd <= self._step_sd
-        self._is_stale = not is_reached and not sweep.is_linearising and rate > STALE_RATE
+        self._is_stuck = not is_reached and self.n_sweeps - self._n_sweeps_before >= MOST_SWEEPS
+
+    def _learn(self, moved: Tensor, fall: Tensor) -> None:
+        """Correct the curvature so that it explains by how much the gradient fell along a move.
+
+        Expected curvature differs from the real one where the noise is free or readings are outliers, or the model bends: steps with it would
+        shrink slowly, or not at all.
+
+        References: Nocedal and Wright, Numerical Optimization, 2nd ed., eq 6.19 (BFGS).
+        """
+        explained = (self.precision + self._correction) @ moved
+        expected, real = float(moved @ explained), float(moved @ fall)
+        if expected > ROUNDING_SD and real > LEAST_CURVATURE * expected:
+            self._correction = (
+                self._correction + fall.outer(fall) / real - explained.outer(explained) / expected
+            )
 
     def refit(self, observations: Observations, start: Float[Tensor, " coordinate"]) -> None:
         """Fit all readings again, from the current maximum and from a start that may be better."""
@@ -162,8 +185,9 @@ class RunningFit:
         self._information = fits.information[best]
         self._evaluate_prior()
         self._gradient = -self._prior_gradient  # the gradients cancel at the maximum
-        self._sweep, self._step_sd = None, 0.0
-        self._is_stuck = self.is_polished = self._is_stale = False
+        self._correction = torch.zeros_like(self._information)
+        self._sweep, self._is_exact = None, False
+        self._is_stuck = self.is_polished = False
         self.n_fits += 1
 
     def _model(self, block: Observations) -> MeasurementModel:
@@ -182,7 +206,7 @@ class RunningFit:
 
     def _step(self, observations: Observations) -> None:
         self.precision = self._information + self._prior_precision
-        step = solve(self.precision, self._gradient + self._prior_gradient)
+        step = solve(self.precision + self._correction, self._gradient + self._prior_gradient)
         step_sd = float(step @ self.precision @ step) ** 0.5
         is_near = step_sd <= FARTHEST_STEP * self.coordinates.n**0.5
         is_inside = bool(torch.isfinite(self.coordinates.log_prior(self._point + step)))
