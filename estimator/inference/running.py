@@ -109,7 +109,7 @@ class RunningFit:
             observations: All readings up to now.
         Returns: Whether the vector changed.
         """
-        if not len(observations) or not self.can_polish:
+        if not self.can_polish:
             return False
         if self._sweep is None:
             if self._posterior is None or len(self._posterior.model.circumstances) < len(observations):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 
-SHARE = 0.15  # of a core, for updates and what is done between them; looking for readings takes another 2 %
-MOST_S = 0.1  # of a core that idle time saves up, and that updates may take in advance
+SHARE = 0.15  # of a core, for all that the thread does; `coilcal live` may take 20 %, and its screen is drawn by another thread
+MOST_S = 0.1  # of a core that idle time saves up, or that updates take in advance
+WAIT_S = 0.02  # until there may be time again
 
 
 class SpareTime:

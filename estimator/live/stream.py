@@ -50,7 +50,7 @@ class Estimate:
     intervals: Mapping[str, Interval]
     new_alarms: tuple[Alarm, ...]
     took_s: float
-    is_polished: bool = False
+    is_polished: bool
 
 
 class Stream:
@@ -117,7 +117,7 @@ class Stream:
             if 3 * n_before >= FEWEST_COMPONENTS * len(self.rig.free):
                 alarms = self._watch.look(innovation, new, n_before + 1)
         n = 0 if self.observations is None else len(self.observations)
-        return Estimate(n, self.intervals(), tuple(alarms), time.monotonic() - begin_s)
+        return Estimate(n, self.intervals(), tuple(alarms), time.monotonic() - begin_s, self.is_polished)
 
     @property
     def can_polish(self) -> bool:
