@@ -15,7 +15,12 @@ from torch import Tensor
 
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.inference.laplace import covariance
-from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_gradient_and_precision, solve
+from estimator.inference.levenberg_marquardt import (
+    levenberg_marquardt,
+    prior_gradient,
+    prior_gradient_and_precision,
+    solve,
+)
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.linearisation import Innovation, Linearisation
 from estimator.inference.sweep import Sweep
@@ -141,7 +146,9 @@ class RunningFit:
         if sweep.is_linearising:
             self._information, self._linearised_at = sweep.information, sweep.point
             self._correction = torch.zeros_like(self._information)
-        self._evaluate_prior()
+            self._evaluate_prior()
+        else:
+            self._prior_gradient = prior_gradient(self.coordinates, self._point)
         before_sd = self._step_sd if self._is_exact else 0.0
         if self._is_exact and not sweep.is_linearising:
             self._learn(moved, gradient - self._gradient - self._prior_gradient)

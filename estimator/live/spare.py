@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-SHARE = 0.15  # of a core, for all that the thread does; `coilcal live` may take 20 %, and its screen is drawn by another thread
+SHARE = 0.17  # of a core, for all that the thread does; `coilcal live` may take 20 %, and its screen is drawn by another thread
 MOST_S = 0.1  # of a core that idle time saves up, or that updates take in advance
 WAIT_S = 0.02  # until there may be time again
 
