@@ -38,6 +38,7 @@ POLISHED_SD = 1e-7  # from the maximum, by the rate at which steps shrink
 LEAST_RATE = 0.1  # with curvature from secants, one step may shrink a thousandfold and the next one, in another direction, tenfold
 ROUNDING_SD = 1e-9  # steps do not shrink further for certain
 STALE_SD = 0.1  # root mean square over the coordinates: farther from where it was summed, the information is summed again
+LEAST_MOVE_SD = 1e-5  # that curvature is learned from: rounding moves gradients by 1e-11
 LEAST_CURVATURE = 0.1  # of the expected one along a step; less says that no maximum is near
 MOST_SWEEPS = 30  # after a reading; a maximum at a bound of the prior is never reached
 
@@ -63,6 +64,8 @@ class RunningFit:
         self._point = self.vector
         self._gradient = torch.zeros(n, dtype=torch.float64)
         self._information = torch.zeros(n, n, dtype=torch.float64)
+        self._prior_gradient = torch.zeros_like(self._gradient)
+        self._prior_precision = torch.zeros_like(self._information)
         self._nearest_m: dict[str, float] = {}
         self._rules: dict[str, Rule] = {}
         self._posterior: LogPosterior | None = None
@@ -166,14 +169,14 @@ class RunningFit:
     def _learn(self, moved: Tensor, fall: Tensor) -> None:
         """Correct the curvature so that it explains by how much the gradient fell along a move.
 
-        Expected curvature differs from the real one where the noise is free or readings are outliers, or the model bends: steps with it would
+        Expected curvature differs from the real one where noise is free, readings are outliers, or the model bends: steps with it would
         shrink slowly, or not at all.
 
         References: Nocedal and Wright, Numerical Optimization, 2nd ed., eq 6.19 (BFGS).
         """
         explained = (self.precision + self._correction) @ moved
         expected, real = float(moved @ explained), float(moved @ fall)
-        if expected > ROUNDING_SD and real > LEAST_CURVATURE * expected:
+        if expected > LEAST_MOVE_SD**2 and real > LEAST_CURVATURE * expected:
             self._correction = (
                 self._correction + fall.outer(fall) / real - explained.outer(explained) / expected
             )

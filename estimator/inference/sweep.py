@@ -9,7 +9,7 @@ from torch import Tensor
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.linearisation import Linearisation
 
-# Predictions of a part of the readings: some 4 ms of one core, which is what a new reading may have to wait.
+# Predictions of a part of the readings: some 4 ms of a core for one coil, which is what a new reading may have to wait.
 GRADIENT_READINGS, LINEARISED_PREDICTIONS = 2_000, 20_000
 
 
@@ -52,4 +52,5 @@ class Sweep:
         self.gradient = self.gradient + posterior.gradient(self.point)
         if self.is_linearising:
             linearisation = Linearisation.at(posterior, self.point)
-            self.information = self.information + linearisation.gradient_and_information(posterior, self.point)[1]
+            _, information = linearisation.gradient_and_information(posterior, self.point)
+            self.information = self.information + information

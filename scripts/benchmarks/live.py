@@ -1,8 +1,9 @@
-"""Delay from writing a stop to the journal until the estimate holds it, and how far the estimate is from the batch fit; `make bench-live` runs it.
+"""Delay from writing a stop to the journal until the estimate holds it, and distance of the estimate from the batch fit.
 
-The writer is a process of its own and waits for the disk. A session holds most of its readings from the beginning; those of the last stops
-are timed. Between stops the estimate is polished as `coilcal live` does. Medians of several runs, and the processor time that following takes.
-Distances to the batch fit are those of some stops of the first run: right after the reading, and when the next one is written.
+`make bench-live` runs it. The writer is a process of its own and waits for the disk. A session holds most of its readings from the
+beginning; those of the last stops are timed. Between stops the estimate is polished as `coilcal live` does. Medians of several runs, and
+the processor time that following takes. Distances to the batch fit are those of some stops of the first run: right after the reading, and
+when the next one is written.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ def in_ms(runs_s: list[list[float]]) -> str:
     """Median over the runs of their medians, with the range of these and the largest number of all."""
     medians = sorted(1e3 * statistics.median(one) for one in runs_s)
     largest = 1e3 * max(max(one) for one in runs_s)
-    return f"{statistics.median(medians):.1f} ({medians[0]:.1f} to {medians[-1]:.1f}) ms, largest {largest:.0f}"
+    middle = statistics.median(medians)
+    return f"{middle:.1f} ({medians[0]:.1f} to {medians[-1]:.1f}) ms, largest {largest:.0f}"
 
 
 def readings_of(number: int, seed: int, places: str) -> Observations:

@@ -156,7 +156,8 @@ def test_information_is_that_of_the_place_where_the_maximum_is(
         running.coordinates.start()[None],
     )
     sd, batch_sd = (covariance(each).diagonal().sqrt() for each in (running.precision, fit.precision[0]))
-    assert torch.allclose(sd, batch_sd, rtol=0.05)  # that of the noise depends on how it scattered, in one of them
+    # That of the noise depends on how it scattered in the batch fit, on what is expected in the running one.
+    assert torch.allclose(sd, batch_sd, rtol=0.05)
 
 
 def test_at_a_bound_of_the_prior_it_gives_up_and_says_so(small_rig: Rig, readings: Observations) -> None:
