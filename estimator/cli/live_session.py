@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from estimator.cli.live_view import LiveState, gaps_in
+from estimator.live.spare import SpareTime
 from estimator.live.stream import Estimate, Stream
 from estimator.reporting.numbers import displays, with_sd
 from estimator.store.follow import Follower
@@ -41,7 +42,7 @@ class LiveSession:
         self._path = path
         self._follower = Follower(path)
         self._rig = self._follower.rig
-        self._stream = Stream(self._rig)
+        self._stream, self._spare = Stream(self._rig), SpareTime()
         self._entries: list[Entry] = []
         self._n_new, self._n_readings, self._has_ended = 0, 0, False
         self._last_s = time.monotonic()
@@ -50,7 +51,7 @@ class LiveSession:
         self._trouble: str | None = None
 
     def step(self, background: Background | None) -> bool:
-        """Read and estimate the new stops.
+        """Read and estimate the new stops; while there are none, bring the estimate nearer to the batch fit.
 
         Returns: Whether more may come.
         """
@@ -65,7 +66,11 @@ class LiveSession:
             self._last_s = time.monotonic()
         elif has_ended:
             self._has_ended = True
+            while self._stream.can_polish:
+                self._polish()
             return False
+        elif self._stream.can_polish and self._spare.is_left():
+            self._polish()
         else:
             time.sleep(POLL_S)
         if background is not None:
@@ -107,6 +112,7 @@ class LiveSession:
             "readings": 0 if self._estimate is None else self._estimate.n_readings,
             "skipped": self._stream.n_skipped,
             "gaps": gaps_in(self._entries),
+            "is_polished": self._stream.is_polished,
             "parameters": {name: asdict(interval) for name, interval in intervals.items()},
             "alarms": [{**asdict(alarm), "words": alarm.words} for alarm in self._stream.alarms],
             "refreshed": None if self._refreshed is None else asdict(self._refreshed),
@@ -132,6 +138,12 @@ class LiveSession:
         if refreshed is not None:
             self._refreshed = refreshed
             self._stream.improve(refreshed.best)
+            while self._has_ended and self._stream.can_polish:
+                self._polish()
+
+    def _polish(self) -> None:
+        if self._stream.polish() and self._stream.is_polished and self._estimate is not None:
+            self._estimate = replace(self._estimate, intervals=self._stream.intervals(), is_polished=True)
 
     def _session(self) -> Session:
         return Session(self._rig, observations_of(self._entries, self._rig), self._follower.header["source"])

@@ -71,6 +71,7 @@ class LiveState:
         words = f"stop {len(self.entries)}{of}"
         if self.estimate is not None:
             words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
+            words += " and polished" if self.estimate.is_polished else ""
         if self.n_new > 1:
             words += f" for {self.n_new} stops at once"
         if self.n_skipped:

@@ -231,6 +231,18 @@ def prior_gradient_and_precision(
     return gradient[:, :n].detach(), precision
 
 
+def prior_gradient(
+    coordinates: Coordinates, vector: Float[Tensor, " coordinate"]
+) -> Float[Tensor, " coordinate"]:
+    """Gradient of the log prior alone, which takes a fifth of the time."""
+    point = vector.detach().requires_grad_()
+    with torch.enable_grad():
+        # The second term gives flat priors a (zero) gradient.
+        total = coordinates.log_prior(point) + 0.0 * point.square().sum()
+        gradient: Tensor = torch.autograd.grad(total, point)[0]
+    return gradient
+
+
 def along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
     """The best damped step inside the prior: it approaches the bounds that it would overstep, and slides along them.
 

@@ -196,6 +196,18 @@ class LogPosterior:
                     jacobian_T[:, part] = ((changed_T - middle_T) / step[part, None]).T
         return jacobian_T.expand(*vector.shape[:-1], -1, -1)
 
+    def gradient(self, vector: Float[Tensor, " coordinate"]) -> Float[Tensor, " coordinate"]:
+        """Gradient of the log likelihood in the coordinates, by one backward pass: a third of the time of a Jacobian, or less."""
+        with torch.enable_grad():
+            point = vector.detach().requires_grad_()
+            values, none = self.coordinates.values(point), torch.Size()
+            predicted_T = self.for_jacobian._predicted_at(values, none)
+            total = self.log_likelihood_of(predicted_T, self._component_sigma_T(values, none), point)
+            if not total.requires_grad:  # nothing depends on it
+                return torch.zeros_like(vector)
+            gradient: Tensor = torch.autograd.grad(total, point, materialize_grads=True)[0]
+        return gradient
+
     def log_sigma_jacobian(
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component continuous"]:

@@ -1,13 +1,12 @@
-"""Running maximum of a posterior: one Gauss-Newton step for each new reading, and Levenberg-Marquardt if that does not suffice.
+"""Running maximum of a posterior: one Gauss-Newton step for each new reading, and further ones on all readings while none waits.
 
 Gradient and information of the log likelihood are sums over readings. They are accumulated at one point of linearisation; the maximum is a
-Newton step from that point. Once the step is no longer small compared with the uncertainty, all readings are linearised again about the new
-maximum.
+Newton step from that point. `polish` sums the gradient of all readings again at the new maximum, until a step leads nowhere: that is the
+maximum of the batch fit. Where a step is no longer small compared with the uncertainty, Levenberg-Marquardt fits all readings at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 
 import torch
@@ -16,34 +15,32 @@ from torch import Tensor
 
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.inference.laplace import covariance
-from estimator.inference.levenberg_marquardt import levenberg_marquardt, prior_gradient_and_precision, solve
+from estimator.inference.levenberg_marquardt import (
+    levenberg_marquardt,
+    prior_gradient,
+    prior_gradient_and_precision,
+    solve,
+)
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.linearisation import Innovation, Linearisation
+from estimator.inference.sweep import Sweep
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
-# Of the prior's width: central differences in one batched prediction take a quarter of the time of dual numbers for a few readings.
-DIFFERENCE_STEP = 1e-4
 FARTHEST_STEP = 0.5  # root mean square over the coordinates, in standard deviations
 # Of a rule that is kept for later readings: ten times as exact as usual, since they may be as near to another side of the winding.
 RULE_TOLERANCE = 0.1 * DEFAULT_TOLERANCE
 TOLERANCE = 1e-3  # of log density: leaves a running estimate within a twentieth of a standard deviation of the maximum
-
-
-@dataclass(frozen=True)
-class Innovation:
-    """Difference of new readings from the prediction by all earlier ones (innovation of a Kalman filter).
-
-    Attributes:
-        difference_T: Measured minus expected, in the order of components of `LogPosterior`.
-        covariance_T2: Covariance of the difference: noise plus uncertainty of the parameters.
-        expected_T: Expected field of each reading.
-    """
-
-    difference_T: Float[Tensor, " component"]
-    covariance_T2: Float[Tensor, "component component"]
-    expected_T: Float[Tensor, "reading 3"]
+# Lengths in standard deviations, as the precision measures them: no coordinate moves by more of its own.
+POLISHED_SD = 1e-7  # from the maximum, by the rate at which steps shrink
+LEAST_RATE = 0.1  # with curvature from secants, one step may shrink a thousandfold and the next one, in another direction, tenfold
+ROUNDING_SD = 1e-9  # steps do not shrink further for certain
+STALE_SD = 0.1  # root mean square over the coordinates: farther from where it was summed, the information is summed again
+LEAST_MOVE_SD = 1e-5  # that curvature is learned from: rounding moves gradients by 1e-11
+LEAST_CURVATURE = 0.1  # of the expected one along a step; less says that no maximum is near
+MOST_SWEEPS = 30  # after a reading; a maximum at a bound of the prior is never reached
 
 
 class RunningFit:
@@ -54,18 +51,31 @@ class RunningFit:
         vector: The maximum.
         precision: Negative Hessian of the log posterior.
         n_fits: Number of fits to all readings.
+        n_sweeps: Number of times that polishing went through all readings.
+        is_polished: Whether the vector is the maximum for all readings so far.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.coordinates = Coordinates(rig)
         n = self.coordinates.n
         self.vector = self.coordinates.start()
-        self.n_fits = 0
+        self.n_fits = self.n_sweeps = 0
+        self.is_polished = False
         self._point = self.vector
         self._gradient = torch.zeros(n, dtype=torch.float64)
         self._information = torch.zeros(n, n, dtype=torch.float64)
+        self._prior_gradient = torch.zeros_like(self._gradient)
+        self._prior_precision = torch.zeros_like(self._information)
         self._nearest_m: dict[str, float] = {}
         self._rules: dict[str, Rule] = {}
+        self._posterior: LogPosterior | None = None
+        self._sweep: Sweep | None = None
+        self._is_exact = False  # whether the gradient at the point is that of all readings there
+        self._n_sweeps_before = 0  # up to the last reading
+        self._is_stuck = False
+        self._step_sd = 0.0
+        self._linearised_at = self.vector
+        self._correction = torch.zeros_like(self._information)  # to the expected curvature, by secants
         self._evaluate_prior()
 
     @property
@@ -85,13 +95,91 @@ class RunningFit:
         """
         block = observations.rows(torch.arange(len(observations) - n_new, len(observations)))
         posterior = LogPosterior(self.coordinates, self._model(block), block)
-        linearisation = _Linearisation.at(posterior, self._point)
+        linearisation = Linearisation.at(posterior, self._point)
         innovation = linearisation.innovation(posterior, self.vector - self._point, self.covariance)
         gradient, information = linearisation.gradient_and_information(posterior, self._point)
         self._gradient = self._gradient + gradient
         self._information = self._information + information
+        self._is_stuck = self.is_polished = False
+        self._n_sweeps_before = self.n_sweeps
         self._step(observations)
         return innovation
+
+    @property
+    def can_polish(self) -> bool:
+        """Whether `polish` may bring the vector nearer to the maximum."""
+        return not (self.is_polished or self._is_stuck)
+
+    def polish(self, observations: Observations) -> bool:
+        """Do the next piece of polishing, some milliseconds of work.
+
+        Args:
+            observations: All readings up to now.
+        Returns: Whether the vector changed.
+        """
+        if not self.can_polish:
+            return False
+        if self._sweep is None:
+            if self._posterior is None or len(self._posterior.model.circumstances) < len(observations):
+                # As any fit builds it: rules of its own would move the maximum by a thousandth of a standard deviation.
+                model = MeasurementModel.build(self.coordinates.rig, observations)
+                self._posterior = LogPosterior(self.coordinates, model, observations)
+                return False
+            self._sweep = Sweep(self._posterior, self.vector, self._is_far())
+        self._sweep.go_on()
+        if not self._sweep.is_done:
+            return False
+        self._end_sweep(self._sweep, observations)
+        return True
+
+    def _is_far(self) -> bool:
+        """Whether the information was summed too far from here."""
+        moved = self.vector - self._linearised_at
+        return float(moved @ self.precision @ moved) > self.coordinates.n * STALE_SD**2
+
+    def _end_sweep(self, sweep: Sweep, observations: Observations) -> None:
+        """Go on from the point of a sweep, by a step with its sums."""
+        self.n_sweeps += 1
+        n_late = len(observations) - sweep.n_readings
+        if n_late:  # they came while it went on
+            late = observations.rows(torch.arange(sweep.n_readings, len(observations)))
+            sweep.add(LogPosterior(self.coordinates, self._model(late), late))
+        moved, gradient = sweep.point - self._point, self._gradient + self._prior_gradient
+        self._sweep, self._point, self._gradient = None, sweep.point, sweep.gradient
+        if sweep.is_linearising:
+            self._information, self._linearised_at = sweep.information, sweep.point
+            self._correction = torch.zeros_like(self._information)
+            self._evaluate_prior()
+        else:
+            self._prior_gradient = prior_gradient(self.coordinates, self._point)
+        before_sd = self._step_sd if self._is_exact else 0.0
+        if self._is_exact and not sweep.is_linearising:
+            self._learn(moved, gradient - self._gradient - self._prior_gradient)
+        self._is_exact, n_fits = True, self.n_fits
+        self._step(observations)
+        if self.n_fits > n_fits:  # the step left the prior, or was too long
+            self._is_stuck = True
+            return
+        rate = max(LEAST_RATE, self._step_sd / before_sd) if before_sd > 0.0 else inf
+        left_sd = self._step_sd * rate / (1.0 - rate) if rate < 1.0 else inf
+        is_reached = left_sd < POLISHED_SD or self._step_sd < ROUNDING_SD
+        self.is_polished = is_reached and not n_late
+        self._is_stuck = not is_reached and self.n_sweeps - self._n_sweeps_before >= MOST_SWEEPS
+
+    def _learn(self, moved: Tensor, fall: Tensor) -> None:
+        """Correct the curvature so that it explains by how much the gradient fell along a move.
+
+        Expected curvature differs from the real one where noise is free, readings are outliers, or the model bends: steps with it would
+        shrink slowly, or not at all.
+
+        References: Nocedal and Wright, Numerical Optimization, 2nd ed., eq 6.19 (BFGS).
+        """
+        explained = (self.precision + self._correction) @ moved
+        expected, real = float(moved @ explained), float(moved @ fall)
+        if expected > LEAST_MOVE_SD**2 and real > LEAST_CURVATURE * expected:
+            self._correction = (
+                self._correction + fall.outer(fall) / real - explained.outer(explained) / expected
+            )
 
     def refit(self, observations: Observations, start: Float[Tensor, " coordinate"]) -> None:
         """Fit all readings again, from the current maximum and from a start that may be better."""
@@ -103,10 +191,13 @@ class RunningFit:
             posterior, starts if len(starts) else self._point[None], tolerance=TOLERANCE
         )
         best = int(fits.log_posterior.argmax())
-        self.vector = self._point = fits.vector[best]
+        self.vector = self._point = self._linearised_at = fits.vector[best]
         self._information = fits.information[best]
         self._evaluate_prior()
         self._gradient = -self._prior_gradient  # the gradients cancel at the maximum
+        self._correction = torch.zeros_like(self._information)
+        self._sweep, self._is_exact = None, False
+        self._is_stuck = self.is_polished = False
         self.n_fits += 1
 
     def _model(self, block: Observations) -> MeasurementModel:
@@ -125,12 +216,12 @@ class RunningFit:
 
     def _step(self, observations: Observations) -> None:
         self.precision = self._information + self._prior_precision
-        step = solve(self.precision, self._gradient + self._prior_gradient)
-        n = self.coordinates.n
-        is_near = float(step @ self.precision @ step) <= n * FARTHEST_STEP**2
+        step = solve(self.precision + self._correction, self._gradient + self._prior_gradient)
+        step_sd = float(step @ self.precision @ step) ** 0.5
+        is_near = step_sd <= FARTHEST_STEP * self.coordinates.n**0.5
         is_inside = bool(torch.isfinite(self.coordinates.log_prior(self._point + step)))
         if is_near and is_inside:
-            self.vector = self._point + step
+            self.vector, self._step_sd = self._point + step, step_sd
         else:
             self.refit(observations, self._point)
 
@@ -138,45 +229,3 @@ class RunningFit:
         gradient, precision = prior_gradient_and_precision(self.coordinates, self._point[None])
         self._prior_gradient, self._prior_precision = gradient[0], precision[0]
         self.precision = self._information + self._prior_precision
-
-
-@dataclass(frozen=True)
-class _Linearisation:
-    """Predictions and noise of some readings at one point, with their Jacobians."""
-
-    expected_T: Float[Tensor, "reading 3"]
-    sigma_T: Float[Tensor, " component"]
-    jacobian_T: Float[Tensor, "component coordinate"]
-    log_sigma_jacobian: Float[Tensor, "component coordinate"]
-
-    @classmethod
-    def at(cls, posterior: LogPosterior, point: Float[Tensor, " coordinate"]) -> _Linearisation:
-        coordinates = posterior.coordinates
-        step = DIFFERENCE_STEP * coordinates.scale
-        around = torch.cat((point[None], point + torch.diag(step), point - torch.diag(step)))
-        with torch.no_grad():
-            field_T = posterior.model.predict(coordinates.values(around)).expand(len(around), -1, 3)
-            sigma_T = posterior.component_sigma_T(around)
-
-        def jacobian(values: Tensor) -> Tensor:
-            up, down = values[1:].split(coordinates.n)
-            quotient: Tensor = ((up - down) / (2.0 * step[:, None])).mT
-            return quotient
-
-        jacobian_T = jacobian(posterior.measured_components(field_T))
-        return cls(field_T[0], sigma_T[0], jacobian_T, jacobian(torch.log(sigma_T)))
-
-    def innovation(self, posterior: LogPosterior, step: Tensor, covariance: Tensor) -> Innovation:
-        """Innovation of the readings at a small step from the point."""
-        expected_T = posterior.measured_components(self.expected_T) + self.jacobian_T @ step
-        covariance_T2 = self.jacobian_T @ covariance @ self.jacobian_T.mT + torch.diag(self.sigma_T**2)
-        return Innovation(posterior.measured_T - expected_T, covariance_T2, self.expected_T)
-
-    def gradient_and_information(self, posterior: LogPosterior, point: Tensor) -> tuple[Tensor, Tensor]:
-        """Contribution of the readings to gradient and information of the log likelihood; information on the noise is the expected one."""
-        whitened = (posterior.measured_T - posterior.measured_components(self.expected_T)) / self.sigma_T
-        weight = posterior.weight(whitened, point)
-        jacobian, noise_jacobian = self.jacobian_T / self.sigma_T[:, None], self.log_sigma_jacobian
-        gradient = jacobian.mT @ (weight * whitened) + noise_jacobian.mT @ (weight * whitened**2 - 1.0)
-        information = jacobian.mT @ (weight[:, None] * jacobian) + 2.0 * noise_jacobian.mT @ noise_jacobian
-        return gradient, information

@@ -13,7 +13,7 @@ import torch
 from scipy.special import chdtrc  # what scipy.stats calls, without its long import
 from torch import Tensor
 
-from estimator.inference.running import Innovation
+from estimator.inference.linearisation import Innovation
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 

@@ -43,6 +43,7 @@ class News:
         n_appended: Readings that were appended and taken.
         n_readings: Those of them that the estimate holds; the others are for validation.
         intervals: Of every free parameter; empty before the first reading.
+        is_polished: Whether they are those of a batch fit of these readings, to 1e-6 standard deviations.
         alarms: All alarms so far, in words.
         is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
         places: Where readings were taken, and what the estimate left of them when it was last computed.
@@ -57,6 +58,7 @@ class News:
     n_appended: int
     n_readings: int
     intervals: dict[str, Interval]
+    is_polished: bool
     alarms: list[str]
     is_redrawn: bool
     places: list[Place]

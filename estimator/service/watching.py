@@ -18,6 +18,7 @@ from estimator.live.outlines import CoilOutline, outlines
 from estimator.live.places import Place, places
 from estimator.live.refresh import FEWEST_READINGS, Refreshed
 from estimator.live.refresh import GROWTH as GROWTH_OF_DIAGNOSIS
+from estimator.live.spare import WAIT_S, SpareTime
 from estimator.live.stream import Interval, Stream
 from estimator.service.devices import Device, updated
 from estimator.service.news import News, Verdict, Widths
@@ -51,13 +52,14 @@ class Watched:
     def __init__(self, path: Path) -> None:
         self._follower = Follower(path)
         self._rig = self._follower.rig
-        self._stream = Stream(self._rig)
+        self._stream, self._spare = Stream(self._rig), SpareTime()
         self._entries: list[Entry] = []
         self._places: list[Place] = []
         self._coils: list[CoilOutline] = []
         self._history: list[Widths] = []
         self._devices: list[Device] = []
         self._intervals: dict[str, Interval] = {}
+        self._is_polished = False
         self._n_readings, self._n_drawn, self._drawing = 0, 0, 0
         self._verdict: Verdict | None = None
         self._refreshed: Refreshed | None = None
@@ -135,6 +137,7 @@ class Watched:
                 n_appended=len(self._entries),
                 n_readings=self._n_readings,
                 intervals=dict(self._intervals),
+                is_polished=self._is_polished,
                 alarms=[alarm.words for alarm in self._stream.alarms],
                 is_redrawn=is_redrawn,
                 places=[one for one in self._places if one.number > after],
@@ -156,6 +159,8 @@ class Watched:
                 entries = self._follower.entries()
                 if entries:
                     self._take(entries)
+                elif self._stream.can_polish:
+                    self._polish(has_ended)
                 elif has_ended:
                     break
                 else:
@@ -171,6 +176,15 @@ class Watched:
             self._has_ended = True
             self._tell()
 
+    def _polish(self, has_ended: bool) -> None:
+        """Do a piece of polishing, or wait a moment until there is time for it; a session that has ended does not wait."""
+        if not (has_ended or self._spare.is_left()):
+            self._wake.wait(WAIT_S)
+        elif self._stream.polish() and self._stream.is_polished:
+            with self._lock:
+                self._intervals, self._is_polished = self._stream.intervals(), True
+            self._tell()
+
     def _take_diagnosis(self) -> None:
         refreshed, self._refreshed = self._refreshed, None
         if refreshed is None:
@@ -179,7 +193,7 @@ class Watched:
         with self._lock:
             causes = list(refreshed.causes)
             self._verdict = Verdict(refreshed.n_readings, refreshed.verdict, causes, refreshed.took_s)
-            self._intervals = self._stream.intervals()
+            self._intervals, self._is_polished = self._stream.intervals(), self._stream.is_polished
         self._tell()
 
     def _take(self, entries: list[Entry]) -> None:
@@ -208,6 +222,7 @@ class Watched:
             self._coils = coils
             self._devices = devices
             self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
+            self._is_polished = estimate.is_polished
             self._places = [*self._places, *new][-MOST_PLACES:]
             wanted = max(FEWEST_READINGS, GROWTH_OF_DIAGNOSIS * self._n_diagnosed)
             if self._waits_since_s is None and len(self._entries) >= wanted:

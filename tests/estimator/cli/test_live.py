@@ -87,6 +87,7 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
     assert result.exit_code == 0, result.stderr
     said = json.loads(result.stdout)
     assert (said["stops"], said["readings"], said["refreshed"]) == (N_STOPS, N_STOPS, None)
+    assert said["is_polished"]
     assert said["parameters"]["coil1.radius_m"]["low"] < 0.0518
     assert said["alarms"][0]["since"] == pytest.approx(81, abs=6)
     assert f"alarm: {said['alarms'][0]['words']}" in result.stderr
@@ -268,6 +269,8 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     stream = Stream(small_rig)
     readings = simulate(small_rig, small_plan, small_truth, seed=4).calibration
     estimate = replace(stream.update(readings), took_s=0.012)
+    polished = LiveState("s.zarr", (), 0, (), 0, 0.0, replace(estimate, is_polished=True), (), None, False)
+    assert "estimate after 12 ms and polished" in shown(polished)
     alarm = Alarm("hall", "x", 21, 27, 2.0)
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.inference.running import Innovation
+from estimator.inference.linearisation import Innovation
 from estimator.live.watch import ALONG, Alarm, Watch
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig

@@ -46,18 +46,24 @@ def core_of(client: TestClient) -> Core:
 
 
 def watched(
-    client: TestClient, session_id: str, acts: dict[int, Callable[[], object]], until: int
+    client: TestClient,
+    session_id: str,
+    acts: dict[int, Callable[[], object]],
+    until: int,
+    is_polished: bool | None = None,
 ) -> list[News]:
     """News of a session up to a number of readings; at some numbers something is done first."""
 
     async def watch(session: Watched) -> list[News]:
         told: list[News] = []
+        is_redrawn = False
         async with asyncio.timeout(PATIENCE_S), aclosing(session.news(lambda: False)) as news:
             async for one in news:
                 told.append(one)
                 if (act := acts.pop(one.n_appended, None)) is not None:
                     await asyncio.to_thread(act)
-                if one.n_appended >= until and not acts and one.is_redrawn:
+                is_redrawn |= one.is_redrawn and one.n_appended >= until
+                if is_redrawn and not acts and is_polished in (None, one.is_polished):
                     break
         return told
 
@@ -96,6 +102,19 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
     assert len(widths) >= 4
     assert widths[-1] < 0.5 * widths[0]
     assert sum(one.is_redrawn for one in told) < len(told) * REDRAWN_AT
+
+
+def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    lines = lines_of(small_session, small_rig, 0, 20)
+    told = watched(client, session_id, {0: lambda: append(client, session_id, lines)}, 20, is_polished=True)
+    stream = Stream(small_rig)
+    stream.update(small_session.observations.rows(torch.arange(20)))
+    while stream.can_polish:
+        stream.polish()
+    for name, interval in told[-1].intervals.items():
+        assert interval.value == pytest.approx(stream.intervals()[name].value, abs=1e-6 * interval.sd)
 
 
 def test_devices_are_those_of_the_readings_with_what_they_showed_last(

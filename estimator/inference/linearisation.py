@@ -1,0 +1,73 @@
+"""Predictions of some readings to first order at one point: what they are expected to show, and what they say about the coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.inference.likelihood import LogPosterior
+
+# Of the prior's width: central differences in one batched prediction take a quarter of the time of dual numbers for a few readings. At 5000
+# readings their gradient would move the maximum by 1e-9 standard deviations.
+DIFFERENCE_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """Difference of new readings from the prediction by all earlier ones (innovation of a Kalman filter).
+
+    Attributes:
+        difference_T: Measured minus expected, in the order of components of `LogPosterior`.
+        covariance_T2: Covariance of the difference: noise plus uncertainty of the parameters.
+        expected_T: Expected field of each reading.
+    """
+
+    difference_T: Float[Tensor, " component"]
+    covariance_T2: Float[Tensor, "component component"]
+    expected_T: Float[Tensor, "reading 3"]
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Predictions and noise of some readings at one point, with their Jacobians."""
+
+    expected_T: Float[Tensor, "reading 3"]
+    sigma_T: Float[Tensor, " component"]
+    jacobian_T: Float[Tensor, "component coordinate"]
+    log_sigma_jacobian: Float[Tensor, "component coordinate"]
+
+    @classmethod
+    def at(cls, posterior: LogPosterior, point: Float[Tensor, " coordinate"]) -> Linearisation:
+        """By central differences, in one batched prediction."""
+        coordinates = posterior.coordinates
+        step = DIFFERENCE_STEP * coordinates.scale
+        around = torch.cat((point[None], point + torch.diag(step), point - torch.diag(step)))
+        with torch.no_grad():
+            field_T = posterior.model.predict(coordinates.values(around)).expand(len(around), -1, 3)
+            sigma_T = posterior.component_sigma_T(around)
+
+        def jacobian(values: Tensor) -> Tensor:
+            up, down = values[1:].split(coordinates.n)
+            quotient: Tensor = ((up - down) / (2.0 * step[:, None])).mT
+            return quotient
+
+        jacobian_T = jacobian(posterior.measured_components(field_T))
+        return cls(field_T[0], sigma_T[0], jacobian_T, jacobian(torch.log(sigma_T)))
+
+    def innovation(self, posterior: LogPosterior, step: Tensor, covariance: Tensor) -> Innovation:
+        """Innovation of the readings at a small step from the point."""
+        expected_T = posterior.measured_components(self.expected_T) + self.jacobian_T @ step
+        covariance_T2 = self.jacobian_T @ covariance @ self.jacobian_T.mT + torch.diag(self.sigma_T**2)
+        return Innovation(posterior.measured_T - expected_T, covariance_T2, self.expected_T)
+
+    def gradient_and_information(self, posterior: LogPosterior, point: Tensor) -> tuple[Tensor, Tensor]:
+        """Contribution of the readings to gradient and information of the log likelihood; information on the noise is the expected one."""
+        whitened = (posterior.measured_T - posterior.measured_components(self.expected_T)) / self.sigma_T
+        weight = posterior.weight(whitened, point)
+        jacobian, noise_jacobian = self.jacobian_T / self.sigma_T[:, None], self.log_sigma_jacobian
+        gradient = jacobian.mT @ (weight * whitened) + noise_jacobian.mT @ (weight * whitened**2 - 1.0)
+        information = jacobian.mT @ (weight[:, None] * jacobian) + 2.0 * noise_jacobian.mT @ noise_jacobian
+        return gradient, information
