@@ -35,6 +35,10 @@ ROUGH_TOLERANCE = 1e-2
 """The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1. Study of 5 cases: numbers change in
 2."""
 
+STRUCTURE_TOLERANCE = 0.1
+"""The same for a hypothesis of structure in place of a pile of causes. Effort: hundreds of log evidence are to beat, and most crawl along
+valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
+
 CORRECTED_TO_SD = 0.08
 """How near its maximum the fit of a corrected model to all readings that count ends: root mean square over its numbers, in standard
 deviations. Effort: no name depends on it, and hundreds of amplitudes crawl. Study: not in it."""

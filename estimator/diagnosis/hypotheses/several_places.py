@@ -130,6 +130,7 @@ def fit_with_needed(
     least: float,
     start: Mapping[str, Tensor | float] | None = None,
     to_beat: float = -math.inf,
+    tolerance: float = policy.ROUGH_TOLERANCE,
 ) -> Fit:
     """The fit with those of several causes whose evidence suffices beside the others.
 
@@ -140,6 +141,7 @@ def fit_with_needed(
         least: Log evidence that each needs.
         start: Values by parameter to start from; those of the fit near by, and nominal ones, by default.
         to_beat: Log posterior density of another fit with all of them: where this one is lower it ends early, and is the fit near by.
+        tolerance: Rise in log density below which fits stop.
     Returns: The fit near by where none of them suffices.
     """
     rules, start = fit.posterior.model.rules, start or fit.start_with(rig)
@@ -148,7 +150,7 @@ def fit_with_needed(
         fit.observations,
         start,
         rules,
-        tolerance=policy.ROUGH_TOLERANCE,
+        tolerance=tolerance,
         near=fit,
         to_beat=to_beat,
     )
@@ -161,9 +163,7 @@ def fit_with_needed(
         causes = [cause for cause in causes if cause not in idle]
         if not causes:
             return fit
-        wider = fit_rig(
-            rig, fit.observations, wider.values, rules, tolerance=policy.ROUGH_TOLERANCE, near=wider
-        )
+        wider = fit_rig(rig, fit.observations, wider.values, rules, tolerance=tolerance, near=wider)
     return wider
 
 

@@ -150,7 +150,13 @@ def other_structures(
         value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
         asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
     asked.sort(key=lambda one: -one.log_bayes_factor)
-    return OtherStructures(piled, log_bayes_factor(pile.log_evidence, len(piled)), tuple(asked))
+    result = OtherStructures(piled, log_bayes_factor(pile.log_evidence, len(piled)), tuple(asked))
+    if result.better is None:
+        return result
+    alone, rules = result.better.alone, base.posterior.model.rules
+    to_the_end = fit_rig(alone.rig, alone.observations, alone.values, rules, near=alone)
+    asked = [replace(one, alone=to_the_end) if one is result.better else one for one in asked]
+    return replace(result, asked=tuple(asked))
 
 
 def _starts(base: Fit, alone: Fit, pool: Sequence[Candidate], causes: Sequence[Cause]) -> list[Candidate]:
@@ -184,7 +190,7 @@ def _best_alone(base: Fit, cause: Cause) -> Fit | None:
             base.observations,
             base.start_with(rig),
             rules,
-            tolerance=policy.ROUGH_TOLERANCE,
+            tolerance=policy.STRUCTURE_TOLERANCE,
             to_beat=to_beat,
         )
         to_beat = max(to_beat, float(fit.optimum.log_posterior))
@@ -216,7 +222,8 @@ def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], le
     rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
     own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
     to_beat = float(pile.optimum.log_posterior) - NEARLY_THE_SAME  # where the hypothesis changes nothing
-    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own}, to_beat)]
+    tolerance = policy.STRUCTURE_TOLERANCE
+    fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own}, to_beat, tolerance)]
     if trial.alone.log_evidence - base.log_evidence > least:
-        fits.append(fit_with_needed(trial.alone, rig, others, least, to_beat=to_beat))
+        fits.append(fit_with_needed(trial.alone, rig, others, least, to_beat=to_beat, tolerance=tolerance))
     return max((trial.alone if fit is pile else fit for fit in fits), key=lambda fit: fit.log_evidence)
