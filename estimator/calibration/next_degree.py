@@ -52,7 +52,7 @@ def next_degree_gain(
 
 
 def with_next_degree(rig: Rig, share: float = 1.0) -> Rig | None:
-    """The rig with one degree more, or closer charges, in every coil without a winding whose highest degree is free; None where there is none.
+    """The rig with one degree more, or closer charges, in every coil without a winding where these are free; None where there is none.
 
     Args:
         rig: As it is.
@@ -79,7 +79,7 @@ def with_next_degree(rig: Rig, share: float = 1.0) -> Rig | None:
 def _with_closer_charges(
     coil: EquivalentSourceCoil, parameters: dict[str, Parameter]
 ) -> EquivalentSourceCoil:
-    """A coil with a smaller margin and spacing, whose charges have the prior that those before had in common; without one the coil itself."""
+    """A coil with smaller margin and spacing, whose charges have the prior that all had before; without such a prior the coil itself."""
     closer = replace(coil, margin_m=CLOSER * coil.margin_m, spacing_m=CLOSER * coil.spacing_m)
     (names,) = coil.amplitudes.values()
     prior = parameters[names[0]].prior
