@@ -16,7 +16,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
-from estimator.rig.rig import AnyCoil, Coil
+from estimator.rig.rig import AnyCoil, Coil, HarmonicCoil
 
 MOST_CORNER_PARAMETERS = 12
 MOST_INTERVALS = 60
@@ -142,7 +142,7 @@ def _spectra(calibration: Calibration, title: str) -> Iterator[Picture]:
     """Of each coil without a winding of which the readings tell."""
     determined = calibration.summary().get("amplitudes", {})
     for coil in calibration.rig.unwound:
-        if not determined.get(coil.name, {}).get("determined"):
+        if not isinstance(coil, HarmonicCoil) or not determined.get(coil.name, {}).get("determined"):
             continue
         free = {
             degree: drawn

@@ -1,4 +1,4 @@
-"""Whether the readings ask for harmonics of a higher degree than a rig gives its coils without a winding."""
+"""Whether readings ask for a finer field than a rig gives its coils without a winding: one degree more, or closer charges."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.charged_box import MOST_CHARGES, n_charges
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import HarmonicCoil, Rig
+from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, HarmonicCoil, Rig
 
+CLOSER = 0.8  # of margin and spacing of charges: about a quarter more of them
 WIDTHS = (1.0, 0.1, 0.01)  # of what the priors say: too wide a prior hides a degree that is there but small
 CLEAR_LOG_EVIDENCE = 3.0  # 20 to 1, as for causes: with less the degree may well do
 
@@ -23,7 +25,7 @@ CLEAR_LOG_EVIDENCE = 3.0  # 20 to 1, as for causes: with less the degree may wel
 def next_degree_gain(
     posterior: CollapsedPosterior, observations: Observations, vector: torch.Tensor
 ) -> float | None:
-    """Rise in log evidence when every coil without a winding gets one degree more.
+    """Rise in log evidence when every coil without a winding gets one degree more, or its charges closer to the box and to each other.
 
     Priors of the new degree narrow on as they did, or are ten or a hundred times narrower: the best of these counts. Intervals hold for
     fields of the degrees that a rig has. Where a higher degree has clear evidence they are too narrow, and the noise takes up what is
@@ -38,7 +40,8 @@ def next_degree_gain(
     rises = []
     with torch.no_grad():
         before = float(posterior.log_evidence(vector[None])[0])
-        for share in WIDTHS:
+        has_degrees = any(isinstance(coil, HarmonicCoil) for coil in posterior.full.coordinates.rig.coils)
+        for share in WIDTHS if has_degrees else WIDTHS[:1]:
             rig = with_next_degree(posterior.full.coordinates.rig, share)
             if rig is None:
                 return None
@@ -49,14 +52,18 @@ def next_degree_gain(
 
 
 def with_next_degree(rig: Rig, share: float = 1.0) -> Rig | None:
-    """The rig with one degree more in every coil without a winding whose highest degree is free; None where there is none.
+    """The rig with one degree more, or closer charges, in every coil without a winding where these are free; None where there is none.
 
     Args:
         rig: As it is.
         share: Of the width that the priors of the new degree would have if they went on narrowing as before.
     """
-    coils, parameters = [], dict(rig.parameters)
+    coils: list[AnyCoil] = []
+    parameters = dict(rig.parameters)
     for coil in rig.coils:
+        if isinstance(coil, EquivalentSourceCoil):
+            coils.append(_with_closer_charges(coil, parameters))
+            continue
         widths = _widths(coil, rig) if isinstance(coil, HarmonicCoil) else []
         if not isinstance(coil, HarmonicCoil) or not widths or coil.degree == HIGHEST_DEGREE:
             coils.append(coil)
@@ -67,6 +74,23 @@ def with_next_degree(rig: Rig, share: float = 1.0) -> Rig | None:
             parameters[name] = Parameter(name, "T/A", 0.0, Normal(0.0, sd))
         coils.append(higher)
     return None if tuple(coils) == rig.coils else replace(rig, coils=tuple(coils), parameters=parameters)
+
+
+def _with_closer_charges(
+    coil: EquivalentSourceCoil, parameters: dict[str, Parameter]
+) -> EquivalentSourceCoil:
+    """A coil with smaller margin and spacing, whose charges have the prior that all had before; without such a prior the coil itself."""
+    closer = replace(coil, margin_m=CLOSER * coil.margin_m, spacing_m=CLOSER * coil.spacing_m)
+    (names,) = coil.amplitudes.values()
+    prior = parameters[names[0]].prior
+    is_one = prior is not None and all(parameters[name].prior == prior for name in names)
+    if not is_one or n_charges(closer.intervals) > MOST_CHARGES:
+        return coil
+    for name in names:
+        del parameters[name]
+    for name in closer.amplitudes[1]:
+        parameters[name] = Parameter(name, "T/A", 0.0, prior)
+    return closer
 
 
 def _widths(coil: HarmonicCoil, rig: Rig) -> list[float]:

@@ -88,11 +88,12 @@ def assessment(
     if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
         reasons.append(
             f"a coil without a winding has a finer field than its degree allows ({next_degree_log_evidence:+.3g} in log evidence for one "
-            "degree more), so its intervals are too narrow."
+            "degree more, or for charges closer to the box), so its intervals are too narrow."
         )
         if len(reasons) == 1:
             words = (
-                "Raise `degree` in the rig file until readings ask for no higher one, and calibrate again."
+                "Raise `degree` in the rig file until readings ask for no higher one, or lower `margin` and `spacing` likewise, and "
+                "calibrate again."
             )
             return Assessment(Quality.SUSPECT, tuple(reasons), words)
     if reasons:

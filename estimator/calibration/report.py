@@ -12,7 +12,7 @@ from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.rig.rig import Rig
+from estimator.rig.rig import HarmonicCoil, Rig
 from estimator.units import split_quotient
 
 HARDLY_NARROWED = 3.0  # data as wide as three priors narrow the interval by 5 %, which no reader sees
@@ -180,6 +180,7 @@ def _amplitude_table(
     for coil in rig.unwound:
         if not determined.get(coil.name, {}).get("determined"):
             continue
+        has_degrees = isinstance(coil, HarmonicCoil)
         for degree, names in coil.amplitudes.items():
             numbers = [parameters[name] for name in names if name in parameters]
             priors = [prior for name in names if (prior := rig.parameters[name].prior) is not None]
@@ -191,11 +192,16 @@ def _amplitude_table(
                 _rms([prior.sd for prior in priors]),
             ]
             rows.append(
-                [coil.name, str(degree), str(len(numbers)), *(size_with_unit(s, "T/A", 3) for s in sizes)]
+                [
+                    coil.name,
+                    str(degree) if has_degrees else "charges",
+                    str(len(numbers)),
+                    *(size_with_unit(s, "T/A", 3) for s in sizes),
+                ]
             )
     header = ["coil", "degree", "amplitudes", "rms amplitude", "rms sd", "prior sd"]
     caption = "Each amplitude is in summary.json. Coils that carried no current are left out: of them only the priors are known."
-    return Table("Harmonics by degree", header, rows, caption)
+    return Table("Amplitudes of coils without a winding", header, rows, caption)
 
 
 def _rms(values: Sequence[float]) -> float:

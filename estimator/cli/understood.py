@@ -10,7 +10,7 @@ from estimator.cli.words import duration_words, prior_words
 from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.rig.parameters import Parameter
-from estimator.rig.rig import Body, Coil, Mover, Rig, SidedCoil
+from estimator.rig.rig import Body, Coil, EquivalentSourceCoil, Mover, Rig, SidedCoil
 from estimator.store.importers.csv_table import Table
 from estimator.units import UNITS
 
@@ -104,6 +104,8 @@ def plan_lines(plan: Plan, rig: Rig) -> list[str]:
 def _coil_words(coil: Body, values: Mapping[str, float]) -> str:
     name = coil.name
     if not isinstance(coil, Coil | SidedCoil):
+        if isinstance(coil, EquivalentSourceCoil):
+            return f"no winding, {len(coil.amplitudes[1])} magnetic charges on a box"
         return "no winding, a sum of solid harmonics"
     loops = " x ".join(f"{values[f'{name}.{count}']:g}" for count in ("axial_loops", "radial_loops"))
     if isinstance(coil, SidedCoil):

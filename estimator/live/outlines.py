@@ -12,7 +12,7 @@ from estimator.field.sided import SidedWinding
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import AnyCoil, HarmonicCoil, Rig
+from estimator.rig.rig import AnyCoil, Rig, UnwoundCoil
 
 Vector = tuple[float, float, float]
 
@@ -64,7 +64,7 @@ def _mean_turn(
     rig: Rig, coil: AnyCoil, values: Mapping[str, Tensor]
 ) -> tuple[float, float, tuple[float, float]]:
     """Depth behind the front face, radius, and straight lengths along x and y."""
-    if isinstance(coil, HarmonicCoil):
+    if isinstance(coil, UnwoundCoil):
         return 0.0, 0.0, (0.0, 0.0)
     winding = winding_of(rig, coil, values)
     depth_m = 0.5 * float(winding.length_m)

@@ -33,7 +33,7 @@ from estimator.field.winding import Rule, Winding
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, HarmonicCoil, Rig, WoundCoil
+from estimator.rig.rig import Coil, Rig, UnwoundCoil, WoundCoil
 
 MOST_AXIAL_NODES, MOST_RADIAL_NODES, STEPS = 12, 3, 7  # of a winding as its core sees it: error 1e-4
 
@@ -121,7 +121,7 @@ class Cores:
             zero = core.core.radius_m.new_zeros(PATTERNS)
             by_coil = [
                 _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
-                if not isinstance(coil, HarmonicCoil)
+                if not isinstance(coil, UnwoundCoil)
                 else zero
                 for coil in rig.coils
             ]

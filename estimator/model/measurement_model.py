@@ -38,10 +38,10 @@ from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
-from estimator.model.unwound import is_among_sources
+from estimator.model.unwound import CLEAR_SHARE, is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, HarmonicCoil, Region, Rig, WoundCoil
+from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Region, Rig, UnwoundCoil, WoundCoil
 
 MOST_RADII = 3.0  # farther out a term of degree 8 is beyond 2000 times its amplitude, whose prior then says nothing: likely another unit
 
@@ -65,7 +65,7 @@ class MeasurementModel:
         """Set the model up, with quadrature rules for the rig's nominal values.
 
         Raises:
-            InvalidInput: A sensor would stand inside a winding, or where the harmonics of a coil have no meaning.
+            InvalidInput: A sensor would stand inside a winding, or where the field of a coil without a winding has no meaning.
         """
         return cls.unruled(rig, observations).choose_rules(
             nominal_tensors(rig, observations.current_A), tolerance
@@ -190,7 +190,7 @@ class MeasurementModel:
             is_idle = not len(rows)  # until an effect makes it carry current
             rows = self.every_row if is_idle else rows
             points_m = self._in_coil(coil, rows, values).translation_m
-            if isinstance(coil, HarmonicCoil):
+            if isinstance(coil, UnwoundCoil):
                 if not is_idle:
                     self._refuse_outside(coil, rows, points_m, values)
                 continue
@@ -340,11 +340,16 @@ class MeasurementModel:
         inside = distance_to_coil(points_m, winding) <= 0.0
         self._refuse(f"outside the winding of {coil.name}", rows, inside)
 
-    def _refuse_outside(self, coil: HarmonicCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:
-        """Refuse readings where the harmonics of a coil have no meaning: among its sources, or far beyond the sphere of reference."""
+    def _refuse_outside(self, coil: UnwoundCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:
+        """Refuse readings where the field of a coil has no meaning: among its sources, or far beyond the sphere of reference."""
+        among = is_among_sources(coil, points_m, values)
+        if isinstance(coil, EquivalentSourceCoil):
+            half = " x ".join(f"{2e3 * half_m:.6g}" for half_m in coil.half_m)
+            beyond = f"no more than {CLEAR_SHARE:g} of the margin, {coil.margin_m * 1e3:.6g} mm, beyond"
+            self._refuse(f"{beyond} the box of {coil.name}, {half} mm", rows, among)
+            return
         radius_m = values[f"{coil.name}.reference_radius_m"]
         where = f"of {coil.name}, {float(radius_m) * 1e3:.6g} mm"
-        among = is_among_sources(coil, points_m, values)
         self._refuse(f"outside the reference_radius {where}, which holds all its sources", rows, among)
         if coil.region is Region.INTERIOR:
             is_far = points_m.norm(dim=-1) > MOST_RADII * radius_m

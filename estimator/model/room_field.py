@@ -24,7 +24,7 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, FieldSum, HarmonicCoil, Rig
+from estimator.rig.rig import Coil, FieldSum, Rig, UnwoundCoil
 
 
 class RoomField:
@@ -73,7 +73,7 @@ class RoomField:
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
-            if isinstance(coil, HarmonicCoil):
+            if isinstance(coil, UnwoundCoil):
                 inside |= is_among_sources(coil, points_coil_m, values)
                 continue
             winding = winding_of(rig, coil, values)

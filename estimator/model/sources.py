@@ -39,9 +39,9 @@ from estimator.field.zones import Zone
 from estimator.frames import Transform, turned, turned_back
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
 from estimator.model.cores import Cores
-from estimator.model.unwound import harmonic_field_per_ampere
+from estimator.model.unwound import unwound_field_per_ampere
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Body, HarmonicCoil, Rig, WoundCoil
+from estimator.rig.rig import AnyCoil, Body, Rig, UnwoundCoil, WoundCoil
 
 # Of points in a coil's frame, as `SourceEffect.apply`.
 SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]
@@ -136,7 +136,7 @@ class Sources:
             total = total + self._cores(values, world_from_point, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
-            is_ready = isinstance(coil, HarmonicCoil) or coil.name in self.rules
+            is_ready = isinstance(coil, UnwoundCoil) or coil.name in self.rules
             if not is_ready or not len(rows):
                 continue
             points = world_from_point.rows(rows)
@@ -167,11 +167,9 @@ class Sources:
         field = self._zoned(coil, points_m, values) if coil.name in self.zones else own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
-            assert not isinstance(coil, HarmonicCoil)  # no place of such effects
-            winding = cast(
-                Winding, winding_of(self.rig, coil, values)
-            )  # corrections take those with sides too
+            assert not isinstance(coil, UnwoundCoil)  # no place of such effects
             theta = use.theta(values)
+            winding = cast(Winding, winding_of(self.rig, coil, values))  # of any shape for a correction
             if isinstance(use.effect, AddedLoops):
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta, self.mode)
             elif use.effect.is_correction:  # polynomials, whose second derivatives cost little
@@ -270,8 +268,8 @@ class Sources:
         """Field of one ampere at points of the coil frame: of the winding by the coil's rule, of the harmonics, or of a map."""
         if coil.name in self.maps:
             return self.maps[coil.name].field
-        if isinstance(coil, HarmonicCoil):
-            return lambda points_m: harmonic_field_per_ampere(coil, points_m, values)
+        if isinstance(coil, UnwoundCoil):
+            return lambda points_m: unwound_field_per_ampere(coil, points_m, values)
         winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
         return lambda points_m: coil_field_per_ampere(coil, points_m, winding, rule, self.mode)
 
@@ -279,7 +277,7 @@ class Sources:
         self, coil: AnyCoil, points_coil_m: Float[Tensor, "*#batch row 3"], values: Values
     ) -> Float[Tensor, "*batch row 3"]:
         """Field of one ampere in a coil's winding in the coil frame, by the rule of each point."""
-        assert not isinstance(coil, HarmonicCoil)  # which has no winding
+        assert not isinstance(coil, UnwoundCoil)  # which has no winding
         winding, zones = winding_of(self.rig, coil, values), self.zones[coil.name]
         parts = [
             coil_field_per_ampere(coil, points_coil_m[..., zone.points, :], winding, zone.rule, self.mode)

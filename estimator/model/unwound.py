@@ -1,4 +1,4 @@
-"""Field of a coil whose winding is not known: solid harmonics about the origin of its frame, with amplitudes per ampere."""
+"""Field of a coil whose winding is not known: solid harmonics, or magnetic charges on a box, with amplitudes per ampere."""
 
 from __future__ import annotations
 
@@ -6,24 +6,31 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from estimator.field.charged_box import charged_box_field
 from estimator.field.harmonics import exterior_field, interior_field
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import HarmonicCoil, Region
+from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
+
+CLEAR_SHARE = (
+    0.5  # of the margin: 1.5 spacings off the charges, where they pass for a layer to a part in ten thousand
+)
 
 
-def harmonic_field_per_ampere(
-    coil: HarmonicCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
+def unwound_field_per_ampere(
+    coil: UnwoundCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of one ampere in the coil frame, in T/A; free of divergence and curl, and linear in the amplitudes.
 
     Args:
-        coil: Its region and degree.
-        points_coil_m: Points in the coil frame; multipoles are singular at its origin.
+        coil: Its region and degree, or its box.
+        points_coil_m: Points in the coil frame; multipoles are singular at its origin, charges where they stand.
         values: Every number of the rig by name.
     References: Jackson, Classical Electrodynamics, 3rd ed., sections 3.3 and 4.1.
     """
     names = [name for names in coil.amplitudes.values() for name in names]
     each = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
+    if isinstance(coil, EquivalentSourceCoil):
+        return charged_box_field(points_coil_m, coil.charged_half_m, coil.intervals, each)
     sizes = [len(own) for own in coil.amplitudes.values()]
     amplitudes = dict(zip(coil.amplitudes, each.split(sizes, dim=-1), strict=True))
     field = interior_field if coil.region is Region.INTERIOR else exterior_field
@@ -31,13 +38,17 @@ def harmonic_field_per_ampere(
 
 
 def is_among_sources(
-    coil: HarmonicCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
+    coil: UnwoundCoil, points_coil_m: Float[Tensor, "*#batch point 3"], values: Values
 ) -> Bool[Tensor, "*batch point"]:
-    """Whether points lie in the ball that holds the sources of an exterior field, where the coil has no model.
+    """Whether points lie where a coil has no model: in the ball that holds the sources of an exterior field, near charges or beyond them.
 
     Args:
-        coil, points_coil_m, values: As in `harmonic_field_per_ampere`.
+        coil, points_coil_m, values: As in `unwound_field_per_ampere`.
     """
+    if isinstance(coil, EquivalentSourceCoil):
+        reach_m = points_coil_m.new_tensor(coil.half_m) + CLEAR_SHARE * coil.margin_m
+        is_outside: Tensor = (points_coil_m.abs() > reach_m).any(dim=-1)
+        return is_outside
     distance_m: Tensor = points_coil_m.norm(dim=-1)
     if coil.region is Region.INTERIOR:
         return torch.zeros_like(distance_m, dtype=torch.bool)

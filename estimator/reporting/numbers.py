@@ -6,6 +6,7 @@ Reports, plots and commands share it. It loads no plotting library, so that a co
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,18 +48,18 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
         'degree1 cos0 (µT/A)'
     """
 
-    def candidates(name: str) -> tuple[list[str], list[str], list[str]]:
+    def candidates(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
         """Parts of a name, the shortest choice first."""
-        parts = split_quotient(name)[0].split(".")
-        return parts[-1:], [parts[0], parts[-1]], parts
+        parts = tuple(split_quotient(name)[0].split("."))
+        return parts[-1:], (parts[0], parts[-1]), parts
 
+    choices = {name: candidates(name) for name in names}
+    n_alike = [Counter(chosen) for chosen in zip(*choices.values(), strict=True)]
     result = {}
-    for name in names:
+    for name, own in choices.items():
         _, unit, denominator = split_quotient(name)
-        rivals = [candidates(rival) for rival in names if rival != name]
-        choices = candidates(name)
-        unique = (parts for i, parts in enumerate(choices) if all(parts != rival[i] for rival in rivals))
-        parts = next(unique, choices[-1])
+        unique = (parts for parts, alike in zip(own, n_alike, strict=True) if alike[parts] == 1)
+        parts = next(unique, own[-1])
         symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
         factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
         words = plain(" ".join(parts).replace("_", " "))

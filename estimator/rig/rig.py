@@ -17,6 +17,7 @@ from typing import Any
 
 from estimator.errors import InvalidInput, closest
 from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
+from estimator.rig.charged_box import Triple, charge_key, intervals, n_charges
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
@@ -190,8 +191,43 @@ class HarmonicCoil(Body):
         }
 
 
+@dataclass(frozen=True)
+class EquivalentSourceCoil(Body):
+    """A coil whose winding is not known: per ampere its field is that of magnetic charges on a box about the origin of its frame.
+
+    Amplitudes are parameters `name.charge1_T_per_A` and so on: were all independent, with rms 1, the field in the middle would have rms 1.
+
+    Attributes:
+        half_m: Half of each edge of a box without sources that holds the readings.
+        margin_m: How far outside that box the charges stand, on the surface of another.
+        spacing_m: Distance of neighbouring charges, roughly.
+    """
+
+    half_m: Triple = (1.0, 1.0, 1.0)
+    margin_m: float = 1.0
+    spacing_m: float = 1.0
+
+    @property
+    def charged_half_m(self) -> Triple:
+        """Half of each edge of the box with the charges."""
+        x_m, y_m, z_m = self.half_m
+        return x_m + self.margin_m, y_m + self.margin_m, z_m + self.margin_m
+
+    @property
+    def intervals(self) -> tuple[int, int, int]:
+        """Between charges, along each edge."""
+        return intervals(self.half_m, self.margin_m, self.spacing_m)
+
+    @property
+    def amplitudes(self) -> dict[int, tuple[str, ...]]:
+        """Names of its amplitudes, which have no degrees: all of them are the first."""
+        numbers = range(1, n_charges(self.intervals) + 1)
+        return {1: tuple(f"{self.name}.{charge_key(number)}" for number in numbers)}
+
+
 WoundCoil = Coil | SidedCoil
-AnyCoil = WoundCoil | HarmonicCoil
+UnwoundCoil = HarmonicCoil | EquivalentSourceCoil
+AnyCoil = WoundCoil | UnwoundCoil
 
 
 class Sensor(Body):
@@ -249,9 +285,9 @@ class Rig:
         return tuple(coil for coil in self.wound if isinstance(coil, Coil))
 
     @property
-    def unwound(self) -> tuple[HarmonicCoil, ...]:
+    def unwound(self) -> tuple[UnwoundCoil, ...]:
         """The coils whose winding is not known."""
-        return tuple(coil for coil in self.coils if isinstance(coil, HarmonicCoil))
+        return tuple(coil for coil in self.coils if isinstance(coil, UnwoundCoil))
 
     @property
     def acting(self) -> tuple[Cause, ...]:

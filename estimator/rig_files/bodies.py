@@ -22,9 +22,17 @@ from estimator.rig.rig import (
     Path,
     Sensor,
     SidedCoil,
+    UnwoundCoil,
 )
 from estimator.rig_files.arm_tables import is_number, read_own_table
-from estimator.rig_files.harmonic import MODEL, read_harmonic, read_region
+from estimator.rig_files.harmonic import (
+    EQUIVALENT_SOURCES,
+    MODEL,
+    read_amplitudes,
+    read_box,
+    read_harmonic,
+    read_region,
+)
 from estimator.rig_files.numbers import Numbers, read_pose, read_pure, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
@@ -35,8 +43,10 @@ OF_LOOPS = ("wire_radius", "axial_pitch", "radial_pitch", "axial_loops", "radial
 OF_A_ROUND_WINDING = ("radius", "field_sum", "superconducting")
 LEADS = ("lead_in", "lead_out")  # in the order in which the current passes them
 SIDES, CORNER = ("inner_side_x", "inner_side_y"), "inner_corner_radius"
+OF_A_WINDING = (*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER, *LEADS)
 WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may not have, and why
-    MODEL: ((*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER, *LEADS), "which has no winding"),
+    MODEL: (OF_A_WINDING, "which has no winding"),
+    EQUIVALENT_SOURCES: (OF_A_WINDING, "which has no winding"),
     RECTANGULAR: ((*OF_A_ROUND_WINDING, CORNER), "which has straight sides and sharp corners"),
     RACETRACK: (OF_A_ROUND_WINDING, "which has straight sides"),
     WINDING: ((*SIDES, CORNER), "whose loops are circles"),
@@ -94,10 +104,10 @@ def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: N
 
 
 def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, MODEL), WINDING)
+    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, MODEL, EQUIVALENT_SOURCES), WINDING)
     _refuse_of_others(section, model)
-    if model == MODEL:
-        return _harmonic_coil(section, name, movers, numbers)
+    if model in (MODEL, EQUIVALENT_SOURCES):
+        return _unwound_coil(section, name, model, movers, numbers)
     if model != WINDING:
         return _sided_coil(section, SidedCoil(name, None, model == RACETRACK), movers, numbers)
     read_scalar(section, name, "radius", "length", numbers, positive=True)
@@ -171,10 +181,16 @@ def _read_loops(section: Section, name: str, numbers: Numbers) -> None:
     read_pure(section, name, "current_gain", numbers, default=1.0)
 
 
-def _harmonic_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> HarmonicCoil:
-    region, degree = read_region(section)
-    coil = HarmonicCoil(name, None, region, degree)
-    read_harmonic(section, coil, numbers)
+def _unwound_coil(
+    section: Section, name: str, model: str, movers: tuple[Mover, ...], numbers: Numbers
+) -> UnwoundCoil:
+    coil: UnwoundCoil
+    if model == MODEL:
+        coil = HarmonicCoil(name, None, *read_region(section))
+        read_harmonic(section, coil, numbers)
+    else:
+        coil = read_box(section, name)
+        read_amplitudes(section, coil, numbers)
     read_pure(section, name, "current_gain", numbers, default=1.0)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
     section.finish()

@@ -1,4 +1,4 @@
-"""Coils without a winding in rig files: region, degree, sphere of reference, and the amplitudes with their priors, both ways."""
+"""Coils without a winding in rig files: degree and sphere, or a box with charges, and amplitudes with their priors, both ways."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from collections.abc import Mapping
 from statistics import mode
 from typing import Any
 
+from estimator.rig.charged_box import MOST_CHARGES, n_charges
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import HarmonicCoil, Region
+from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
 from estimator.rig_files.numbers import Numbers, read_number, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 MODEL = "harmonic"
+EQUIVALENT_SOURCES = "equivalent_sources"
+OF_THE_BOX = ("half_x", "half_y", "half_z", "margin", "spacing")
 WIDTH, FALLOFF = "sd_T_per_A", "falloff"
 UNIT = "T/A"
 MOST_DIGITS = 17  # tell any two floats apart
@@ -21,9 +24,6 @@ MOST_DIGITS = 17  # tell any two floats apart
 
 def read_harmonic(section: Section, coil: HarmonicCoil, numbers: Numbers) -> None:
     """Read the sphere of reference and the amplitudes of a coil.
-
-    Amplitudes have normal priors about zero, as wide as `sd_T_per_A` in degree 1 and `falloff` times narrower in each degree above;
-    those that are listed by name have what is written there.
 
     Args:
         section: Of the coil.
@@ -35,6 +35,20 @@ def read_harmonic(section: Section, coil: HarmonicCoil, numbers: Numbers) -> Non
     if radius.prior is not None or radius.tie is not None:
         key = numbers.origin[radius.name][1]
         section.refuse(key, "must be a plain number: amplitudes are given at that radius", "a prior or tie")
+    read_amplitudes(section, coil, numbers)
+
+
+def read_amplitudes(section: Section, coil: UnwoundCoil, numbers: Numbers) -> None:
+    """Read the amplitudes of a coil.
+
+    They have normal priors about zero, as wide as `sd_T_per_A` in degree 1 and `falloff` times narrower in each degree above; those that
+    are listed by name have what is written there. Charges on a box have no degrees.
+
+    Args:
+        section: Of the coil.
+        coil: Whose names they have.
+        numbers: Where they go.
+    """
     if "amplitudes" not in section:
         section.required("amplitudes")
     block = section.section("amplitudes")
@@ -44,7 +58,7 @@ def read_harmonic(section: Section, coil: HarmonicCoil, numbers: Numbers) -> Non
     width = block.number(WIDTH) if WIDTH in block else None
     if width is not None and width <= 0.0:
         block.refuse(WIDTH, "must be > 0", f"{width:g}")
-    falloff = block.number(FALLOFF, 1.0)
+    falloff = block.number(FALLOFF, 1.0) if isinstance(coil, HarmonicCoil) else 1.0
     if not 0.0 < falloff <= 1.0:
         block.refuse(FALLOFF, "must be above 0 and at most 1", f"{falloff:g}")
     for degree, names in coil.amplitudes.items():
@@ -71,6 +85,30 @@ def read_region(section: Section) -> tuple[Region, int]:
     return region, int(degree)
 
 
+def read_box(section: Section, name: str) -> EquivalentSourceCoil:
+    """A coil with charges on a box, still without its amplitudes."""
+    x_m, y_m, z_m, margin_m, spacing_m = (_length_m(section, quantity) for quantity in OF_THE_BOX)
+    coil = EquivalentSourceCoil(name, None, (x_m, y_m, z_m), margin_m, spacing_m)
+    n = n_charges(coil.intervals)
+    if n > MOST_CHARGES:
+        found = section.key_with_unit("spacing", "length")
+        assert found is not None
+        section.refuse(found[0], f"must leave at most {MOST_CHARGES} charges on the box", f"{n} charges")
+    return coil
+
+
+def _length_m(section: Section, quantity: str) -> float:
+    found = section.key_with_unit(quantity, "length")
+    if found is None:
+        section.required(f"{quantity}_m")
+    assert found is not None
+    key, unit = found
+    length_m = section.number(key) * unit.to_si
+    if length_m <= 0.0:
+        section.refuse(key, "must be > 0", f"{section.number(key):g}")
+    return length_m
+
+
 def prior_width(width: float, falloff: float, degree: int) -> float:
     """Standard deviation of the amplitudes of a degree.
 
@@ -82,7 +120,7 @@ def prior_width(width: float, falloff: float, degree: int) -> float:
 
 
 def amplitude_section(
-    coil: HarmonicCoil, parameters: Mapping[str, Parameter], entries: Mapping[str, Any]
+    coil: UnwoundCoil, parameters: Mapping[str, Parameter], entries: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Amplitudes as the reader takes them: one width and its falloff, and by name what these do not say.
 
@@ -105,7 +143,7 @@ def amplitude_section(
     return written
 
 
-def _widths(coil: HarmonicCoil, parameters: Mapping[str, Parameter]) -> tuple[float | None, float]:
+def _widths(coil: UnwoundCoil, parameters: Mapping[str, Parameter]) -> tuple[float | None, float]:
     """Width and falloff that say most widths of a coil to the last bit; None where no first degree has a prior about zero."""
     priors = {
         degree: [p.sd for name in names if isinstance(p := parameters[name].prior, Normal) and p.mean == 0.0]

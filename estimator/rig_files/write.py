@@ -20,20 +20,21 @@ from estimator.rig.rig import (
     AnyCoil,
     Coil,
     DisplacementFrame,
+    EquivalentSourceCoil,
     FieldSum,
-    HarmonicCoil,
     Leads,
     MotionKind,
     Mover,
     Rig,
     Sensor,
     SidedCoil,
+    UnwoundCoil,
     WoundCoil,
 )
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
-from estimator.rig_files.harmonic import MODEL, amplitude_section
+from estimator.rig_files.harmonic import EQUIVALENT_SOURCES, MODEL, OF_THE_BOX, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
 from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
@@ -173,8 +174,8 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 
 def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
-    if isinstance(coil, HarmonicCoil):
-        return _harmonic_coil(coil, rig)
+    if isinstance(coil, UnwoundCoil):
+        return _unwound_coil(coil, rig)
     entry = _body(coil.carried_by) | _shape(coil, rig.parameters)
     if f"{coil.name}.wire_radius_m" in rig.parameters:
         entry |= _number(f"{coil.name}.wire_radius_m", "length", rig.parameters)
@@ -216,10 +217,16 @@ def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, An
     return entry
 
 
-def _harmonic_coil(coil: HarmonicCoil, rig: Rig) -> dict[str, Any]:
-    entry: dict[str, Any] = {"model": MODEL, "region": str(coil.region), "degree": coil.degree}
-    entry = _body(coil.carried_by) | entry
-    entry |= _number(f"{coil.name}.reference_radius_m", "length", rig.parameters)
+def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
+    entry = _body(coil.carried_by)
+    if isinstance(coil, EquivalentSourceCoil):
+        entry["model"] = EQUIVALENT_SOURCES
+        for quantity, length_m in zip(OF_THE_BOX, (*coil.half_m, coil.margin_m, coil.spacing_m), strict=True):
+            unit = _unit("length", [length_m])
+            entry[f"{quantity}_{unit}"] = _in_unit(length_m, UNITS[unit].to_si)
+    else:
+        entry |= {"model": MODEL, "region": str(coil.region), "degree": coil.degree}
+        entry |= _number(f"{coil.name}.reference_radius_m", "length", rig.parameters)
     entries = {name: _entry(rig.parameters[name]) for names in coil.amplitudes.values() for name in names}
     entry["amplitudes"] = amplitude_section(coil, rig.parameters, entries)
     return entry | _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)

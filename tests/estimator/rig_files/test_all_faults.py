@@ -10,6 +10,7 @@ from estimator.errors import InvalidInput, Place
 from estimator.rig_files.read import load_rig, rig_and_faults
 from tests.estimator.conftest import TWO_COILS
 from tests.estimator.rig_files import test_effects_section as causes
+from tests.estimator.rig_files import test_equivalent_sources as charges
 from tests.estimator.rig_files import test_harmonic as harmonic
 from tests.estimator.rig_files import test_refusals as bodies
 
@@ -24,6 +25,10 @@ FAULTY = {
     **{
         f"harmonic: {name}": harmonic.TEXT.replace(old, new)
         for name, (old, new, *_) in harmonic.REFUSALS.items()
+    },
+    **{
+        f"charges: {name}": charges.TEXT.replace(old, new)
+        for name, (old, new, *_) in charges.REFUSALS.items()
     },
 }
 

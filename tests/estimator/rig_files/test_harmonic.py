@@ -118,7 +118,7 @@ REFUSALS = {
     "another model": (
         "model: harmonic",
         "model: dipole",
-        "coils.c1.model must be one of winding, rectangular, racetrack, harmonic",
+        "coils.c1.model must be one of winding, rectangular, racetrack, harmonic, equivalent_sources",
         6,
     ),
     "no size": (

@@ -1,0 +1,102 @@
+"""Coils as charges on a box in rig files: what they hold, what is refused, and that they come back to the last digit."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimator.cli.understood import _coil_words
+from estimator.errors import InvalidInput
+from estimator.rig.parameters import Normal
+from estimator.rig.rig import EquivalentSourceCoil
+from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.write import rig_text
+
+TEXT = """schema_version: 1
+name: box
+movers: {stage: {motion: pose}}
+coils:
+  c1:
+    model: equivalent_sources
+    half_x_mm: 5
+    half_y_mm: 5
+    half_z_cm: 1
+    margin_mm: 4
+    spacing_mm: 6
+    amplitudes: {sd_T_per_A: 8e-3}
+    carried_by: stage
+sensors: {hall: {noise_uT: 1}}
+"""
+
+
+def test_a_coil_has_a_box_and_charges_with_one_prior() -> None:
+    rig = rig_from_text(TEXT)
+    (coil,) = rig.coils
+    assert coil == EquivalentSourceCoil("c1", "stage", (0.005, 0.005, 0.01), 0.004, 0.006)
+    assert (rig.wound, rig.unwound) == ((), rig.coils)
+    assert coil.intervals == (3, 3, 5)
+    free = [p for p in rig.free if p.unit == "T/A"]
+    assert len(free) == 4 * 4 * 6 - 2 * 2 * 4
+    assert {p.prior for p in free} == {Normal(0.0, 8e-3)}
+    assert _coil_words(coil, {}) == "no winding, 80 magnetic charges on a box"
+
+
+@pytest.mark.parametrize(
+    ("amplitudes", "written"),
+    [
+        ("{sd_T_per_A: 8e-3}", "{sd_T_per_A: 0.008}"),
+        ("{sd_T_per_A: 0.01, charge3_T_per_A: 0.5}", "charge3_T_per_A: 0.5"),
+        ("{sd_T_per_A: 0.01, charge80_T_per_A: {tied_to: c1.charge1_T_per_A, factor: -1}}", "tied_to"),
+    ],
+)
+def test_it_comes_back_to_the_last_digit(amplitudes: str, written: str) -> None:
+    rig = rig_from_text(
+        TEXT.replace("{sd_T_per_A: 8e-3}", amplitudes).replace("spacing_mm: 6", "spacing_mm: 6.1")
+    )
+    text = rig_text(rig)
+    assert written in text
+    again = rig_from_text(text)
+    assert again == rig
+    assert again.hash == rig.hash
+    other = rig_from_text(TEXT.replace("{sd_T_per_A: 8e-3}", amplitudes))
+    assert other.hash != rig.hash
+
+
+REFUSALS = {
+    "no box": ("    half_y_mm: 5\n", "", "coils.c1.half_y_m is missing", 6),
+    "no unit": ("margin_mm: 4", "margin: 4", "coils.c1.margin must carry its unit", 10),
+    "no margin": ("margin_mm: 4", "margin_mm: 0", "coils.c1.margin_mm must be > 0; received 0", 10),
+    "a prior of the box": (
+        "margin_mm: 4",
+        "margin_mm: {prior: {normal: {mean: 4, sd: 1}}}",
+        "coils.c1.margin_mm must be a finite number",
+        10,
+    ),
+    "far too many": (
+        "spacing_mm: 6",
+        "spacing_mm: 0.5",
+        "coils.c1.spacing_mm must leave at most 3000 charges on the box; received 10658 charges",
+        11,
+    ),
+    "no width": ("{sd_T_per_A: 8e-3}", "{}", "coils.c1.amplitudes must state the width of its priors", 12),
+    "degrees": (
+        "{sd_T_per_A: 8e-3}",
+        "{sd_T_per_A: 8e-3, falloff: 0.5}",
+        "coils.c1.amplitudes.falloff is not a known key",
+        12,
+    ),
+    "a number of windings": (
+        "spacing_mm: 6",
+        "spacing_mm: 6\n    axial_loops: 12",
+        "coils.c1.axial_loops must not be given for a coil of model equivalent_sources, which has no winding",
+        12,
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
+    assert TEXT.count(old) == 1
+    with pytest.raises(InvalidInput) as caught:
+        rig_from_text(TEXT.replace(old, new), "box.yaml")
+    assert message in str(caught.value)
+    assert f"box.yaml, line {line}" in str(caught.value)
