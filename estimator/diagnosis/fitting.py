@@ -350,6 +350,8 @@ def fit_rig(
         vector = torch.cat((vector, other[None]))
         vector = vector[posterior(vector).argmax()][None]
     tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
+    if tolerance >= policy.ROUGH_TOLERANCE:
+        tolerance = max(tolerance, 0.5 * coordinates.n * policy.ROUGH_TO_SD**2)
     journal = current_journal()
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)
     if journal is not None and (known := journal.optimum(key)) is not None:

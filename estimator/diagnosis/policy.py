@@ -35,6 +35,10 @@ ROUGH_TOLERANCE = 1e-2
 """The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1. Study of 5 cases: numbers change in
 2."""
 
+ROUGH_TO_SD = 0.03
+"""How near its maximum such a fit ends where it has more than 22 numbers: root mean square over them, in standard deviations. Effort:
+hundreds of numbers crawl along valleys. Study: not in it, for its models are smaller."""
+
 STRUCTURE_TOLERANCE = 0.1
 """The same for a hypothesis of structure in place of a pile of causes. Effort: hundreds of log evidence are to beat, and most crawl along
 valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
