@@ -11,6 +11,8 @@ import torch
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
+from estimator.diagnosis.corrections.result import Correction
+from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
@@ -114,6 +116,7 @@ def diagnose(
             unseen,
             limits or Limits(),
             most_readings,
+            place,
             tell,
             on_progress,
         )
@@ -144,6 +147,7 @@ def _judged(
     unseen: Observations,
     limits: Limits,
     most_readings: int,
+    place: torch.device,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> Diagnosis:
@@ -153,7 +157,11 @@ def _judged(
     tell("fitting the rig as described")
     rules, refusal = rules_and_refusal(rig, few)
     plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
-    search_result, mistakes = _searched(plain, refusal, limits, tell, on_progress)
+
+    def searched(plain: Fit) -> tuple[Search, Sequence[RecordMistake]]:
+        return _searched(plain, refusal, limits, tell, on_progress)
+
+    search_result, mistakes = computed_on(place, searched, plain)
     named = named_causes(search_result)
     verdict = verdict_of(search_result, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -189,7 +197,12 @@ def _judged(
         left = search_result.base_discrepancy if is_base else search_result.steps[-1].discrepancy
         widening = Widening.of(extended, after, left)
         tell("correcting what is left, without a name")
-        correction = best_corrected(extended, search_result.final, after, unseen, tell)
+
+        def corrected(extended: Fit, searched: Fit, after: Fit) -> Correction:
+            there = unseen.to(extended.observations.device)
+            return best_corrected(extended, searched, after, there, tell)
+
+        correction = computed_on(place, corrected, extended, search_result.final, after)
         if correction.is_taken:
             extended, after = correction.fit, correction.final
             widening = widening.carried_to(after).over_blocks(extended)

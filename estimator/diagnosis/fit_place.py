@@ -55,7 +55,7 @@ def climbed(
         model = MeasurementModel.unruled(posterior.model.rig, there).with_rules(posterior.model.rules)
         far = LogPosterior(posterior.coordinates, model, there)
         ahead = levenberg_marquardt(far, start.to(there.device), tolerance=tolerance, is_race=True)
-        start = ahead.vector[ahead.log_posterior.argmax()][None].cpu()
+        start = ahead.vector[ahead.log_posterior.argmax()][None].to(start.device)
     if is_worthwhile(posterior, start):
         known = slopes() if there is readings else None
         return climb_with_secants(posterior, start, tolerance, known, to_beat)

@@ -59,6 +59,11 @@ class Optimum:
             self.n_iterations,
         )
 
+    def to(self, device: torch.device) -> Optimum:
+        """The same on another device, without slopes."""
+        numbers = (self.vector, self.log_posterior, self.precision, self.information, self.is_converged)
+        return Optimum(*(each.to(device) for each in numbers), self.n_iterations)
+
     @staticmethod
     def concatenated(fits: list[Optimum]) -> Optimum:
         """Join several fits along the axis of starts."""

@@ -114,13 +114,13 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False, circumstances=circumstances)
     model = fit.posterior.model.with_effects_of(rig)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
-    steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
-    ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
+    steps = fit.vector.new_tensor([STEP * q.prior.sd for q in quantities])
+    ends = torch.cat((torch.diag(steps), -torch.diag(steps), steps.new_zeros(1, len(steps))))
     values = dict(fit.values)
     for name in (name for name in rig.parameters if name.startswith(f"{cause.label}.")):
         key = name.removeprefix(f"{cause.label}.")
         at_starts = [shapes.get(key, rig.parameters[name].value) for shapes in starts]
-        values[name] = torch.tensor(at_starts, dtype=torch.float64)[:, None]
+        values[name] = steps.new_tensor(at_starts)[:, None]
     for i, quantity in enumerate(quantities):
         name = f"{cause.label}.{quantity.key}"
         values[name] = values[name] + ends[:, i]
@@ -133,7 +133,7 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     up, down = components_T[:, :-1].chunk(2, dim=1)
     whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
     keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)
-    prior_sd = torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64)
+    prior_sd = steps.new_tensor([q.prior.sd for q in quantities])
     return [
         Candidate(cause, shapes, keys, units, shift, columns, prior_sd)
         for shapes, shift, columns in zip(starts, shifts, whitened, strict=True)

@@ -49,8 +49,8 @@ def _add_ranges(collection: Collection) -> None:
 
     The largest component chooses for all three, or each for itself.
     """
-    shares = torch.arange(1, policy.N_RANGES + 1, dtype=torch.float64) / (policy.N_RANGES + 1)
     sizes = collection.field.abs()
+    shares = torch.arange(1, policy.N_RANGES + 1).to(sizes) / (policy.N_RANGES + 1)
     for sensor, seen in by_sensor(collection.fit.posterior.model.circumstances):
         its = sizes[seen > 0.0]
         ends = torch.quantile(its.amax(1), shares)
@@ -89,7 +89,7 @@ def _add_mover_positions(collection: Collection) -> None:
         collection.add(name, polynomials(position, 1, policy.MOVER_DEGREE), slope)
         collection.add(name, legendre(time, policy.TIME_DEGREE)[:, 1:], slope, "moving with time")
         for i, axis in enumerate("xyz"):
-            half_cycles = torch.arange(2, policy.MOST_PERIODS_ALONG_AXIS + 1)
+            half_cycles = torch.arange(2, policy.MOST_PERIODS_ALONG_AXIS + 1, device=position.device)
             phase = 0.5 * math.pi * half_cycles[:, None] * position[:, i]
             waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1)
             collection.add_alike(name, waves, slope, [f"periodic along {axis}"] * len(half_cycles))
