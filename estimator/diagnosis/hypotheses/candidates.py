@@ -20,6 +20,7 @@ from estimator.rig.rig import Cause, Rig
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
 STEP = 1e-3  # of the prior's width: central differences of smooth effects
+NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of what changes no reading, on any device
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Candidate:
         cause: Name and place.
         shapes: Start of its shapes.
         keys, units: Quantities that its columns belong to, and their units.
-        shift: Whitened change of the predictions at the start; zero where the start is the null.
+        shift: Whitened change of the predictions at the start; rounding where the start is the null.
         columns: Whitened change of the predictions per unit of each quantity.
         prior_sd: Of the quantities.
     """
@@ -42,6 +43,11 @@ class Candidate:
     shift: Float[Tensor, " component"]
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
+
+    @property
+    def is_at_null(self) -> bool:
+        """Whether it changes no prediction at its start."""
+        return float(self.shift.abs().max()) < NO_CHANGE
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
         """The candidate with each component's weight multiplied."""

@@ -31,7 +31,7 @@ def pairs(
             they would end beside another cause.
         least: Pairs whose log Bayes factor cannot exceed it are left out.
     """
-    at_null = [candidate for candidate in pool if not bool(candidate.shift.any())]
+    at_null = [candidate for candidate in pool if candidate.is_at_null]
     number_of = {cause: i for i, cause in enumerate(dict.fromkeys(c.cause for c in at_null))}
     device = fit.residual.device
     number = torch.tensor([number_of[candidate.cause] for candidate in at_null], device=device)

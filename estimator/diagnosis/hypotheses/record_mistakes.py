@@ -234,10 +234,8 @@ def _start_log_likelihoods(
         some = starts[first : first + together]
         rig = with_effect(base.rig, cause, base.observations, some[0])
         model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
-        coordinates = _AtStarts(rig, cause, some)
-        log_likelihoods += _after_linear_step(
-            LogPosterior(coordinates, model, observations), coordinates.start()
-        )
+        posterior = LogPosterior(_AtStarts(rig, cause, some), model, observations)
+        log_likelihoods += _after_linear_step(posterior, posterior.coordinates.start())
     return log_likelihoods
 
 

@@ -100,7 +100,7 @@ def joint_evidence(
         starts: One of each cause.
         least: Log evidence that each needs beside the others.
     """
-    if any(bool(start.shift.any()) for start in starts):
+    if not all(start.is_at_null for start in starts):
         return -math.inf, []
     columns = torch.cat([start.columns for start in starts], dim=1)
     prior_sd = torch.cat([start.prior_sd for start in starts])
