@@ -16,6 +16,7 @@ from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import gradient_T_per_m
 
 RANGES = "the range of a sensor"
+BEYOND = 1.0 + 1e-9  # times the end of a range: fields of opposite currents are as large to rounding, and stay on one side
 
 
 def add_settings(collection: Collection) -> None:
@@ -54,12 +55,12 @@ def _add_ranges(collection: Collection) -> None:
     for sensor, seen in by_sensor(collection.fit.posterior.model.circumstances):
         its = sizes[seen > 0.0]
         ends = torch.quantile(its.amax(1), shares)
-        beyond = ((sizes.amax(1) > ends[:, None]) * seen)[:, :, None]
+        beyond = ((sizes.amax(1) > BEYOND * ends[:, None]) * seen)[:, :, None]
         details = [sensor] * len(shares)
         for vectors in (collection.field[:, :, None], collection.along_field, collection.axes):
             collection.add_alike(RANGES, beyond, vectors, details)
         for its_end in torch.quantile(its, shares, dim=0):
-            larger = torch.diag_embed(collection.field * (sizes > its_end))
+            larger = torch.diag_embed(collection.field * (sizes > BEYOND * its_end))
             collection.add(RANGES, seen[:, None], larger, sensor)
 
 
