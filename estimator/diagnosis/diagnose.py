@@ -88,8 +88,10 @@ def diagnose(
             current, and a cause or something unexplained, which widens the posterior.
         limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
-        device: Where fits, and sampling, predict readings, such as `cuda`; columns of causes, evidences and reports stay on the processor.
-        precision: `double`, or `single` for those predictions; the last step of every fit is in double precision.
+        device: Where fits, columns of causes, evidences and corrections are computed, such as `cuda`, and where sampling predicts
+            readings; verdict, validation and reports stay on the processor.
+        precision: `double`, or `single` for predictions of fits and of sampling; the last step of every fit, columns and evidences are in
+            double precision.
         on_stage: Called with a message at the start of each stage.
         on_progress: Called as the search fits hypotheses, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.

@@ -164,9 +164,8 @@ class Fit:
         mine, other = self.posterior.coordinates, posterior.coordinates
         known = dict(zip(zip(mine.names, mine.labels, strict=True), range(mine.n), strict=True))
         keys = list(zip(other.names, other.labels, strict=True))
-        index = {"dtype": torch.int64, "device": vector.device}
-        new = torch.tensor([i for i, key in enumerate(keys) if key not in known], **index)
-        shared = torch.tensor([i for i, key in enumerate(keys) if key in known], **index)
+        is_new = torch.tensor([key not in known for key in keys], dtype=torch.bool, device=vector.device)
+        new, shared = is_new.nonzero().flatten(), (~is_new).nonzero().flatten()
         source = [known[key] for key in keys if key in known]
         jacobian_T = vector.new_zeros(1, len(self.predicted_T), other.n)
         whitening_per_T = self.whitening_per_T.clamp(min=1e-300)

@@ -292,11 +292,12 @@ def highest_log_bayes_factor(
     most = noise.n + noise.tension
     reached = _square(factor, score).clamp(max=most)
     # What is explained rises with what is reached: a table, read at the next larger value, bounds it.
-    double = {"dtype": torch.float64, "device": gram.device}
-    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, **double)
+    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64, device=gram.device)
     grown = torch.exp(-2.0 * shrinks)
     noisier = noise.n * shrinks + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrinks / noise.width) ** 2
-    values = torch.logspace(math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, **double)
+    values = torch.logspace(
+        math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, dtype=torch.float64, device=gram.device
+    )
     values[-1] = most
     table = (0.5 * noise.n / most * values[:, None] * grown - noisier).amax(-1)
     explained = table[torch.searchsorted(values, reached.contiguous()).clamp(max=N_BOUNDS - 1)]

@@ -330,7 +330,7 @@ class CollapsedPosterior:
         """Change of the components per prior standard deviation of each amplitude, and the residuals at the centre, in T."""
         values = self.coordinates.values(vector[..., None, :])
         centre_T = self._predicted(values, self._centre[None], vector.shape[:-1])
-        columns, n = [], len(self.amplitudes)
+        columns = []
         n_at_once = max(1, MOST_NUMBERS // (4 * centre_T.numel()))
         for each in self._sd.diag().split(n_at_once):
             columns.append(self._predicted(values, self._centre + each, vector.shape[:-1]) - centre_T)

@@ -61,8 +61,14 @@ class Optimum:
 
     def to(self, device: torch.device) -> Optimum:
         """The same on another device, without slopes."""
-        numbers = (self.vector, self.log_posterior, self.precision, self.information, self.is_converged)
-        return Optimum(*(each.to(device) for each in numbers), self.n_iterations)
+        return Optimum(
+            self.vector.to(device),
+            self.log_posterior.to(device),
+            self.precision.to(device),
+            self.information.to(device),
+            self.is_converged.to(device),
+            self.n_iterations,
+        )
 
     @staticmethod
     def concatenated(fits: list[Optimum]) -> Optimum:

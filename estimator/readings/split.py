@@ -10,8 +10,8 @@ from jaxtyping import Bool, Int
 from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
-from estimator.errors import InvalidInput
 from estimator.devices import numpy_of
+from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 200

@@ -73,6 +73,9 @@ def _columns_of(
 ) -> Int[Tensor, "pair column"]:
     """Numbers of the columns of each pair, of as many of the first and of the second cause as the widths say."""
     return torch.cat(
-        [begin[which, None] + torch.arange(int(n), device=begin.device) for which, n in zip((first, second), widths, strict=True)],
+        [
+            begin[which, None] + torch.arange(int(n), device=begin.device)
+            for which, n in zip((first, second), widths, strict=True)
+        ],
         dim=1,
     )

@@ -16,7 +16,9 @@ from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import gradient_T_per_m
 
 RANGES = "the range of a sensor"
-BEYOND = 1.0 + 1e-9  # times the end of a range: fields of opposite currents are as large to rounding, and stay on one side
+BEYOND = (
+    1.0 + 1e-9
+)  # times the end of a range: fields of opposite currents are as large to rounding, and stay on one side
 
 
 def add_settings(collection: Collection) -> None:
